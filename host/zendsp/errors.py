@@ -1,0 +1,31 @@
+"""Re-exports the error tree, so that a user writes ``zendsp.errors.Refused``."""
+
+from zendsp_protocol.errors import (
+    AcquisitionError,
+    CompileFailed,
+    LinkError,
+    ModelError,
+    NoAnswer,
+    RecordingError,
+    ReferenceError_,
+    Refused,
+    RunnerDied,
+    VariableError,
+    VersionMismatch,
+    ZendspError,
+)
+
+__all__ = [
+    "AcquisitionError",
+    "CompileFailed",
+    "LinkError",
+    "ModelError",
+    "NoAnswer",
+    "RecordingError",
+    "ReferenceError_",
+    "Refused",
+    "RunnerDied",
+    "VariableError",
+    "VersionMismatch",
+    "ZendspError",
+]

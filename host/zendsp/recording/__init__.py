@@ -1,0 +1,1 @@
+"""recording of zendsp."""

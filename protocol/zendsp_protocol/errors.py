@@ -1,0 +1,67 @@
+"""The one tree of errors that zendsp raises.
+
+    ZendspError
+    ├── LinkError (ConnectionError)        the link: no target, no answer, wrong version
+    │   ├── NoAnswer (TimeoutError)
+    │   └── VersionMismatch
+    ├── Refused (RuntimeError)             the target says no, and why
+    ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
+    ├── CompileFailed (RuntimeError)       the user's C code: file, line, column of each message
+    ├── RunnerDied (RuntimeError)          user code crashed or hung; signal and last sample
+    ├── AcquisitionError (RuntimeError)    no such channel, nothing acquired, data lost
+    ├── RecordingError (ValueError)        a file or a table that is not a recording
+    ├── ModelError (ValueError)            a model file: which key, what was expected
+    └── ReferenceError_ (ValueError)       a reference outside the machine's limits or badly posed
+
+Every message names what, the value, the limit and what to do next.
+"""
+
+from __future__ import annotations
+
+
+class ZendspError(Exception):
+    """Root of every error that zendsp raises on purpose."""
+
+
+class LinkError(ZendspError, ConnectionError):
+    """The link does not reach a target."""
+
+
+class NoAnswer(LinkError, TimeoutError):
+    """A request was sent and nothing came back in time."""
+
+
+class VersionMismatch(LinkError):
+    """Host and target speak different versions of the protocol."""
+
+
+class Refused(ZendspError, RuntimeError):
+    """The target understood the request and declines it; the message says which condition fails."""
+
+
+class VariableError(ZendspError, ValueError):
+    """One or more variables were named, typed or valued wrongly; nothing was applied."""
+
+
+class CompileFailed(ZendspError, RuntimeError):
+    """The C code did not compile."""
+
+
+class RunnerDied(ZendspError, RuntimeError):
+    """User code crashed or never returned; the runner is gone, the target lives on."""
+
+
+class AcquisitionError(ZendspError, RuntimeError):
+    """An acquisition cannot be configured, filled or loaded as asked."""
+
+
+class RecordingError(ZendspError, ValueError):
+    """A file or table is not a usable recording."""
+
+
+class ModelError(ZendspError, ValueError):
+    """A model file is not what DIAGNOSIS.md describes."""
+
+
+class ReferenceError_(ZendspError, ValueError):
+    """A reference cannot be planned or breaks a limit of the machine."""

@@ -1,0 +1,1 @@
+"""The target process: monitor, runner, compile service and drives."""
