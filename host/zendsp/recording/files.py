@@ -1,0 +1,130 @@
+"""Save and load recordings; the circumstances travel as one JSON text in every format."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import RecordingError
+from zendsp.recording.formats import Raw
+from zendsp.recording.names import FloatArray, element_names, gather_vectors, listing
+from zendsp.recording.recording import Channel, ParameterChange, Recording
+from zendsp.recording.table import _upright, read_raw
+
+FORM = 1  # version of the layout below; readers refuse what is newer
+FIELDS = (
+    "sample_time", "start_tick", "decimation", "trigger_row", "lost", "timing", "parameters", "sources", "compiler",
+    "flags", "machine", "target", "versions", "created", "note", "extra",
+)  # fmt: skip
+TIMES = ("t", "time", "Time", "T")
+
+
+def save(recording: Recording, path: Path) -> Path:
+    """See :meth:`Recording.save`."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    writer = _writer(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writer(recording, circumstances(recording), temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def _writer(path: Path) -> Callable[[Recording, str, Path], None]:
+    suffix = path.suffix.lower()
+    if suffix == ".mat":
+        from zendsp.recording.formats.mat import write
+    elif suffix == ".npz":
+        from zendsp.recording.formats.npz import write
+    elif suffix == ".parquet":
+        from zendsp.recording.formats.parquet import write
+    elif suffix == ".csv":
+        from zendsp.recording.formats.csv import write
+    else:
+        raise RecordingError(
+            f"{path}: unknown kind of file {suffix or path.name!r}; choose .mat, .npz, .parquet or .csv"
+        )
+    return write
+
+
+def circumstances(recording: Recording) -> str:
+    """Write all but the samples as JSON, in ASCII on one line."""
+    body: dict[str, Any] = {"form": FORM, "channels": [asdict(c) for c in recording.channels]}
+    body |= {name: getattr(recording, name) for name in FIELDS}
+    body["log"] = [asdict(change) for change in recording.log]
+    body["source_hash"] = recording.source_hash
+    return json.dumps(body, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"a recording cannot keep a {type(value).__name__}")
+
+
+def load(path: Path) -> Recording:
+    """See :meth:`Recording.load`."""
+    raw = read_raw(path)
+    return _own(path, raw) if raw.circumstances else _foreign(path, raw)
+
+
+def _own(path: Path, raw: Raw) -> Recording:
+    try:
+        body = json.loads(raw.circumstances)
+        form = body["form"]
+        if form > FORM:
+            raise RecordingError(
+                f"{path}: was written by a newer zendsp (layout {form}, this one reads {FORM}); upgrade"
+            )
+        channels = tuple(Channel(**channel) for channel in body["channels"])
+        log = tuple(ParameterChange(**change) for change in body["log"])
+        fields = {name: body[name] for name in FIELDS}
+        fields["flags"] = tuple(fields["flags"])
+        available = raw.columns | {name: np.array([value]) for name, value in raw.constants.items()}
+        data = _matrix(path, available, channels)
+        return Recording(available["t"].reshape(-1), data, channels, log=log, **fields)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, RecordingError):
+            raise
+        raise RecordingError(
+            f"{path}: its description is damaged ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _matrix(path: Path, columns: Mapping[str, FloatArray], channels: tuple[Channel, ...]) -> FloatArray:
+    blocks = []
+    for channel in channels:
+        names = [channel.name] if channel.name in columns else element_names(channel.name, channel.width)
+        missing = [name for name in names if name not in columns]
+        if missing:
+            raise RecordingError(f"{path}: lacks the column {missing[0]!r} that its description names")
+        blocks += [columns[name].reshape(-1, channel.width if len(names) == 1 else 1) for name in names]
+    rows = len(columns["t"].reshape(-1))
+    return np.hstack(blocks) if blocks else np.empty((rows, 0))
+
+
+def _foreign(path: Path, raw: Raw) -> Recording:
+    columns, units = gather_vectors({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
+    time = next((name for name in TIMES if name in columns), None)
+    if time is None:
+        raise RecordingError(
+            f"{path}: has no time column ({' or '.join(TIMES[:2])}); it has {listing(list(columns))}. "
+            "Use zendsp.recording.read_table for a table without a time base"
+        )
+    t = columns.pop(time)
+    units.pop(time, None)
+    return Recording.from_columns(columns, t=t, units=units, extra={"constants": raw.constants})

@@ -1,0 +1,5 @@
+"""File formats: each reads a :class:`Raw` table and writes a recording."""
+
+from zendsp.recording.formats.raw import Raw
+
+__all__ = ["Raw"]

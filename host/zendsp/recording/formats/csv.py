@@ -1,0 +1,132 @@
+"""CSV: a header of names (``q1`` or ``q1 [rad]``), then rows of numbers.
+
+Recordings carry their circumstances in one comment line before the header; readers that know ``#`` skip it.
+Separators ``,`` ``;`` and tab are told from the header; ``;`` with decimal commas is understood. Gzip by suffix ``.gz``.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from zendsp.errors import RecordingError
+from zendsp.recording.formats.raw import Raw
+from zendsp.recording.names import split_unit
+
+if TYPE_CHECKING:
+    from zendsp.recording.recording import Recording
+
+MARK = "# zendsp "
+
+
+def write(recording: Recording, circumstances: str, path: Path) -> None:
+    """Write ``recording`` with 17 significant digits, so that reading gives back the same numbers."""
+    units = ["s", *recording.column_units]
+    header = [f"{n} [{u}]" if u else n for n, u in zip(["t", *recording.columns], units, strict=True)]
+    with path.open("w", newline="") as file:
+        file.write(f"{MARK}{circumstances}\n")
+        csv.writer(file, lineterminator="\n").writerow(header)
+        np.savetxt(file, np.column_stack([recording.t, recording.data]), fmt="%.17g", delimiter=",")
+
+
+def read(path: Path) -> Raw:
+    """Read any CSV whose first line that is not a comment names the columns."""
+    text = _text(path)
+    circumstances, body, first_line = "", text, 1
+    while body.startswith("#"):
+        line, _, body = body.partition("\n")
+        first_line += 1
+        if line.startswith(MARK):
+            circumstances = line[len(MARK) :]
+    header_line, _, rows = body.partition("\n")
+    if not header_line.strip():
+        raise RecordingError(f"{path}: is empty; expected a line of column names, then rows of numbers")
+    delimiter = next((d for d in (";", "\t", ",") if d in header_line), ",")
+    names, units = _header(path, header_line, delimiter, first_line)
+    columns = _numbers(path, rows, names, delimiter, first_line + 1)
+    return Raw(columns, units, {}, circumstances)
+
+
+def _text(path: Path) -> str:
+    try:
+        raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"{path}: is not text in UTF-8 ({error.reason} at byte {error.start})"
+        ) from error
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise RecordingError(f"{path}: is not a readable gzip file, or it is cut short ({error})") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
+
+
+def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[str], dict[str, str]]:
+    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+    if all(_is_number(cell) for cell in cells):
+        raise RecordingError(
+            f"{path}: line {number} holds numbers ({line[:40].strip()}); expected the names of the columns there"
+        )
+    split = [split_unit(cell) for cell in cells]
+    names = [name for name, _ in split]
+    for k, name in enumerate(names):
+        if not name:
+            raise RecordingError(f"{path}: column {k + 1} has no name in line {number}")
+        if names.index(name) != k:
+            raise RecordingError(f"{path}: line {number} names column {name!r} twice")
+    return names, dict(split)
+
+
+def _numbers(path: Path, rows: str, names: list[str], delimiter: str, first_line: int) -> dict[str, Any]:
+    import pyarrow
+    import pyarrow.csv
+
+    decimal = "," if delimiter == ";" and "," in rows[:4096] and "." not in rows[:4096] else "."
+    if not rows.strip():
+        raise RecordingError(f"{path}: has column names but no rows")
+    try:
+        table = pyarrow.csv.read_csv(
+            io.BytesIO(rows.encode()),
+            read_options=pyarrow.csv.ReadOptions(column_names=names),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(
+                column_types={name: pyarrow.float64() for name in names},
+                null_values=["", "NaN", "nan", "NA", "null", "-nan"],
+                decimal_point=decimal,
+            ),
+        )
+    except pyarrow.ArrowInvalid as error:
+        raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
+    return {name: column.to_numpy() for name, column in zip(names, table.columns, strict=True)}
+
+
+def _first_fault(
+    path: Path, rows: str, names: list[str], delimiter: str, decimal: str, first_line: int, error: Exception
+) -> RecordingError:
+    """Find the line that the fast reader refused and say what is wrong with it."""
+    for number, cells in enumerate(csv.reader(io.StringIO(rows), delimiter=delimiter), first_line):
+        if cells and len(cells) != len(names):
+            return RecordingError(
+                f"{path}: line {number} has {len(cells)} values where the header names {len(names)}"
+            )
+        for name, cell in zip(names, cells, strict=False):
+            text = cell.strip().replace(",", ".") if decimal == "," else cell.strip()
+            if text and text not in ("NA", "null") and not _is_number(text):
+                return RecordingError(
+                    f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a number"
+                )
+    return RecordingError(f"{path}: cannot be read as a table of numbers ({error})")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

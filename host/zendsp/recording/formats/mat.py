@@ -1,0 +1,162 @@
+"""MATLAB files: version 5 written and read through SciPy, version 7.3 (HDF5) read through h5py.
+
+A recording is written as ``data`` (a matrix, one column per signal, time first), ``names`` and ``units`` (cell arrays with one
+entry per column) and ``zendsp`` (the circumstances as JSON text). In foreign files, structures and cells are walked: the
+fields become names such as ``Theta1.signals.values`` and ``Y_id{1}``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import RecordingError
+from zendsp.recording.formats.raw import Raw
+
+if TYPE_CHECKING:
+    from zendsp.recording.recording import Recording
+
+KEY = "zendsp"
+OWN = ("data", "names", "units", KEY)
+
+
+def write(recording: Recording, circumstances: str, path: Path) -> None:
+    """Write ``recording`` as MAT v5, which MATLAB and Octave both open."""
+    import scipy.io
+
+    names = ["t", *recording.columns]
+    units = ["s", *recording.column_units]
+    contents = {
+        "data": np.column_stack([recording.t, recording.data]),
+        "names": _cells(names),
+        "units": _cells(units),
+        # MAT v5 characters are UTF-16: text outside ASCII is escaped by JSON, so any reader gets it whole.
+        KEY: circumstances,
+    }
+    scipy.io.savemat(str(path), contents, appendmat=False, format="5", do_compression=True)
+
+
+def _cells(texts: list[str]) -> npt.NDArray[np.object_]:
+    cells = np.empty((1, len(texts)), dtype=object)
+    cells[0, :] = texts
+    return cells
+
+
+def read(path: Path) -> Raw:
+    """Read a MAT file of version 5 or 7.3."""
+    try:
+        head = path.open("rb").read(16)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
+    if head.startswith((b"\x89HDF", b"MATLAB 7.3")):
+        contents = _read_hdf5(path)
+    else:
+        contents = _read_v5(path)
+    if all(name in contents for name in OWN):
+        return _own(path, contents)
+    columns: dict[str, npt.NDArray[np.float64]] = {}
+    constants: dict[str, float] = {}
+    refused: dict[str, str] = {}
+    for name, value in contents.items():
+        _walk(name, value, columns, constants, refused)
+    return Raw(columns, {}, constants, "", refused)
+
+
+def _read_v5(path: Path) -> dict[str, Any]:
+    import scipy.io
+
+    try:
+        contents = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
+    # SciPy raises whatever its parser stumbles over (struct, zlib, Type, Value, Key, NotImplemented …).
+    except Exception as error:
+        raise RecordingError(f"{path}: is not a readable MAT file, or it is cut short ({error})") from error
+    return {name: value for name, value in contents.items() if not name.startswith("__")}
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return {name: _hdf5_value(file, item) for name, item in file.items() if not name.startswith("#")}
+    except (OSError, KeyError, RuntimeError, ValueError) as error:
+        raise RecordingError(
+            f"{path}: is not a readable MAT 7.3 file, or it is cut short ({error})"
+        ) from error
+
+
+def _hdf5_value(file: Any, item: Any) -> Any:
+    """Turn an HDF5 object as MATLAB writes it into what SciPy returns for version 5."""
+    import h5py
+
+    if isinstance(item, h5py.Group):
+        return {name: _hdf5_value(file, child) for name, child in item.items()}
+    kind = item.attrs.get("MATLAB_class", b"")
+    if item.attrs.get("MATLAB_empty", 0):
+        return np.empty((0, 0))
+    values = item[()]
+    if isinstance(values, np.ndarray) and values.dtype == h5py.ref_dtype:
+        cells = np.empty(values.T.shape, dtype=object)
+        for index, reference in np.ndenumerate(values.T):
+            cells[index] = _hdf5_value(file, file[reference])
+        return cells
+    if kind == b"char":
+        return np.array(["".join(map(chr, np.asarray(values).T.reshape(-1, order="C")))])
+    # MATLAB stores by columns and HDF5 by rows: every matrix arrives transposed.
+    return np.atleast_2d(np.asarray(values)).T
+
+
+def _walk(
+    name: str,
+    value: Any,
+    columns: dict[str, npt.NDArray[np.float64]],
+    constants: dict[str, float],
+    refused: dict[str, str],
+) -> None:
+    """Collect numeric vectors, matrices and scalars from nested structures and cells."""
+    visit: Callable[[str, Any], None] = lambda inner, item: _walk(inner, item, columns, constants, refused)  # noqa: E731
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            visit(f"{name}.{key}", item)
+    elif not isinstance(value, np.ndarray):
+        refused[name] = f"holds {type(value).__name__}, not numbers"
+    elif value.dtype.names:
+        for index, record in enumerate(value.reshape(-1)):
+            place = name if value.size == 1 else f"{name}({index + 1})"
+            for key in value.dtype.names:
+                visit(f"{place}.{key}", record[key])
+    elif value.dtype == object:
+        for index, item in enumerate(value.reshape(-1, order="F")):
+            visit(f"{name}{{{index + 1}}}", item)
+    elif value.dtype.kind not in "fiub":
+        refused[name] = "holds text or complex numbers"
+    elif value.size == 0:
+        refused[name] = "is empty"
+    elif value.size == 1:
+        constants[name] = float(value.reshape(-1)[0])
+    elif value.ndim > 2:
+        refused[name] = f"has {value.ndim} dimensions; at most 2 can be columns"
+    else:
+        columns[name] = np.asarray(value, dtype=np.float64)
+
+
+def _own(path: Path, contents: dict[str, Any]) -> Raw:
+    names, units = (_texts(contents[key]) for key in ("names", "units"))
+    data = np.asarray(contents["data"], dtype=np.float64)
+    if data.ndim != 2 or not len(names) == len(units) == data.shape[1]:
+        raise RecordingError(
+            f"{path}: data has shape {data.shape}, names {len(names)} and units {len(units)} entries; they must agree"
+        )
+    columns = {name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(names)}
+    return Raw(columns, dict(zip(names, units, strict=True)), {}, "".join(_texts(contents[KEY])))
+
+
+def _texts(cells: Any) -> list[str]:
+    return [
+        str(np.asarray(cell).reshape(-1)[0]) if np.size(cell) else ""
+        for cell in np.asarray(cells).reshape(-1)
+    ]

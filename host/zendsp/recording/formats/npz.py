@@ -1,0 +1,52 @@
+"""NPZ: one array per channel, ``t``, and the circumstances as text."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zendsp.errors import RecordingError
+from zendsp.recording.formats.raw import Raw
+
+if TYPE_CHECKING:
+    from zendsp.recording.recording import Recording
+
+KEY = "zendsp"
+
+
+def write(recording: Recording, circumstances: str, path: Path) -> None:
+    """Write ``recording``."""
+    arrays = {"t": recording.t, **recording.signals}
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays, **{KEY: np.array(circumstances)})
+
+
+def read(path: Path) -> Raw:
+    """Read any NPZ of numeric arrays; pickled objects are refused, since loading them would run code."""
+    columns, constants, refused = {}, {}, {}
+    circumstances = ""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            for name in archive.files:
+                try:
+                    values = archive[name]
+                except ValueError as error:  # object arrays
+                    refused[name] = f"is not a plain numeric array ({error})"
+                    continue
+                if name == KEY and values.dtype.kind == "U":
+                    circumstances = str(values[()])
+                elif values.dtype.kind not in "fiub":
+                    refused[name] = f"holds {values.dtype}, not real numbers"
+                elif values.size == 1:
+                    constants[name] = float(values.reshape(-1)[0])
+                elif values.ndim > 2:
+                    refused[name] = f"has {values.ndim} dimensions; at most 2 can be columns"
+                else:
+                    columns[name] = values.astype(np.float64)
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError) as error:
+        raise RecordingError(f"{path}: is not a readable NPZ file, or it is cut short ({error})") from error
+    return Raw(columns, {}, constants, circumstances, refused)

@@ -1,0 +1,67 @@
+"""Parquet: one float64 column per element; units and circumstances in the schema's metadata."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zendsp.errors import RecordingError
+from zendsp.recording.formats.raw import Raw
+
+if TYPE_CHECKING:
+    from zendsp.recording.recording import Recording
+
+KEY = b"zendsp"
+UNITS = b"zendsp_units"
+
+
+def write(recording: Recording, circumstances: str, path: Path) -> None:
+    """Write ``recording``."""
+    import pyarrow
+    import pyarrow.parquet
+
+    units = dict(zip(recording.columns, recording.column_units, strict=True)) | {"t": "s"}
+    names = ["t", *recording.columns]
+    arrays = [recording.t, *(np.ascontiguousarray(column) for column in recording.data.T)]
+    metadata = {KEY: circumstances.encode(), UNITS: json.dumps(units).encode()}
+    table = pyarrow.Table.from_arrays(
+        [pyarrow.array(a) for a in arrays], names=names
+    ).replace_schema_metadata(metadata)
+    pyarrow.parquet.write_table(table, path, compression="zstd")
+
+
+def read(path: Path) -> Raw:
+    """Read any Parquet file; null becomes NaN; columns of lists of equal length become vectors."""
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.ParquetFile(path).read()
+        metadata = table.schema.metadata or {}
+        units = json.loads(metadata.get(UNITS, b"{}"))
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        raise RecordingError(
+            f"{path}: is not a readable Parquet file, or it is cut short ({error})"
+        ) from error
+    columns, refused = {}, {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        try:
+            if pyarrow.types.is_list(column.type) or pyarrow.types.is_fixed_size_list(column.type):
+                columns[name] = np.array(column.to_pylist(), dtype=np.float64)
+            elif pyarrow.types.is_boolean(column.type) or _is_number(column.type):
+                columns[name] = column.cast(pyarrow.float64()).to_numpy()
+            else:
+                refused[name] = f"holds {column.type}, not numbers"
+        except (pyarrow.ArrowException, ValueError, TypeError) as error:
+            refused[name] = f"cannot be read as numbers ({error})"
+    return Raw(columns, units, {}, metadata.get(KEY, b"").decode(), refused)
+
+
+def _is_number(kind: object) -> bool:
+    import pyarrow
+
+    types = pyarrow.types
+    return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind))

@@ -1,0 +1,89 @@
+"""How a matrix of named columns becomes named signals: ``q[0], q[1]`` is the vector ``q``; ``q1 [rad]`` has a unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+_ELEMENT = re.compile(r"^(.+)\[(\d+)\]$")
+# A unit must stand apart from the name by a blank, otherwise "q[0]" would have the unit "0".
+_UNIT = re.compile(r"^(.*\S)\s+[\[(]([^\[\]()]*)[\])]$")
+
+
+def split_element(name: str) -> tuple[str, int] | None:
+    """Split ``"q[1]"`` into ``("q", 1)``; None where the name is not an element."""
+    match = _ELEMENT.match(name)
+    return (match.group(1), int(match.group(2))) if match else None
+
+
+def split_unit(header: str) -> tuple[str, str]:
+    """Split ``"q1 [rad]"`` or ``"q1 (rad)"`` into name and unit; the unit is empty where none is written."""
+    match = _UNIT.match(header)
+    return (match.group(1), match.group(2)) if match else (header, "")
+
+
+def element_names(name: str, width: int) -> list[str]:
+    """Name the columns of a signal: itself where it is one column wide, else ``q[0]``, ``q[1]``, …"""
+    return [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
+
+
+def gather_vectors(
+    columns: Mapping[str, FloatArray], units: Mapping[str, str]
+) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Join complete runs ``q[0] … q[m-1]`` (m > 1) into one ``(N, m)`` signal ``q``; leave all else as it is.
+
+    Parameters
+    ----------
+    columns : mapping of name to array, shape (N,) or (N, m)
+    units : mapping of name to unit
+
+    Returns
+    -------
+    columns, units : dict
+        In the order in which the first element of each signal appeared.
+    """
+    groups: dict[str, dict[int, str]] = {}
+    for name, values in columns.items():
+        element = split_element(name)
+        if element and values.ndim == 1:
+            groups.setdefault(element[0], {})[element[1]] = name
+    whole = {
+        base: [members[k] for k in range(len(members))]
+        for base, members in groups.items()
+        if len(members) > 1 and set(members) == set(range(len(members))) and base not in columns
+    }
+    joined: dict[str, FloatArray] = {}
+    joined_units: dict[str, str] = {}
+    for name, values in columns.items():
+        element = split_element(name)
+        base = element[0] if element and element[0] in whole and name in whole[element[0]] else ""
+        if not base:
+            joined[name] = values
+            joined_units[name] = units.get(name, "")
+        elif base not in joined:
+            joined[base] = np.column_stack([columns[member] for member in whole[base]])
+            joined_units[base] = units.get(name, "")
+    return joined, joined_units
+
+
+def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
+    """Return a signal by name, or one column of a vector by ``"q[1]"``; None where there is neither."""
+    if name in columns:
+        return columns[name]
+    element = split_element(name)
+    if element and element[0] in columns:
+        values = columns[element[0]]
+        if values.ndim == 2 and element[1] < values.shape[1]:
+            return values[:, element[1]]
+    return None
+
+
+def listing(names: Sequence[str], limit: int = 12) -> str:
+    """Write names into a sentence, cut short where there are very many."""
+    shown = ", ".join(names[:limit])
+    return shown + (f", … ({len(names)} in all)" if len(names) > limit else "") if names else "none"

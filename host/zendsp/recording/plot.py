@@ -1,0 +1,55 @@
+"""Quick look at a recording: one panel per unit, all on the same time axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zendsp.errors import RecordingError
+from zendsp.recording.names import element_names
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from zendsp.recording.recording import Recording
+
+# Okabe and Ito 2008: told apart by readers with any kind of colour vision.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+
+
+def plot(recording: Recording, names: Sequence[str] | None, path: str | Path | None) -> Figure:
+    """See :meth:`Recording.plot`."""
+    from matplotlib.figure import Figure
+
+    chosen = list(names) if names is not None else list(recording.names)
+    if not chosen:
+        raise RecordingError("nothing to plot: name at least one channel")
+    panels: dict[str, list[str]] = {}
+    for name in chosen:
+        recording[name]  # raises for a name that is not there
+        panels.setdefault(_unit(recording, name), []).append(name)
+    figure = Figure(figsize=(9.0, 1.2 + 1.9 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, (unit, members) in zip(axes, panels.items(), strict=True):
+        axis.set_prop_cycle(color=COLOURS)
+        for name in members:
+            values = recording[name]
+            matrix = values.reshape(len(recording), -1)
+            for label, column in zip(element_names(name, matrix.shape[1]), matrix.T, strict=True):
+                axis.plot(recording.t, column, lw=1.0, label=label)
+        axis.set_ylabel(unit or "–")
+        axis.grid(True, alpha=0.3)
+        axis.legend(loc="upper right", fontsize=8)
+    axes[-1].set_xlabel("t (s)")
+    title = " · ".join(part for part in (recording.target, recording.machine, recording.note) if part)
+    if title:
+        figure.suptitle(title, fontsize=10)
+    if path is not None:
+        figure.savefig(path, dpi=120)
+    return figure
+
+
+def _unit(recording: Recording, name: str) -> str:
+    units = dict(zip(recording.columns, recording.column_units, strict=True)) | recording.units
+    return units.get(name, "s" if name == "t" else "")

@@ -1,0 +1,144 @@
+"""What a Recording promises: nothing is lost between saving and loading, in any format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from zendsp.errors import RecordingError
+from zendsp.recording import ParameterChange, Recording, read_table
+
+
+@pytest.fixture
+def recording() -> Recording:
+    rng = np.random.default_rng(1)
+    return Recording.from_columns(
+        {"q": rng.normal(size=(200, 2)), "u": rng.normal(size=200) * 1e-9, "w": np.arange(200) / 3.0},
+        sample_time=0.002,
+        units={"q": "rad", "u": "N m"},
+        start_tick=17,
+        decimation=2,
+        trigger_row=5,
+        lost=3,
+        timing={"ticks": 400, "exec_mean_ns": 12.5, "exec_histogram": np.array([1, 2])},
+        log=(
+            ParameterChange(20, 1.7e9, "Kp", 1.0, 2.0, "host-1"),
+            ParameterChange(21, 1.7e9, "a", [1, 2], [3, 4], "b"),
+        ),
+        parameters={"Kp": 2.0, "a": [3, 4]},
+        sources={"pd.c": '#include "isr.h"\n/* Grüße, 模型, comma, "quotes" */\n'},
+        compiler="gcc 12",
+        flags=("-O2", "-Wall"),
+        machine="imi_planar",
+        target="imi",
+        versions={"zendsp": "0.1.0"},
+        created=1.7e9,
+        note="first run, line\nbreak",
+        extra={"reference": "circle"},
+    )
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+def test_every_format_gives_back_the_same_recording_bit_for_bit(
+    recording: Recording, tmp_path: Path, suffix: str
+) -> None:
+    path = recording.save(tmp_path / f"run{suffix}")
+    back = Recording.load(path)
+    assert np.array_equal(back.t, recording.t)
+    assert np.array_equal(back.data, recording.data)
+    assert back.channels == recording.channels
+    assert back.log == recording.log
+    assert back.sources == recording.sources and back.source_hash == recording.source_hash != ""
+    for name in (
+        "sample_time",
+        "start_tick",
+        "decimation",
+        "trigger_row",
+        "lost",
+        "parameters",
+        "compiler",
+        "flags",
+    ):
+        assert getattr(back, name) == getattr(recording, name), name
+    for name in ("machine", "target", "versions", "created", "note", "extra"):
+        assert getattr(back, name) == getattr(recording, name), name
+    assert back.timing["exec_histogram"] == [1, 2]
+    assert list(tmp_path.iterdir()) == [path]  # no half-written file is left behind
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+def test_a_recording_also_reads_as_a_plain_table(recording: Recording, tmp_path: Path, suffix: str) -> None:
+    table = read_table(recording.save(tmp_path / f"run{suffix}"))
+    assert table["q"].shape == (200, 2)
+    assert np.array_equal(table["q[1]"], recording["q"][:, 1])
+    assert np.array_equal(table["t"], recording.t)
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+def test_one_row_survives(tmp_path: Path, suffix: str) -> None:
+    one = Recording.from_columns({"q": [[1.0, 2.0]], "u": [3.0]}, sample_time=0.1)
+    back = Recording.load(one.save(tmp_path / f"one{suffix}"))
+    assert np.array_equal(back.data, [[1.0, 2.0, 3.0]]) and back.t.shape == (1,)
+
+
+def test_mat_opens_as_a_matrix_with_one_column_per_signal_and_their_names(
+    recording: Recording, tmp_path: Path
+) -> None:
+    import scipy.io
+
+    contents = scipy.io.loadmat(recording.save(tmp_path / "run.mat"))
+    names = [str(cell[0]) for cell in contents["names"][0]]
+    assert names == ["t", "q[0]", "q[1]", "u", "w"]
+    assert np.array_equal(contents["data"][:, 2], recording["q"][:, 1])
+    assert [str(cell[0]) if cell.size else "" for cell in contents["units"][0]] == [
+        "s",
+        "rad",
+        "rad",
+        "N m",
+        "",
+    ]
+
+
+def test_pandas_reads_our_csv_with_its_own_reader(recording: Recording, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_csv(recording.save(tmp_path / "run.csv"), comment="#")
+    assert list(frame.columns) == ["t [s]", "q[0] [rad]", "q[1] [rad]", "u [N m]", "w"]
+    assert len(frame) == 200
+
+
+def test_pandas_and_xarray_carry_values_and_units(recording: Recording) -> None:
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    assert np.array_equal(recording.to_pandas()["q[1]"].to_numpy(), recording["q[1]"])
+    dataset = recording.to_xarray()
+    assert dataset["q"].attrs["units"] == "rad" and dataset["q"].shape == (200, 2)
+
+
+def test_plot_draws_one_panel_per_unit(recording: Recording, tmp_path: Path) -> None:
+    figure = recording.plot(path=tmp_path / "run.png")
+    assert [axis.get_ylabel() for axis in figure.axes] == ["rad", "N m", "–"]
+    assert len(figure.axes[0].lines) == 2
+    assert (tmp_path / "run.png").stat().st_size > 5000
+    with pytest.raises(RecordingError, match="no channel 'qq'; it has q, u, w"):
+        recording.plot(["qq"])
+
+
+def test_unequal_columns_are_refused_by_name() -> None:
+    with pytest.raises(RecordingError, match=r"q \(3,\), u \(4,\)"):
+        Recording.from_columns({"q": np.zeros(3), "u": np.zeros(4)}, sample_time=1.0)
+
+
+def test_a_newer_layout_is_refused_with_advice(recording: Recording, tmp_path: Path) -> None:
+    path = recording.save(tmp_path / "run.csv")
+    path.write_text(path.read_text().replace('"form": 1', '"form": 2', 1))
+    with pytest.raises(RecordingError, match="newer zendsp"):
+        Recording.load(path)
+
+
+def test_importing_the_recording_loads_nothing_heavy() -> None:
+    import subprocess
+    import sys
+
+    code = "import sys, zendsp.recording; print([m for m in ('scipy','h5py','pyarrow','matplotlib','pandas') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
