@@ -1,0 +1,199 @@
+/* plant.h: what all simulated machines share: joints with real friction, drives, hard stops, and the integrator.
+ *
+ * A machine gives its rigid-body law as `acceleration`; friction, drive modes and end stops act on top of it at torque level:
+ *
+ *     M(q) qdd + … = tau_drive − friction(qd, z) − stops(q, qd) − hooks.load(…)
+ *
+ * Friction is LuGre with Stribeck curve (Canudas de Wit, Olsson, Åström, Lischinsky 1995), with levels of its own for each
+ * direction and a bristle damping that fades with speed (keeps the law passive).
+ *
+ *     dz/dt = qd − stiffness |qd| z / g(qd),   g = coulomb + (breakaway − coulomb) exp(−(qd/stribeck)²)
+ *     torque = stiffness z + damping exp(−(qd/stribeck)²) dz/dt + viscous qd
+ *
+ * In sliding the bristle equation is stiff (rate stiffness |qd| / g, 10⁵/s and more), so an explicit method would need steps
+ * of microseconds. The step here is an exponential midpoint rule: the bristle is advanced by its exact solution for
+ * constant speed, the rest by the explicit midpoint; second order, stable, two evaluations a step.
+ */
+#ifndef ZENDSP_PLANT_H
+#define ZENDSP_PLANT_H
+
+#include <math.h>   /* exp, ceil */
+#include <string.h> /* memset */
+
+#include "machine.h"
+
+enum { PLANT_JOINTS = MACHINE_JOINTS };
+
+typedef struct plant_friction {
+    double coulomb_pos, coulomb_neg;     /* N m, sliding level for qd > 0 and qd < 0 */
+    double breakaway_pos, breakaway_neg; /* N m, level at rest */
+    double stribeck;                     /* rad/s */
+    double stiffness;                    /* N m/rad, bristle */
+    double damping;                      /* N m s/rad, bristle */
+    double viscous_pos, viscous_neg;     /* N m s/rad */
+} plant_friction;
+
+typedef struct plant_drive {
+    double torque_limit;  /* N m */
+    double speed_gain;    /* N m s/rad: the drive's own speed loop (velocity mode) */
+    double speed_integral;/* N m/rad */
+    double brake;         /* N m s/rad with power off (shorted windings) */
+} plant_drive;
+
+/* Where concealed effects enter; each may be NULL. All arrays have one entry per joint. */
+typedef struct plant_hooks {
+    void *self;
+    /* Once a step: command torque (N m) → torque that the actuator really gives, in place. */
+    void (*actuator)(void *self, double t, double dt, double *torque);
+    /* Every evaluation: torque that opposes the drive, added into `extra` (N m). `torque` is the drive's. Must not change state. */
+    void (*load)(void *self, double t, const double *q, const double *qd, const double *torque, double *extra);
+    /* Once a step, after it: advance own states by dt with the speed of the middle of the step. */
+    void (*advance)(void *self, double t, double dt, const double *q, const double *qd);
+    /* Once a sample: true position → measured position (rad), in place. */
+    void (*sensor)(void *self, double t, double *measured);
+} plant_hooks;
+
+typedef struct plant {
+    int joints;
+    double substep; /* s, longest integration step */
+    double t;       /* s since open */
+    double q[PLANT_JOINTS], qd[PLANT_JOINTS];
+    double z[PLANT_JOINTS];        /* rad, bristle deflection */
+    double integral[PLANT_JOINTS]; /* rad, of the drive's speed loop */
+    double command[PLANT_JOINTS];  /* N m in torque mode, rad/s in velocity mode */
+    int mode;                      /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
+    plant_friction friction[PLANT_JOINTS];
+    plant_drive drive[PLANT_JOINTS];
+    double stop_min[PLANT_JOINTS], stop_max[PLANT_JOINTS];         /* rad, rubber stops beyond the position limits */
+    double stop_stiffness[PLANT_JOINTS], stop_damping[PLANT_JOINTS]; /* N m/rad, N m s/rad */
+    /* Rigid-body law: net joint torque → acceleration. */
+    void (*acceleration)(void *self, const double *q, const double *qd, const double *torque, double *qdd);
+    void *self;
+    plant_hooks hooks;
+} plant;
+
+/* Sliding level g(qd), N m. */
+static inline double plant_level(const plant_friction *f, double qd) {
+    const double coulomb = qd >= 0.0 ? f->coulomb_pos : f->coulomb_neg;
+    const double breakaway = qd >= 0.0 ? f->breakaway_pos : f->breakaway_neg;
+    const double r = f->stribeck > 0.0 ? qd / f->stribeck : 1e3;
+    return coulomb + (breakaway - coulomb) * exp(-r * r);
+}
+
+/* Friction torque, N m, for speed qd and bristle z. */
+static inline double plant_friction_torque(const plant_friction *f, double qd, double z) {
+    const double viscous = (qd >= 0.0 ? f->viscous_pos : f->viscous_neg) * qd;
+    if (f->stiffness <= 0.0)
+        return viscous;
+    const double g = plant_level(f, qd);
+    const double zd = g > 0.0 ? qd - f->stiffness * fabs(qd) * z / g : 0.0;
+    const double r = f->stribeck > 0.0 ? qd / f->stribeck : 1e3;
+    return f->stiffness * z + f->damping * exp(-r * r) * zd + viscous;
+}
+
+/* Exact bristle after h seconds at constant speed. */
+static inline double plant_bristle(const plant_friction *f, double qd, double z, double h) {
+    const double g = plant_level(f, qd);
+    if (f->stiffness <= 0.0 || g <= 0.0)
+        return 0.0;
+    const double rate = f->stiffness * fabs(qd) / g * h;
+    if (rate < 1e-12)
+        return z + qd * h;
+    const double end = (qd >= 0.0 ? g : -g) / f->stiffness;
+    return end + (z - end) * exp(-rate);
+}
+
+/* Torque that the drive gives, N m, before concealed effects. */
+static inline void plant_drive_torque(const plant *p, const double *qd, double *torque) {
+    for (int j = 0; j < p->joints; j++) {
+        const plant_drive *d = &p->drive[j];
+        double tau = 0.0;
+        if (p->mode == MACHINE_TORQUE)
+            tau = p->command[j];
+        else if (p->mode == MACHINE_VELOCITY)
+            tau = d->speed_gain * (p->command[j] - qd[j]) + d->speed_integral * p->integral[j];
+        else
+            tau = -d->brake * qd[j];
+        torque[j] = tau > d->torque_limit ? d->torque_limit : tau < -d->torque_limit ? -d->torque_limit : tau;
+    }
+}
+
+/* Acceleration for state (q, qd, z) under drive torque. */
+static inline void plant_evaluate(plant *p, double t, const double *q, const double *qd, const double *z, const double *torque,
+                                  double *qdd) {
+    double net[PLANT_JOINTS], extra[PLANT_JOINTS] = {0};
+    if (p->hooks.load)
+        p->hooks.load(p->hooks.self, t, q, qd, torque, extra);
+    for (int j = 0; j < p->joints; j++) {
+        net[j] = torque[j] - extra[j] - plant_friction_torque(&p->friction[j], qd[j], z[j]);
+        if (q[j] > p->stop_max[j])
+            net[j] -= p->stop_stiffness[j] * (q[j] - p->stop_max[j]) + p->stop_damping[j] * qd[j];
+        else if (q[j] < p->stop_min[j])
+            net[j] -= p->stop_stiffness[j] * (q[j] - p->stop_min[j]) + p->stop_damping[j] * qd[j];
+    }
+    p->acceleration(p->self, q, qd, net, qdd);
+}
+
+/* One integration step of h seconds. */
+static inline void plant_substep(plant *p, double h) {
+    double torque[PLANT_JOINTS], qdd[PLANT_JOINTS], qm[PLANT_JOINTS], vm[PLANT_JOINTS], zm[PLANT_JOINTS];
+    plant_drive_torque(p, p->qd, torque);
+    if (p->hooks.actuator)
+        p->hooks.actuator(p->hooks.self, p->t, h, torque);
+    plant_evaluate(p, p->t, p->q, p->qd, p->z, torque, qdd);
+    for (int j = 0; j < p->joints; j++) {
+        vm[j] = p->qd[j] + 0.5 * h * qdd[j];
+        qm[j] = p->q[j] + 0.5 * h * p->qd[j];
+        zm[j] = plant_bristle(&p->friction[j], vm[j], p->z[j], 0.5 * h);
+    }
+    plant_evaluate(p, p->t + 0.5 * h, qm, vm, zm, torque, qdd);
+    for (int j = 0; j < p->joints; j++) {
+        p->z[j] = plant_bristle(&p->friction[j], vm[j], p->z[j], h);
+        p->q[j] += h * vm[j];
+        p->qd[j] += h * qdd[j];
+        if (p->mode == MACHINE_VELOCITY) {
+            /* conditional integration: a saturated drive does not wind up */
+            if (fabs(torque[j]) < p->drive[j].torque_limit)
+                p->integral[j] += h * (p->command[j] - vm[j]);
+        } else {
+            p->integral[j] = 0.0;
+        }
+    }
+    p->t += h;
+    if (p->hooks.advance)
+        p->hooks.advance(p->hooks.self, p->t, h, qm, vm);
+}
+
+/* Let dt seconds pass with the command held. */
+static inline void plant_step(plant *p, double dt) {
+    const int steps = dt > p->substep ? (int)ceil(dt / p->substep - 1e-9) : 1;
+    const double h = dt / steps;
+    for (int i = 0; i < steps; i++)
+        plant_substep(p, h);
+}
+
+/* Measured position of every joint, with sensor effects. */
+static inline void plant_measure(plant *p, double *measured) {
+    memcpy(measured, p->q, sizeof(double) * (size_t)p->joints);
+    if (p->hooks.sensor)
+        p->hooks.sensor(p->hooks.self, p->t, measured);
+}
+
+/* Encoder counts of a position: a real encoder counts whole lines passed (floor), not the nearest. */
+static inline int32_t plant_counts(const machine_joint *joint, double position) {
+    return (int32_t)floor(position * joint->counts_per_unit + joint->zero_counts);
+}
+
+/* Take over the actuators: mV → N m or rad/s. A drive that changes into velocity mode starts its loop afresh. */
+static inline void plant_command(plant *p, const machine_info *info, const machine_actuators *a) {
+    for (int j = 0; j < p->joints; j++) {
+        const machine_joint *joint = &info->joint[j];
+        const double scale = a->mode == MACHINE_VELOCITY ? joint->mv_per_speed : joint->mv_per_torque;
+        p->command[j] = a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : a->aout[j] / scale;
+        if (a->mode != p->mode)
+            p->integral[j] = 0.0;
+    }
+    p->mode = a->mode;
+}
+
+#endif
