@@ -1,0 +1,7 @@
+"""Small windows over a screen. STOP works through all of them; Escape closes each without doing anything."""
+
+from zendsp.tui.dialogs.choose import Choose, Option
+from zendsp.tui.dialogs.form import Field, Form, not_empty
+from zendsp.tui.dialogs.text import Message
+
+__all__ = ["Choose", "Field", "Form", "Message", "Option", "not_empty"]

@@ -1,0 +1,114 @@
+"""A list to choose from, with a filter; one or several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.text import Text
+from textual import events, on
+from textual.app import ComposeResult
+from textual.containers import Horizontal, Vertical
+from textual.widgets import Button, Input, OptionList, Static
+from textual.widgets.option_list import Option as Row
+
+from zendsp.tui.dialogs.base import Dialog
+
+
+@dataclass(frozen=True)
+class Option:
+    """One line: what is returned, and what is shown."""
+
+    key: str
+    text: str
+    detail: str = ""
+
+
+class Choose(Dialog[list[str]]):
+    """Choose one option, or several (space marks) in the order of marking; the result is the list of keys."""
+
+    DEFAULT_CSS = """
+    Choose OptionList { height: auto; max-height: 16; border: none; padding: 0; background: $surface; }
+    Choose Input { margin-bottom: 1; }
+    """
+
+    def __init__(
+        self,
+        title: str,
+        options: Sequence[Option],
+        *,
+        several: bool = False,
+        marked: Sequence[str] = (),
+        most: int = 0,
+        text: str = "",
+    ) -> None:
+        super().__init__()
+        self._title, self._options, self._several, self._most = title, tuple(options), several, most
+        self._marked = [key for key in marked if any(o.key == key for o in options)]
+        self._text = text
+
+    def compose(self) -> ComposeResult:
+        with Vertical(classes="box") as box:
+            box.border_title = self._title
+            if self._text:
+                yield Static(self._text, classes="hint", markup=False)
+            yield Input(placeholder="type to filter", compact=True)
+            yield OptionList(markup=False, compact=True)
+            keys = "space marks, ⏎ accepts" if self._several else "⏎ chooses"
+            yield Static(f"{keys}, esc closes", classes="hint", id="keys", markup=False)
+            if self._several:
+                with Horizontal(classes="buttons"):
+                    yield Button("OK", variant="primary", id="ok", compact=True)
+
+    def on_mount(self) -> None:
+        self._fill("")
+        self.query_one(OptionList).focus()
+
+    def _fill(self, words: str) -> None:
+        rows = self.query_one(OptionList)
+        at = rows.highlighted
+        rows.clear_options()
+        shown = [o for o in self._options if words.lower() in f"{o.text} {o.detail}".lower()]
+        width = max((len(o.text) for o in shown), default=0)
+        for o in shown:
+            text = Text(no_wrap=True, overflow="ellipsis")
+            if self._several:
+                text.append(f"{self._marked.index(o.key) + 1} ▐ " if o.key in self._marked else "  · ")
+            text.append(o.text.ljust(width))
+            text.append(f"  {o.detail}", "dim")
+            rows.add_option(Row(text, id=o.key))
+        if shown:
+            rows.highlighted = min(at or 0, len(shown) - 1)
+
+    @on(Input.Changed)
+    def _filter(self, event: Input.Changed) -> None:
+        self._fill(event.value)
+
+    @on(Input.Submitted)
+    def _to_list(self) -> None:
+        self.query_one(OptionList).focus()
+
+    def on_key(self, event: events.Key) -> None:
+        rows = self.query_one(OptionList)
+        if event.key == "space" and self._several and rows.has_focus and rows.highlighted is not None:
+            event.stop()
+            key = str(rows.get_option_at_index(rows.highlighted).id)
+            if key in self._marked:
+                self._marked.remove(key)
+            elif not self._most or len(self._marked) < self._most:
+                self._marked.append(key)
+            else:
+                self.query_one("#keys", Static).update(f"at most {self._most}: take one away first")
+                return
+            self._fill(self.query_one(Input).value)
+        elif event.character == "/" and rows.has_focus:
+            event.stop()
+            self.query_one(Input).focus()
+
+    @on(OptionList.OptionSelected)
+    def _selected(self, event: OptionList.OptionSelected) -> None:
+        self.dismiss(self._marked if self._several else [str(event.option.id)])
+
+    @on(Button.Pressed, "#ok")
+    def _accept(self) -> None:
+        self.dismiss(self._marked)

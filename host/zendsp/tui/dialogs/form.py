@@ -1,0 +1,116 @@
+"""A form: labelled fields with units, checked while typing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from textual import on
+from textual.app import ComposeResult
+from textual.containers import Horizontal, VerticalScroll
+from textual.widgets import Button, Input, Select, Static, Switch
+
+from zendsp.tui.dialogs.base import Dialog
+
+Check = Callable[[str], Any]  # returns the value, or raises ValueError with the words for the user
+
+
+def not_empty(text: str) -> str:
+    """Return the text without blanks around it, or refuse an empty one."""
+    if not text.strip():
+        raise ValueError("must not be empty")
+    return text.strip()
+
+
+@dataclass(frozen=True)
+class Field:
+    """One line of a form. With ``choices`` a list, with a bool ``value`` a switch, else text that ``check`` converts."""
+
+    key: str
+    label: str
+    value: Any = ""
+    unit: str = ""
+    check: Check = str
+    choices: Sequence[str] = ()
+    hint: str = ""
+
+
+class Form(Dialog[Mapping[str, Any]]):
+    """Ask for some values; the result maps each key to its checked value."""
+
+    DEFAULT_CSS = """
+    Form .fields { height: auto; max-height: 16; }
+    Form .field { height: 1; margin-bottom: 0; }
+    Form .label { width: 22; height: 1; }
+    Form .unit { width: 12; height: 1; color: $text-muted; padding-left: 1; }
+    Form Input, Form Select { width: 1fr; }
+    Form .problem { color: $error; height: auto; min-height: 1; }
+    """
+
+    def __init__(self, title: str, fields: Sequence[Field], text: str = "", ok: str = "OK") -> None:
+        super().__init__()
+        self._title, self._fields, self._text, self._ok = title, tuple(fields), text, ok
+
+    def compose(self) -> ComposeResult:
+        with VerticalScroll(classes="box") as box:
+            box.border_title = self._title
+            if self._text:
+                yield Static(self._text, classes="hint", markup=False)
+            for field in self._fields:
+                with Horizontal(classes="field"):
+                    yield Static(field.label, classes="label", markup=False)
+                    yield self._widget(field)
+                    yield Static(field.unit, classes="unit", markup=False)
+            yield Static("", classes="problem", id="problem", markup=False)
+            with Horizontal(classes="buttons"):
+                yield Button(self._ok, variant="primary", id="ok", compact=True)
+                yield Button("Cancel", id="cancel", compact=True)
+
+    def _widget(self, field: Field) -> Input | Select[str] | Switch:
+        if field.choices:
+            options = [(choice, choice) for choice in field.choices]
+            return Select(options, value=str(field.value), allow_blank=False, compact=True, id=f"f-{field.key}")
+        if isinstance(field.value, bool):
+            return Switch(field.value, id=f"f-{field.key}")
+        return Input(str(field.value), compact=True, id=f"f-{field.key}", placeholder=field.hint)
+
+    def on_mount(self) -> None:
+        first = self.query_one(f"#f-{self._fields[0].key}")
+        first.focus()
+        if isinstance(first, Input):
+            first.action_select_all()
+        self._check()
+
+    def _check(self) -> dict[str, Any] | None:
+        """Convert all fields; shows the first problem and returns None if there is one."""
+        values: dict[str, Any] = {}
+        for field in self._fields:
+            widget = self.query_one(f"#f-{field.key}")
+            raw = widget.value if isinstance(widget, Input | Select | Switch) else ""
+            try:
+                values[field.key] = raw if isinstance(widget, Select | Switch) else field.check(str(raw))
+            except ValueError as error:
+                self.query_one("#problem", Static).update(f"{field.label}: {error}")
+                self.query_one("#ok", Button).disabled = True
+                return None
+        self.query_one("#problem", Static).update("")
+        self.query_one("#ok", Button).disabled = False
+        return values
+
+    @on(Input.Changed)
+    @on(Select.Changed)
+    @on(Switch.Changed)
+    def _changed(self) -> None:
+        self._check()
+
+    @on(Input.Submitted)
+    @on(Button.Pressed, "#ok")
+    def _submit(self) -> None:
+        values = self._check()
+        if values is not None:
+            self.dismiss(values)
+
+    @on(Button.Pressed, "#cancel")
+    def _cancelled(self) -> None:
+        self.dismiss(None)

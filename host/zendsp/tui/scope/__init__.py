@@ -1,0 +1,8 @@
+"""The oscilloscope of the terminal: numpy raster of braille dots, history, trigger, cursors."""
+
+from zendsp.tui.scope.history import History
+from zendsp.tui.scope.raster import encode, envelope, fill
+from zendsp.tui.scope.settings import Channel, ScopeSettings
+from zendsp.tui.scope.widget import Scope
+
+__all__ = ["Channel", "History", "Scope", "ScopeSettings", "encode", "envelope", "fill"]

@@ -1,0 +1,176 @@
+"""Composes one picture of the scope: lanes, grid, curves, trigger and cursors, as arrays of cells."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, encode, envelope, fill
+from zendsp.tui.scope.settings import Channel, ScopeSettings
+from zendsp.tui.scope.ticks import ticks
+
+Floats = npt.NDArray[np.float64]
+GRID, CURSOR, EMPTY = 100, 101, 102  # owners of a cell beside the channel numbers 0 … 7
+LOWEST_LANE = 4  # character rows below which lanes are drawn over one another
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A stretch of rows with one unit and one y axis."""
+
+    unit: str
+    channels: tuple[int, ...]
+    row: int  # first character row
+    rows: int
+    bottom: float = -1.0  # value at the lowest dot
+    top: float = 1.0
+
+    def at(self, value: float) -> float:
+        """Return the character row (fractional) at which ``value`` is drawn."""
+        return self.row + (self.top - value) / (self.top - self.bottom) * self.rows
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Cells of the plot area and what the axes need."""
+
+    codes: npt.NDArray[np.uint8]  # (height, width) braille codes
+    owner: npt.NDArray[np.int8]  # (height, width) channel number, or GRID, CURSOR, EMPTY
+    lanes: tuple[Lane, ...]
+    start: float  # s at the left border
+    end: float
+    zero: float  # time that the labels count from, s
+    time_ticks: tuple[float, ...]
+
+
+def arrange(channels: Sequence[Channel], settings: ScopeSettings, height: int) -> list[Lane]:
+    """Give each unit a lane of its own where there is room, else the whole height."""
+    units: dict[str, list[int]] = {}
+    for k, channel in enumerate(channels):
+        units.setdefault(channel.unit, []).append(k)
+    if not units:
+        return []
+    each = height // len(units)
+    if not settings.lanes or each < LOWEST_LANE:
+        return [Lane(unit, tuple(members), 0, height) for unit, members in units.items()]
+    spare = height - each * len(units)
+    lanes, row = [], 0
+    for k, (unit, members) in enumerate(units.items()):
+        rows = each + (1 if k < spare else 0)
+        lanes.append(Lane(unit, tuple(members), row, rows))
+        row += rows
+    return lanes
+
+
+def fit_range(low: Floats, high: Floats, held: tuple[float, float] | None) -> tuple[float, float]:
+    """Return a y range that holds all values with a margin, and that changes only when it must.
+
+    Growing happens at once; shrinking waits until the curve fills less than 40 % of the held range, so that the axis of a
+    rolling picture does not tremble.
+    """
+    finite_low, finite_high = low[np.isfinite(low)], high[np.isfinite(high)]
+    if len(finite_low) == 0 or len(finite_high) == 0:
+        return held or (-1.0, 1.0)
+    a, b = float(finite_low.min()), float(finite_high.max())
+    if b - a < 1e-9 * max(abs(a), abs(b)) or b == a:
+        half = 0.05 * abs(a) or 1.0
+        a, b = a - half, b + half
+    span = b - a
+    if held is not None and held[0] <= a and b <= held[1] and span >= 0.4 * (held[1] - held[0]):
+        return held
+    return a - 0.1 * span, b + 0.1 * span
+
+
+def compose(
+    t: Floats,
+    y: Floats,
+    channels: Sequence[Channel],
+    settings: ScopeSettings,
+    view: tuple[float, float, float],
+    ranges: Mapping[str, tuple[float, float]],
+    size: tuple[int, int],
+) -> Picture:
+    """Draw one picture.
+
+    Parameters
+    ----------
+    t, y : ndarray, shapes (n,) and (n, channels)
+        Times in s and values.
+    channels : sequence of Channel
+    settings : ScopeSettings
+    view : (start, end, zero)
+        Borders of the picture and the time that labels count from, s.
+    ranges : mapping of unit to (bottom, top)
+        The y ranges drawn last; with ``settings.auto`` they are adapted, otherwise kept.
+    size : (width, height)
+        Of the plot area, in characters.
+    """
+    width, height = max(size[0], 1), max(size[1], 1)
+    start, end, zero = view
+    columns = width * DOTS_X
+    low, high = envelope(t, y, start, end, columns)
+    lanes = []
+    for lane in arrange(channels, settings, height):
+        members = list(lane.channels)
+        held = ranges.get(lane.unit)
+        if settings.auto or held is None:
+            held = fit_range(low[:, members], high[:, members], held)
+        lanes.append(replace(lane, bottom=held[0], top=held[1]))
+
+    overlaid = len(lanes) > 1 and lanes[0].row == lanes[1].row
+    shown = [lane for lane in lanes if settings.selected in lane.channels] if overlaid else lanes
+    time_ticks = tuple(v + zero for v in ticks(start - zero, end - zero, max(width // 12, 1)))
+    back = np.zeros((height * DOTS_Y, columns), dtype=bool)
+    _grid(back, shown, time_ticks, start, end)
+    codes = encode(back)
+    owner = np.where(codes > 0, GRID, EMPTY).astype(np.int8)
+
+    marks = np.zeros((height * DOTS_Y, columns), dtype=bool)
+    _marks(marks, lanes, settings)
+    marked = encode(marks)
+    codes = np.where(marked > 0, marked, codes)
+    owner[marked > 0] = CURSOR
+    curves = np.zeros_like(codes)
+    order = sorted(range(len(channels)), key=lambda k: k == settings.selected)
+    for k in order:
+        lane = next(lane for lane in lanes if k in lane.channels)
+        dots = fill(low[:, k], high[:, k], lane.bottom, lane.top, lane.rows * DOTS_Y)
+        cells = encode(dots)
+        part = slice(lane.row, lane.row + lane.rows)
+        curves[part] |= cells
+        owner[part][cells > 0] = k
+    codes = np.where(curves > 0, curves | marked, codes)
+    return Picture(codes, owner, tuple(lanes), start, end, zero, time_ticks)
+
+
+def _grid(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], time_ticks: Sequence[float], start: float, end: float) -> None:
+    """Dotted lines at the round numbers of both axes."""
+    rows, columns = dots.shape
+    for lane in lanes:
+        last = lane.rows * DOTS_Y - 1
+        for value in ticks(lane.bottom, lane.top, max(lane.rows // 3, 2)):
+            row = lane.row * DOTS_Y + round((lane.top - value) / (lane.top - lane.bottom) * last)
+            if 0 <= row < rows:
+                dots[row, ::4] = True
+    for value in time_ticks:
+        column = int((value - start) / (end - start) * columns)
+        if 0 <= column < columns:
+            dots[::4, column] = True
+
+
+def _marks(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], settings: ScopeSettings) -> None:
+    """Trigger level and position, and the two cursors."""
+    columns = dots.shape[1]
+    if settings.mode == "trigger":
+        dots[::3, min(int(settings.pre * columns), columns - 1)] = True
+        for lane in lanes:
+            if settings.source in lane.channels and lane.bottom <= settings.level <= lane.top:
+                share = (lane.top - settings.level) / (lane.top - lane.bottom)
+                row = lane.row * DOTS_Y + round(share * (lane.rows * DOTS_Y - 1))
+                dots[row, ::3] = True
+    if settings.cursors:
+        dots[:, min(int(settings.cursor_a * columns), columns - 1)] = True
+        dots[::2, min(int(settings.cursor_b * columns), columns - 1)] = True

@@ -1,0 +1,67 @@
+"""Axis numbers: round steps and short labels that line up."""
+
+from __future__ import annotations
+
+import math
+
+STEPS = (1.0, 2.0, 5.0)
+
+
+def round_up(value: float) -> float:
+    """Return the smallest of 1, 2, 5 · 10ᵏ that is not below ``value`` (> 0)."""
+    power = 10.0 ** math.floor(math.log10(value))
+    for step in (*STEPS, 10.0):
+        if step * power >= value * (1.0 - 1e-9):
+            return step * power
+    return 10.0 * power
+
+
+def round_down(value: float) -> float:
+    """Return the largest of 1, 2, 5 · 10ᵏ that is not above ``value`` (> 0)."""
+    power = 10.0 ** math.floor(math.log10(value) + 1e-12)
+    return max(step * power for step in STEPS if step * power <= value * (1.0 + 1e-9))
+
+
+def ticks(bottom: float, top: float, most: int) -> list[float]:
+    """Return at most ``most`` round numbers within [bottom, top]."""
+    span = top - bottom
+    if not (math.isfinite(span) and span > 0.0) or most < 1:
+        return []
+    step = round_up(span / max(most, 1))
+    first = math.ceil(bottom / step - 1e-9)
+    last = math.floor(top / step + 1e-9)
+    return [k * step for k in range(first, last + 1)][: most + 1]
+
+
+def label(value: float, step: float) -> str:
+    """Return ``value`` with just the decimals that ``step`` needs; very large and very small ones in powers of ten."""
+    if value == 0.0 or abs(value) < 1e-9 * abs(step):
+        return "0"
+    size = abs(value)
+    if size >= 1e5 or step < 1e-4:
+        return f"{value:.3g}".replace("e+0", "e").replace("e-0", "e-").replace("e+", "e")
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return f"{value:.{decimals}f}"
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that reads best: ``250 ms``, ``2 s``, ``3 min``."""
+    size = abs(seconds)
+    if size == 0.0:
+        return "0 s"
+    if size < 1e-3:
+        return f"{seconds * 1e6:.4g} µs"
+    if size < 1.0:
+        return f"{seconds * 1e3:.4g} ms"
+    if size < 120.0:
+        return f"{seconds:.4g} s"
+    return f"{seconds / 60.0:.4g} min"
+
+
+def number(value: float) -> str:
+    """Return a measured value in six characters or a few more: four significant digits, no trailing noise."""
+    if not math.isfinite(value):
+        return "—"
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+        return f"{value:.3e}"
+    return f"{value:.5g}"

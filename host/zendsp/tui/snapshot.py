@@ -1,0 +1,90 @@
+"""What the screens know of the target at one moment: made by the session's thread, read by anyone, never changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One row of the table of variables."""
+
+    name: str
+    type: str
+    length: int
+    kind: str  # "parameter" | "signal" | "table"
+    unit: str
+    minimum: float
+    maximum: float
+    initial: Any
+    description: str
+
+    @property
+    def writable(self) -> bool:
+        """Whether a host may write it."""
+        return self.kind != "signal"
+
+
+@dataclass(frozen=True)
+class Event:
+    """One line of the event log."""
+
+    host_time: float  # Unix s
+    level: str  # "info" | "good" | "warning" | "error"
+    text: str
+
+
+@dataclass(frozen=True)
+class TripView:
+    """Why the drives are in the safe state."""
+
+    reason: str
+    tick: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Everything a screen shows that is not a curve."""
+
+    link: str = "none"  # "none" | "connecting" | "up" | "lost"
+    target: str = ""
+    machine: str = ""
+    joints: int = 0
+    state: str = ""  # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
+    drive: str = ""  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"
+    program: str = ""
+    clock: str = ""
+    tick: int = 0
+    t: float = 0.0
+    rate_hz: float = 0.0
+    exec_mean_ns: float = 0.0
+    exec_max_ns: float = 0.0
+    late_max_ns: float = 0.0
+    overruns: int = 0
+    missed: int = 0
+    lost: int = 0
+    latency_s: float = float("nan")
+    commander: str = ""  # who holds the right to command, "" if nobody
+    mine: bool = False  # it is held here
+    recording: bool = False
+    host_lost: str = ""
+    trip: TripView | None = None
+    crash: str = ""
+    scheduling: str = ""
+    io: Mapping[str, Any] = field(default_factory=dict)
+    conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
+    variables: tuple[Variable, ...] = ()
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Longest execution time as a share of the period."""
+        return self.exec_max_ns * 1e-9 * self.rate_hz
+
+    @property
+    def period_s(self) -> float:
+        """Sample time, s."""
+        return 1.0 / self.rate_hz if self.rate_hz else 0.001

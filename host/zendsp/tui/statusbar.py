@@ -1,0 +1,173 @@
+"""The bar at the top of every screen: where we are, how the loop does, who commands, and STOP."""
+
+from __future__ import annotations
+
+import time
+
+from rich.style import Style
+from rich.text import Text
+from textual import events
+from textual.app import ComposeResult
+from textual.containers import Horizontal, Vertical
+from textual.message import Message
+from textual.widget import Widget
+from textual.widgets import Static
+
+from zendsp.tui.actions import SCREENS
+from zendsp.tui.snapshot import Snapshot
+
+STATE_MARKS = {
+    "running": ("●", "success"), "enabled": ("●", "success"), "homed": ("◉", "primary"), "ready": ("○", "primary"),
+    "loaded": ("○", "primary"), "paused": ("‖", "warning"), "stopped": ("■", "warning"), "empty": ("○", "foreground"),
+    "off": ("○", "foreground"), "tripped": ("▲", "error"), "crashed": ("✖", "error"),
+}  # fmt: skip
+
+
+def microseconds(ns: float) -> str:
+    """Return a time of execution with three digits: ``3.21 µs``, ``104 µs``, ``1.20 ms``."""
+    us = ns * 1e-3
+    if us >= 1000.0:
+        return f"{us * 1e-3:.2f} ms"
+    return f"{us:.3g} µs"
+
+
+def latency(seconds: float) -> str:
+    """Return the link's round trip, or a dash where it is unknown."""
+    return f"{seconds * 1e3:.1f} ms" if seconds == seconds else "—"
+
+
+class Tabs(Widget):
+    """The names of the three screens; a click opens one."""
+
+    DEFAULT_CSS = "Tabs { height: 1; width: 1fr; }"
+
+    def __init__(self, current: str) -> None:
+        super().__init__()
+        self.current = current
+        self.right = Text()  # recording light and time, at the right end
+        self._spans: list[tuple[int, int, str]] = []
+
+    def render(self) -> Text:
+        colours = self.app.theme_variables
+        text = Text(no_wrap=True, overflow="ellipsis")
+        text.append(" zendsp ", Style(bold=True, color=colours["accent"]))
+        self._spans = []
+        for k, name in enumerate(SCREENS):
+            begin = text.cell_len
+            here = name == self.current
+            key = Style(color=colours["accent"], bold=True)
+            body = Style(bold=True, reverse=True) if here else Style()
+            text.append(f" F{k + 2}", key)
+            text.append(f" {name.capitalize()} ", body)
+            self._spans.append((begin, text.cell_len, name))
+        text.append(" " * max(self.size.width - text.cell_len - self.right.cell_len, 1))
+        return text.append_text(self.right)
+
+    def on_click(self, event: events.Click) -> None:
+        for begin, end, name in self._spans:
+            if begin <= event.x < end:
+                self.app.call_later(self.app.run_action, f"show('{name}')")
+
+
+class StopButton(Static):
+    """A red field that is always there; one click stops."""
+
+    DEFAULT_CSS = """
+    StopButton { width: 13; height: 100%; background: $error; color: $background; text-style: bold;
+                 content-align: center middle; }
+    StopButton:hover { background: $error-lighten-2; }
+    """
+
+    class Pressed(Message):
+        """STOP was clicked."""
+
+    def __init__(self) -> None:
+        super().__init__("■ STOP  F9", markup=False)
+
+    def on_click(self) -> None:
+        self.app.call_later(self.app.run_action, "stop")
+
+
+class StatusBar(Widget):
+    """Target, state, rate, execution time, overruns, lost samples, latency, commander, recording light, time, STOP."""
+
+    DEFAULT_CSS = """
+    StatusBar { height: 3; background: $panel; layout: horizontal; dock: top; }
+    StatusBar #status-lines { width: 1fr; height: 3; }
+    StatusBar .line { height: 1; width: 1fr; text-wrap: nowrap; text-overflow: ellipsis; }
+    """
+
+    def __init__(self, current: str) -> None:
+        super().__init__()
+        self._current = current
+        self._tabs = Tabs(current)
+        self._line1 = Static("", classes="line", markup=False)
+        self._line2 = Static("", classes="line", markup=False)
+        self._shown: tuple[object, ...] = ()
+
+    def compose(self) -> ComposeResult:
+        with Horizontal():
+            with Vertical(id="status-lines"):
+                yield self._tabs
+                yield self._line1
+                yield self._line2
+            yield StopButton()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Paint a snapshot; does nothing while nothing has changed."""
+        clock = time.strftime("%H:%M:%S")
+        now = (id(snapshot), clock, self.app.theme)
+        if now == self._shown:
+            return
+        self._shown = now
+        c = self.app.theme_variables
+        right = Text(no_wrap=True)
+        light = Style(color=c["error"], bold=True) if snapshot.recording else Style(dim=True)
+        right.append("● REC " if snapshot.recording else "○ rec ", light)
+        right.append(f" {clock} ", Style(dim=True))
+        self._tabs.right = right
+        self._tabs.refresh()
+        self._line1.update(self.where(snapshot))
+        self._line2.update(self.loop(snapshot))
+
+    def where(self, s: Snapshot) -> Text:
+        """Return the line that names the target, its state and who commands."""
+        c = self.app.theme_variables
+        line = Text(" ", no_wrap=True, overflow="ellipsis")
+        if s.link != "up":
+            words = {
+                "none": "no target: Ctrl+O connects",
+                "connecting": f"connecting to {s.target} …",
+                "lost": f"LINK LOST to {s.target}: reconnecting …",
+            }
+            colour = c["error"] if s.link == "lost" else c["warning"]
+            return line.append(words.get(s.link, s.link), Style(bold=True, color=colour))
+        line.append(s.target, Style(bold=True, color=c["primary"]))
+        line.append(f" {s.machine}  " if s.machine != s.target else "  ", Style(dim=True))
+        for state in dict.fromkeys((s.drive, s.state)):
+            if state:
+                mark, colour = STATE_MARKS.get(state, ("○", "foreground"))
+                line.append(f"{mark} {state}  ", Style(bold=True, color=c[colour]))
+        who = "you" if s.mine else s.commander or "nobody"
+        line.append("cmd ", Style(dim=True))
+        line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))
+        if s.trip is not None or s.crash:
+            line.append(s.trip.text if s.trip is not None else s.crash, Style(color=c["error"], bold=True))
+        return line
+
+    def loop(self, s: Snapshot) -> Text:
+        """Return the line that says how the loop and the link do."""
+        bad = Style(color=self.app.theme_variables["error"], bold=True)
+        line = Text(" ", no_wrap=True, overflow="ellipsis")
+
+        def item(name: str, value: str, alarm: bool = False) -> None:
+            line.append(f"{name} ", Style(dim=True))
+            line.append(f"{value}  ", bad if alarm else Style())
+
+        line.append(f"{s.rate_hz:g} Hz{' fast' if s.clock == 'fast' else ''}  ")
+        mean, most = microseconds(s.exec_mean_ns), microseconds(s.exec_max_ns)
+        item("exec", f"{mean.removesuffix(' µs')}/{most} {100.0 * s.share:.1f}%", s.share > 0.8)
+        item("over", str(s.overruns), s.overruns > 0)
+        item("lost", str(s.lost), s.lost > 0)
+        item("link", latency(s.latency_s))
+        return line
