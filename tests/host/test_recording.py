@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from zendsp.errors import RecordingError
 from zendsp.recording import ParameterChange, Recording, read_table
 

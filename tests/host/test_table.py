@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
 

@@ -1,0 +1,62 @@
+"""Zenoh keys. Every key begins with ``zendsp/<target>/``."""
+
+from __future__ import annotations
+
+import re
+
+ROOT = "zendsp"
+LANES = ("quick", "stop", "slow", "bulk")
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+def check_name(name: str) -> str:
+    """Return ``name`` if it can be the name of a target.
+
+    Raises
+    ------
+    ValueError
+        Empty, longer than 64 characters, or with characters that keys cannot hold.
+    """
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"target name {name!r}: use 1 to 64 letters, digits, '_', '-' or '.'")
+    return name
+
+
+def rpc(target: str, lane: str) -> str:
+    """Requests: one queryable per lane, so that slow work never stands before a STOP."""
+    return f"{ROOT}/{target}/rpc/{lane}"
+
+
+def alive(target: str = "*") -> str:
+    """Liveliness token of a target; ``zendsp/*/alive`` finds them all."""
+    return f"{ROOT}/{target}/alive"
+
+
+def host(target: str, host_id: str = "*") -> str:
+    """Liveliness token of a host connected to ``target``."""
+    return f"{ROOT}/{target}/host/{host_id}"
+
+
+def info(target: str = "*") -> str:
+    """Queryable: who the target is."""
+    return f"{ROOT}/{target}/info"
+
+
+def variable(target: str, name: str = "*") -> str:
+    """Queryable: the value of one variable; array elements are read whole."""
+    return f"{ROOT}/{target}/var/{name}"
+
+
+def live(target: str, stream: int | str = "*") -> str:
+    """Publication: newest samples of a live stream."""
+    return f"{ROOT}/{target}/live/{stream}"
+
+
+def event(target: str = "*") -> str:
+    """Publication: the status, whenever the state changes and at least twice a second."""
+    return f"{ROOT}/{target}/event"
+
+
+def target_of(key: str) -> str:
+    """Name of the target in a key."""
+    return key.split("/")[1]

@@ -1,0 +1,46 @@
+"""Where the targets of this machine write how to reach them: one small file each, in the user's runtime directory.
+
+Only names and formats stand here; the target writes the files, the host reads them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+import msgspec
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True):
+    """A target that runs here."""
+
+    name: str
+    pid: int
+    born: str  # start time of the process as the kernel states it, since numbers of processes are used again
+    endpoints: list[str]
+    machine: str
+    protocol: int
+
+
+def folder(environment: Mapping[str, str] = os.environ) -> str:
+    """Folder of the entries: ``$ZENDSP_RUNTIME_DIR``, ``$XDG_RUNTIME_DIR/zendsp`` or ``/tmp/zendsp-<uid>``."""
+    own = environment.get("ZENDSP_RUNTIME_DIR")
+    if own:
+        return own
+    runtime = environment.get("XDG_RUNTIME_DIR")
+    return os.path.join(runtime, "zendsp") if runtime else f"/tmp/zendsp-{os.getuid()}"
+
+
+def file_name(target: str) -> str:
+    """File of one target's entry."""
+    return f"{target}.json"
+
+
+def born(pid: int) -> str:
+    """Start time of a process in clock ticks since boot, empty where it does not run."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            fields = file.read().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "" if fields[0] in "ZX" else fields[19]  # state and starttime, proc(5)

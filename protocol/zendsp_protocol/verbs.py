@@ -1,0 +1,153 @@
+"""The table of verbs: one row per request, with its arguments, its result, its lane and how long it may take.
+
+To add a verb: write its arguments here, add a row, and give the target a handler of the same name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from zendsp_protocol import messages as m
+from zendsp_protocol.values import Packed, WireValue
+
+
+class Arguments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of all arguments: unknown fields are refused, so that a misspelled one is not silently ignored."""
+
+
+class Nothing(Arguments, frozen=True, kw_only=True):
+    """No arguments."""
+
+
+class Compile(Arguments, frozen=True, kw_only=True):
+    sources: dict[str, str]
+    flags: list[str] = []
+
+
+class Load(Arguments, frozen=True, kw_only=True):
+    key: str
+
+
+class Start(Arguments, frozen=True, kw_only=True):
+    ticks: int | None = None
+
+
+class Read(Arguments, frozen=True, kw_only=True):
+    names: list[str]
+
+
+class Write(Arguments, frozen=True, kw_only=True):
+    values: dict[str, WireValue]
+    at_tick: int | None = None
+
+
+class Wait(Arguments, frozen=True, kw_only=True):
+    sequence: int
+    timeout: float = 2.0
+
+
+class Log(Arguments, frozen=True, kw_only=True):
+    since: int = 0
+
+
+class AcquireConfigure(Arguments, frozen=True, kw_only=True):
+    channels: list[str]
+    decimation: int = 1
+    seconds: float = 1.0
+    trigger: m.Trigger | None = None
+    continuous: bool = False
+    take: bool = False  # also when another host is recording
+
+
+class AcquireStart(Arguments, frozen=True, kw_only=True):
+    force: bool = False
+
+
+class AcquireRead(Arguments, frozen=True, kw_only=True):
+    first: int
+    count: int
+    chunk: int = 1 << 20  # bytes of one reply, about
+
+
+class TableBegin(Arguments, frozen=True, kw_only=True):
+    name: str
+    dtype: str
+    length: int  # elements
+    crc: int  # CRC-32 of all bytes
+
+
+class TableChunk(Arguments, frozen=True, kw_only=True):
+    upload: int
+    offset: int  # bytes
+    data: bytes
+    crc: int  # CRC-32 of data
+
+
+class TableCommit(Arguments, frozen=True, kw_only=True):
+    upload: int
+    at_tick: int | None = None
+
+
+class TableState(m.Message, frozen=True, kw_only=True):
+    """An upload: bytes received so far without a gap."""
+
+    upload: int
+    received: int
+
+
+class LiveOpen(Arguments, frozen=True, kw_only=True):
+    channels: list[str]
+    decimation: int = 1
+    interval: float = 0.001  # s between messages at the least
+    window: int = 4096  # rows of one message at the most; older ones are skipped
+
+
+class LiveClose(Arguments, frozen=True, kw_only=True):
+    stream: int
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One row of the table."""
+
+    name: str
+    arguments: type[Arguments]
+    result: Any
+    lane: str
+    timeout: float = 5.0  # s, after which a host gives up
+    repeatable: bool = True  # asking twice does no harm, so a host may ask again after a broken link
+
+
+_ROWS = (
+    Verb("info", Nothing, m.Info, "quick"),
+    Verb("status", Nothing, m.Status, "quick"),
+    Verb("stop", Nothing, m.Empty, "stop"),
+    Verb("compile", Compile, m.CompileResult, "slow", 120.0),
+    Verb("load", Load, m.Empty, "slow", 30.0, repeatable=False),
+    Verb("unload", Nothing, m.Empty, "slow", 30.0),
+    Verb("start", Start, m.Empty, "quick", repeatable=False),
+    Verb("pause", Nothing, m.Empty, "quick"),
+    Verb("program", Nothing, m.Program, "quick"),
+    Verb("variables", Nothing, tuple[m.VariableInfo, ...], "quick"),
+    Verb("read", Read, m.Reading, "quick"),
+    Verb("write", Write, m.Written, "quick", repeatable=False),
+    Verb("update", Write, m.Applied, "quick", repeatable=False),
+    Verb("wait_applied", Wait, m.Applied, "slow", 60.0),
+    Verb("log", Log, tuple[m.Change, ...], "quick"),
+    Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False),
+    Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False),
+    Verb("acquire_stop", Nothing, m.Empty, "quick"),
+    Verb("acquire_status", Nothing, m.AcquireStatus, "quick"),
+    Verb("acquire_read", AcquireRead, m.Empty, "bulk", 60.0),
+    Verb("table_begin", TableBegin, TableState, "bulk", repeatable=False),
+    Verb("table_chunk", TableChunk, TableState, "bulk", 20.0),
+    Verb("table_commit", TableCommit, m.Applied, "bulk", 20.0, repeatable=False),
+    Verb("live_open", LiveOpen, m.LiveOpened, "quick", repeatable=False),
+    Verb("live_close", LiveClose, m.Empty, "quick"),
+)  # fmt: skip
+VERBS: dict[str, Verb] = {row.name: row for row in _ROWS}
+
+__all__ = ["VERBS", "Arguments", "Packed", "Verb"]
