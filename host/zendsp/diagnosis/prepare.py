@@ -1,0 +1,89 @@
+"""From signals to joint records: measurement model, smoothed motion, coefficients of the mechanism, scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from zendsp.diagnosis.reading import Signals
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import JointRecord, Scale, mechanism_value
+from zendsp.physics.model import Model, per_joint
+from zendsp.physics.rigid import bases
+from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
+
+
+def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -> Data:
+    """Make recordings ready for the kernel.
+
+    Parameters
+    ----------
+    signals : sequence of Signals
+    model : Model
+        The given model (its values only scale the smoothing).
+    bandwidth : float
+        First guess of the observers, rad/s.
+
+    Returns
+    -------
+    Data
+    """
+    records = tuple(_records(s, model) for s in signals)
+    return Data(records, (bandwidth,) * model.joints)
+
+
+def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
+    joints = s.position.shape[1]
+    measurements, motions = [], []
+    for j in range(joints):
+        y = np.ascontiguousarray(s.position[:, j])
+        resolution = float(s.resolution[j])
+        noise = noise_beside_quantisation(y, resolution)
+        measurement = measure(y, s.sample_time, resolution, noise)
+        torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
+        inertia = _guess_inertia(model, j + 1, s, torque)
+        measurements.append(measurement)
+        motions.append(smooth(measurement, s.sample_time, torque / inertia))
+    others = np.ascontiguousarray(np.stack([m.states for m in motions]))
+    basis = bases(model, [m.states for m in motions])
+    out = []
+    for j in range(joints):
+        q, qd, qdd = motions[j].states
+        torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
+        inertia_series = sum((1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia for key, b in basis[j].items())
+        inertia = float(np.mean(inertia_series))
+        effort = float(np.sqrt(np.mean(torque**2))) or inertia * float(np.sqrt(np.mean(qdd**2)))
+        scale = Scale(
+            torque=max(effort, 1e-12),
+            speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
+            position=max(float(np.ptp(q)), 1e-9),
+            inertia=max(inertia, 1e-12),
+            command=max(float(np.sqrt(np.mean(s.command[:, j] ** 2))), 1e-12),
+            seconds=float(s.time[-1] - s.time[0]),
+            turn=1.0 if model.joint_kind(j + 1) == "rotary" else max(float(np.ptp(q)), 1e-9) / 6.283,
+        )
+        out.append(
+            JointRecord(
+                joint=j + 1,
+                sample_time=s.sample_time,
+                t0=float(s.time[0]),
+                command=np.ascontiguousarray(s.command[:, j]),
+                measurement=measurements[j],
+                motion=motions[j],
+                basis=basis[j],
+                others=others,
+                scale=scale,
+                base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
+                position=np.ascontiguousarray(s.position[:, j]),
+            )
+        )
+    return tuple(out)
+
+
+def _guess_inertia(model: Model, joint: int, s: Signals, torque: np.ndarray) -> float:  # type: ignore[type-arg]
+    if model.kind in ("rotary", "linear"):
+        return mechanism_value(model, "inertia" if model.kind == "rotary" else "mass", joint)
+    if model.kind == "planar2r":
+        return mechanism_value(model, "p1" if joint == 1 else "p2", joint)
+    return max(float(np.std(torque)), 1e-6) / max(float(np.std(np.diff(s.position[:, joint - 1], 2))) / s.sample_time**2, 1e-6)

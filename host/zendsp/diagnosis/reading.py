@@ -1,0 +1,234 @@
+"""Recordings as signals in joint coordinates, checked before any physics is blamed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import RecordingError
+from zendsp.physics.model import Model, per_joint
+from zendsp.physics.signals import find_resolution
+from zendsp.recording import Recording, Table, read_table
+
+Array = npt.NDArray[np.float64]
+
+MIN_SAMPLES = 300
+TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
+
+
+@dataclass(frozen=True)
+class Signals:
+    """One recording in joint coordinates: arrays (n, joints), SI; ``notes`` say what was done to the data."""
+
+    name: str
+    time: Array
+    sample_time: float
+    position: Array
+    command: Array  # torque or command units, after the actuator's matrix
+    reference: Array | None
+    resolution: Array  # (joints,)
+    notes: tuple[str, ...] = ()
+    extra: dict[str, Array] = field(default_factory=dict)
+
+    def part(self, start: int, stop: int, name: str) -> Signals:
+        """Rows start … stop - 1 as a recording of their own."""
+        cut = slice(start, stop)
+        return replace(
+            self,
+            name=name,
+            time=self.time[cut],
+            position=self.position[cut],
+            command=self.command[cut],
+            reference=None if self.reference is None else self.reference[cut],
+            extra={key: value[cut] for key, value in self.extra.items()},
+        )
+
+
+def read_signals(source: str | Path | Recording | Table, model: Model) -> Signals:
+    """Read a recording by the column names of a model.
+
+    Parameters
+    ----------
+    source : path, Recording or Table
+    model : Model
+
+    Returns
+    -------
+    Signals
+
+    Raises
+    ------
+    RecordingError
+        With the file, the column and what was expected.
+    """
+    columns = model.columns or {"time": "t", "position": "q", "command": "u"}
+    for key in ("position",):
+        if key not in columns:
+            raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
+    name, get = _getter(source, columns)
+    joints = model.joints
+    position = _matrix(name, "position", get, columns["position"], joints)
+    n = len(position)
+    if "command" in columns:
+        command = _matrix(name, "command", get, columns["command"], joints)
+    else:
+        command = np.zeros_like(position)
+    for label, values in (("position", position), ("command", command)):
+        if len(values) != n:
+            raise RecordingError(f"{name}: {label} has {len(values)} rows, position {n}")
+        bad = ~np.isfinite(values)
+        if bad.any():
+            row, column = (int(i[0]) for i in np.nonzero(bad))
+            raise RecordingError(
+                f"{name}: {label} {_column_name(columns[label], column)!r} has {int(bad.sum())} values that are not finite numbers (first in row {row + 1}); expected none"
+            )
+    if n < MIN_SAMPLES:
+        raise RecordingError(f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples")
+    reference = _matrix(name, "reference", get, columns["reference"], joints) if "reference" in columns and _has(get, columns["reference"]) else None
+    time, sample_time, notes, grid = _clock(name, get, columns, model, n)
+    if grid is not None:
+        position = _resample(grid, time, position, linear=True)
+        command = _resample(grid, time, command, linear=False)
+        reference = None if reference is None else _resample(grid, time, reference, linear=True)
+        time = grid
+    resolution = np.array([per_joint(model.sensor.resolution, j + 1, 0.0) for j in range(joints)])
+    found = [r if r > 0 else find_resolution(position[:, j]) for j, r in enumerate(resolution)]
+    resolution = np.array(found)
+    if model.sensor.matrix:
+        matrix = np.array(model.sensor.matrix)
+        position = position @ matrix.T
+        reference = None if reference is None else reference @ matrix.T
+        resolution = np.sqrt((matrix**2) @ resolution**2)
+    if model.sensor.offset:
+        offset = np.array([per_joint(model.sensor.offset, j + 1, 0.0) for j in range(joints)])
+        position = position + offset
+    if model.actuator.matrix:
+        command = command @ np.array(model.actuator.matrix).T
+    signals = Signals(name, time, sample_time, position, command, reference, resolution, tuple(notes))
+    return _decimate(signals)
+
+
+def _getter(source: Any, columns: Any) -> tuple[str, Any]:
+    if isinstance(source, Recording):
+        names = set(source.names)
+
+        def from_recording(column: str) -> Array:
+            if column in ("t", "time") and column not in names:
+                return np.asarray(source.t, float)
+            try:
+                return np.asarray(source[column], float)
+            except (KeyError, RecordingError):
+                raise RecordingError(f"the recording has no channel {column!r}; it has {', '.join(source.names)}") from None
+
+        return "recording", from_recording
+    if isinstance(source, Table):
+        return str(source.path), lambda column: source[column]
+    table = read_table(source)
+    return str(source), lambda column: table[column]
+
+
+def _has(get: Any, column: Any) -> bool:
+    try:
+        for item in column if isinstance(column, list) else [column]:
+            get(item)
+    except RecordingError:
+        return False
+    return True
+
+
+def _column_name(spec: Any, index: int) -> str:
+    return str(spec[index]) if isinstance(spec, list) else str(spec)
+
+
+def _matrix(name: str, label: str, get: Any, spec: Any, joints: int) -> Array:
+    if isinstance(spec, list):
+        parts = [np.asarray(get(str(item)), float) for item in spec]
+        for item, part in zip(spec, parts, strict=True):
+            if part.ndim != 1:
+                raise RecordingError(f"{name}: column {item!r} has shape {part.shape}; expected one number a row")
+        values = np.stack(parts, axis=1)
+    else:
+        values = np.asarray(get(str(spec)), float)
+        values = values[:, None] if values.ndim == 1 else values
+    if values.shape[1] != joints:
+        raise RecordingError(f"{name}: {label} {spec!r} has {values.shape[1]} columns; the model has {joints} joints")
+    return values
+
+
+def _clock(name: str, get: Any, columns: Any, model: Model, n: int) -> tuple[Array, float, list[str], Array | None]:
+    notes: list[str] = []
+    if "time" not in columns or not _has(get, columns["time"]):
+        if model.sample_time is None:
+            raise RecordingError(f"{name}: has no time column {columns.get('time', 't')!r} and the model no sample_time")
+        return np.arange(n) * model.sample_time, model.sample_time, notes, None
+    time = np.asarray(get(str(columns["time"])), float)
+    if time.ndim != 1 or not np.isfinite(time).all():
+        raise RecordingError(f"{name}: time column {columns['time']!r} holds values that are not finite numbers")
+    step = np.diff(time)
+    if (step <= 0).any():
+        row = int(np.argmax(step <= 0)) + 2
+        raise RecordingError(f"{name}: time runs backwards or stands still at row {row}: are two runs glued together? Give them as two files")
+    period = float(np.median(step))
+    if model.sample_time and abs(period / model.sample_time - 1) > 0.2:
+        raise RecordingError(f"{name}: samples are {period:.6g} s apart, the model says sample_time = {model.sample_time:.6g} s: check the unit of the time column")
+    if model.sample_time and abs(np.mean(step) / model.sample_time - 1) < 1e-3 and abs(period / model.sample_time - 1) < 0.05:
+        period = model.sample_time
+    jitter = float(np.max(np.abs(step - period))) / period
+    if jitter < 0.02:
+        return time, float((time[-1] - time[0]) / (n - 1)), notes, None
+    if float(np.max(step)) > max(50 * period, 0.1):
+        k = int(np.argmax(step))
+        raise RecordingError(f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together? Give them as two files")
+    spread = float(np.std(step)) / period
+    notes.append(f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step {np.max(step) / period:.1f} samples); resampled uniformly")
+    return time, period, notes, np.arange(time[0], time[-1], period)
+
+
+def _resample(grid: Array, time: Array, values: Array, *, linear: bool) -> Array:
+    if linear:
+        return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
+    return values[np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(time) - 1)]
+
+
+def _decimate(signals: Signals) -> Signals:
+    factor = int(1.0 / (signals.sample_time * TARGET_RATE) + 0.2)
+    if factor < 2:
+        return signals
+    n = (len(signals.time) // factor) * factor
+    half = factor // 2
+
+    def centred(values: Array) -> Array:  # mean over the samples around each kept sample
+        padded = np.concatenate([np.repeat(values[:1], half, axis=0), values, np.repeat(values[-1:], factor, axis=0)])
+        sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), padded]), axis=0)
+        start = np.arange(0, n, factor)
+        width = 2 * half + 1
+        mean: Array = (sums[start + width] - sums[start]) / width
+        return mean
+
+    held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
+    note = f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to {1 / signals.sample_time / factor:.0f} Hz"
+    return replace(
+        signals,
+        time=signals.time[:n:factor],
+        sample_time=signals.sample_time * factor,
+        position=centred(signals.position),
+        command=held,
+        reference=None if signals.reference is None else signals.reference[:n:factor],
+        resolution=np.zeros_like(signals.resolution),
+        notes=(*signals.notes, note),
+    )
+
+
+def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals]]:
+    """Hold out the last third of each recording."""
+    train, test = [], []
+    for s in signals:
+        cut = 2 * len(s.time) // 3
+        train.append(s.part(0, cut, f"{s.name} (first two thirds)"))
+        test.append(s.part(cut, len(s.time), f"{s.name} (last third)"))
+    return train, test

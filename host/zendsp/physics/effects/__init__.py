@@ -1,0 +1,90 @@
+"""The library of physical effects: one file each; a file in a user's folder adds his own (see ``load_effects``)."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import pkgutil
+from functools import cache
+from pathlib import Path
+
+from zendsp.errors import ModelError
+from zendsp.physics.effects.base import Effect, Parameter, unit_of
+
+__all__ = ["Effect", "Parameter", "get_effect", "library", "load_effects", "unit_of"]
+
+_extra: dict[str, Effect] = {}
+
+
+@cache
+def _shipped() -> dict[str, Effect]:
+    found = {}
+    for module in pkgutil.iter_modules(__path__):
+        effect = getattr(importlib.import_module(f"{__name__}.{module.name}"), "EFFECT", None)
+        if isinstance(effect, Effect):
+            found[effect.name] = effect
+    return dict(sorted(found.items()))
+
+
+def library() -> dict[str, Effect]:
+    """Every known effect by name: those shipped and those that the user added.
+
+    Returns
+    -------
+    dict of str to Effect
+        In alphabetical order; the order is the index that the compiled kernel uses.
+
+    Examples
+    --------
+    >>> from zendsp.physics.effects import library
+    >>> library()["coulomb"].equation
+    'Fc sign(q̇)'
+    """
+    return {**_shipped(), **_extra}
+
+
+def get_effect(name: str) -> Effect:
+    """The effect of that name.
+
+    Raises
+    ------
+    ModelError
+        Where the library has none of that name.
+    """
+    try:
+        return library()[name]
+    except KeyError:
+        raise ModelError(f"no physical effect is called {name!r}; known: {', '.join(library())}") from None
+
+
+def load_effects(path: str | Path) -> list[Effect]:
+    """Add the effects of a user's file: each is a module-level ``Effect``.
+
+    Parameters
+    ----------
+    path : str or Path
+        A Python file that defines one or more ``Effect`` objects, written like the files of this folder.
+
+    Returns
+    -------
+    list of Effect
+        What was added.
+
+    Raises
+    ------
+    ModelError
+        Where the file cannot be run or defines no effect.
+    """
+    spec = importlib.util.spec_from_file_location(f"zendsp_user_effect_{Path(path).stem}", path)
+    if spec is None or spec.loader is None or not Path(path).exists():
+        raise ModelError(f"{path}: no such Python file of effects")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ModelError(f"{path}: cannot be run as a file of effects: {error}") from error
+    found = [value for value in vars(module).values() if isinstance(value, Effect)]
+    if not found:
+        raise ModelError(f"{path}: defines no zendsp.physics.effects.Effect")
+    _extra.update({effect.name: effect for effect in found})
+    return found

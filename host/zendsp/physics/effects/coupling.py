@@ -1,0 +1,29 @@
+"""Torque from another joint's motion that the model lacks."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="coupling",
+    site="torque",
+    parameters=(
+        Parameter("from_joint", "number", lower=0, upper=8, fitted=False),
+        Parameter(
+            "law",
+            "number",
+            lower=0,
+            upper=3,
+            fitted=False,
+            meaning="0 inertia, 1 coriolis, 2 viscous, 3 coulomb",
+        ),
+        Parameter("coefficient", "torque"),
+        Parameter("smooth", "speed", lower=1e-09, default=0.01, fitted=False),
+    ),
+    c="int law = (int)p[1]; return p[2] * (law == 0 ? s->oqdd : law == 1 ? s->oqd * s->oqd : law == 2 ? s->oqd : tanh((s->qd + s->oqd) / p[3]));",
+    sentence=("The motion of joint {from_joint} acts on joint {joint}: {law} coupling of {coefficient}."),
+    experiment=("Move joint {from_joint} alone and hold joint {joint}."),
+    equation="c q̈_from | c q̇_from² | c q̇_from | c sign(q̇ + q̇_from)",
+    linear=("coefficient",),
+    repeatable=True,
+)

@@ -1,0 +1,17 @@
+"""No torque for small commands."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="dead_zone",
+    site="actuator",
+    parameters=(Parameter("width", "command", lower=0),),
+    c="return u > p[0] ? u - p[0] : u < -p[0] ? u + p[0] : 0.0;",
+    sentence=("The actuator of joint {joint} gives no torque for commands below {width}."),
+    experiment=("Slow torque ramps through zero."),
+    equation="u - d sign(u), 0 for |u| < d",
+    grid={"width": (0.02, 0.05, 0.1, 0.2, 0.4)},
+    rivals=("coulomb", "backlash"),
+)

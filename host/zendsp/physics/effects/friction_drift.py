@@ -1,0 +1,24 @@
+"""Friction that drifts in time, as a bearing warms up."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="friction_drift",
+    site="scale",
+    parameters=(
+        Parameter("ratio", "ratio", lower=-0.95, upper=20.0),
+        Parameter("time_constant", "time", lower=0.05, upper=10000.0),
+    ),
+    c="return 1.0 + p[0] * (1.0 - exp(-s->t / p[1]));",
+    sentence=(
+        "Friction of joint {joint} drifts by {ratio} of itself with a time constant of {time_constant}."
+    ),
+    experiment=("A long record at constant excitation, starting cold."),
+    equation="friction (1 + r (1 - exp(-t/T)))",
+    linear=("ratio",),
+    grid={"time_constant": (0.1, 0.3, 1.0)},
+    needs=("friction",),
+    rivals=("disturbance",),
+)

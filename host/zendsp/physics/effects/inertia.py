@@ -1,0 +1,20 @@
+"""More or less inertia than the model has: a payload, or a wrong figure."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="inertia",
+    site="setup",
+    parameters=(Parameter("amount", "inertia"),),
+    c="j_extra += p[0];",
+    sentence=(
+        "Joint {joint} carries {amount} of inertia that the model lacks (a payload, or a wrong figure)."
+    ),
+    experiment=("Fast accelerations with and without the suspected payload."),
+    equation="ΔJ q̈",
+    linear=("amount",),
+    rivals=("torque_gain",),
+    compensable="p[0] * qdd",
+)

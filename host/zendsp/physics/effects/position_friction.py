@@ -1,0 +1,27 @@
+"""Dry friction whose level varies with position (bent shaft, seal, worn spot)."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="position_friction",
+    site="dry",
+    parameters=(
+        Parameter("amplitude", "torque", lower=0),
+        Parameter("period", "position", lower=1e-09),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+    ),
+    c="return p[0] * sin(6.283185307179586 * s->q / p[1] + p[2]);",
+    sentence=("Dry friction of joint {joint} varies along the travel by {amplitude}, period {period}."),
+    experiment=("One slow pass over the whole range in each direction."),
+    equation="A sin(2π q/P + φ) sign(q̇)",
+    linear=("amplitude",),
+    grid={
+        "period": (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.5),
+        "phase": (0.0, 1.5707963267948966),
+    },
+    rivals=("ripple", "coulomb"),
+    repeatable=True,
+    compensable="p[0] * sin(6.283185307179586 * q / p[1] + p[2]) * sgn(qd)",
+)

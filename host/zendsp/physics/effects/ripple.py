@@ -1,0 +1,26 @@
+"""Torque that repeats with position: cogging, commutation ripple, once per screw turn."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="ripple",
+    site="torque",
+    parameters=(
+        Parameter("order", "order", lower=0),
+        Parameter("amplitude", "torque", lower=0),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+    ),
+    c="return p[1] * sin(p[0] * s->q + p[2]);",
+    sentence=(
+        "A torque ripple of {amplitude} repeats {order} times per unit of travel (2π) on joint {joint}."
+    ),
+    experiment=("A slow constant-speed pass over the whole range."),
+    equation="A sin(n q + φ)",
+    linear=("amplitude",),
+    grid={"order": (), "phase": (0.0, 1.5707963267948966)},
+    rivals=("position_friction", "encoder_eccentricity", "gravity"),
+    repeatable=True,
+    compensable="p[1] * sin(p[0] * q + p[2])",
+)

@@ -1,0 +1,28 @@
+"""Stribeck effect: friction falls from breakaway to the Coulomb level as speed grows (Stribeck 1902; Armstrong-Hélouvry 1994)."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="stribeck",
+    site="dry",
+    parameters=(
+        Parameter("breakaway", "torque", lower=0),
+        Parameter("velocity", "speed", lower=1e-06),
+        Parameter("exponent", "number", lower=0.3, upper=4, default=2.0, fitted=False),
+    ),
+    c="return p[0] * exp(-pow(fabs(s->qd) / p[1], p[2]));",
+    sentence=(
+        "Friction of joint {joint} falls with speed (Stribeck): breakaway {breakaway}, characteristic speed {velocity}."
+    ),
+    experiment=(
+        "Many slow constant-speed moves below and above the characteristic speed; a slow multisine with many reversals."
+    ),
+    equation="(Fs - Fc) exp(-|q̇/vs|^δ) sign(q̇)",
+    linear=("breakaway",),
+    grid={"velocity": (0.01, 0.03, 0.1, 0.3)},
+    needs=("coulomb",),
+    rivals=("coulomb", "presliding"),
+    compensable="p[0] * exp(-pow(fabs(qd) / p[1], p[2])) * sgn(qd)",
+)

@@ -1,0 +1,20 @@
+"""The actuator gives (1 + ε) of the command."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="torque_gain",
+    site="actuator",
+    parameters=(Parameter("ratio", "ratio", lower=-0.9, upper=5.0),),
+    c="return u * (1.0 + p[0]);",
+    sentence=("The actuator of joint {joint} gives {ratio} more (or less) torque than the command says."),
+    experiment=(
+        "A known mass or a force gauge: no motion record alone can tell a gain from inertia, gravity and friction together."
+    ),
+    equation="(1 + ε) u",
+    linear=("ratio",),
+    rivals=("inertia",),
+    compensable="",
+)

@@ -1,0 +1,18 @@
+"""A constant torque: amplifier offset, tilted table."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="torque_offset",
+    site="torque",
+    parameters=(Parameter("level", "torque"),),
+    c="return p[0];",
+    sentence=("A constant torque of {level} acts on joint {joint}."),
+    experiment=("The same poses reached from both sides."),
+    equation="τ0",
+    linear=("level",),
+    rivals=("coulomb_asymmetry", "gravity", "stiffness"),
+    compensable="p[0]",
+)

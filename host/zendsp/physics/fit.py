@@ -1,0 +1,307 @@
+"""Calibration: the parameters that minimise the observer's innovations (prediction error method, Ljung 1999, ch. 7).
+
+Levenberg-Marquardt on the normal equations with box bounds; sensitivities by finite differences, one simulation a parameter, on all
+threads (the kernel runs outside the interpreter's lock). The covariance is block-wise robust, so that innovations that are not
+white do not pretend to know more than they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.effects import get_effect
+from zendsp.physics.joint import JointRecord, run
+from zendsp.physics.model import Model, Quantity, Term
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Handle:
+    """Names one free number of a model: ``place`` is "mechanism", "term", "gain" or "offset"; ``index`` is 0-based."""
+
+    place: str
+    index: int
+    key: str = ""
+
+
+def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = True) -> tuple[Handle, ...]:
+    """The numbers of a model that may be calibrated.
+
+    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated.
+
+    Parameters
+    ----------
+    model : Model
+    joints : sequence of int
+        Only terms of these joints (1-based); all where empty.
+    offsets : bool
+        Also the sensor's zero within one count, where a torque depends on position.
+
+    Returns
+    -------
+    tuple of Handle
+    """
+    wanted = set(joints or range(1, model.joints + 1))
+    handles: list[Handle] = []
+    for key, items in model.mechanism.items():
+        for i, item in enumerate(items):
+            if item.free and item.value != 0 and (len(items) == 1 or i + 1 in wanted):
+                handles.append(Handle("mechanism", i, key))
+    for i, term in enumerate(model.terms):
+        if term.joint in wanted:
+            effect = get_effect(term.effect)
+            handles += [Handle("term", i, p.name) for p in effect.parameters if p.fitted and term.parameters[p.name].free]
+    if model.actuator.gain_free:
+        handles += [Handle("gain", j - 1) for j in sorted(wanted)]
+    if offsets and model.kind == "rotary" and any(q.value for q in model.mechanism.get("gravity", ())):
+        handles += [Handle("offset", j - 1) for j in sorted(wanted)]
+    return tuple(handles)
+
+
+def _pick(values: tuple[float, ...], index: int, default: float) -> float:
+    return values[index] if index < len(values) else (values[0] if values else default)
+
+
+def get_values(model: Model, handles: Sequence[Handle]) -> Array:
+    """The numbers behind the handles, (p,)."""
+    out = []
+    for h in handles:
+        if h.place == "mechanism":
+            out.append(model.mechanism[h.key][h.index].value)
+        elif h.place == "term":
+            out.append(model.terms[h.index].parameters[h.key].value)
+        elif h.place == "gain":
+            out.append(_pick(model.actuator.gain, h.index, 1.0))
+        else:
+            out.append(_pick(model.sensor.offset, h.index, 0.0))
+    return np.array(out, float)
+
+
+def set_values(model: Model, handles: Sequence[Handle], x: Array, std: Array | None = None) -> Model:
+    """A copy of the model with the numbers behind the handles replaced (and their standard deviations noted)."""
+    mechanism = {key: list(items) for key, items in model.mechanism.items()}
+    terms = [dict(term.parameters) for term in model.terms]
+    gain = [_pick(model.actuator.gain, j, 1.0) for j in range(model.joints)]
+    offset = [_pick(model.sensor.offset, j, 0.0) for j in range(model.joints)]
+    for i, h in enumerate(handles):
+        value, spread = float(x[i]), float(std[i]) if std is not None else 0.0
+        if h.place == "mechanism":
+            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], value=value, std=spread)
+        elif h.place == "term":
+            terms[h.index][h.key] = replace(terms[h.index][h.key], value=value, std=spread)
+        elif h.place == "gain":
+            gain[h.index] = value
+        else:
+            offset[h.index] = value
+    used = {h.place for h in handles}
+    actuator = replace(model.actuator, gain=tuple(gain)) if "gain" in used else model.actuator
+    sensor = replace(model.sensor, offset=tuple(offset)) if "offset" in used else model.sensor
+    return replace(
+        model,
+        mechanism={key: tuple(items) for key, items in mechanism.items()},
+        terms=tuple(Term(t.effect, t.joint, values) for t, values in zip(model.terms, terms, strict=True)),
+        actuator=actuator,
+        sensor=sensor,
+    )
+
+
+@dataclass(frozen=True)
+class Data:
+    """Recordings ready to be fitted: ``records[r][j]`` is joint j + 1 of recording r; ``bandwidth[j]`` of its observer, rad/s."""
+
+    records: tuple[tuple[JointRecord, ...], ...]
+    bandwidth: tuple[float, ...]
+    inner: int = 2
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.records[0])
+
+    def at_bandwidth(self, joint: int, value: float) -> Data:
+        """The same recordings with another observer on one joint (1-based)."""
+        return replace(self, bandwidth=tuple(value if j + 1 == joint else b for j, b in enumerate(self.bandwidth)))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model: numbers (p,), covariance (p, p), residual (N,) of the joints fitted, cost = sum of squares."""
+
+    model: Model
+    handles: tuple[Handle, ...]
+    x: Array
+    covariance: Array
+    cost: float
+    iterations: int
+    at_bound: tuple[bool, ...]
+    converged: bool
+    jacobian: Array
+    residual: Array
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (p,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+
+def residual(data: Data, model: Model, joints: Sequence[int]) -> Array:
+    """Weighted innovations of some joints over all recordings, (N,)."""
+    parts = [run(rec[j - 1], model, data.bandwidth[j - 1], inner=data.inner).innovations for rec in data.records for j in joints]
+    return np.concatenate(parts)
+
+
+def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tuple[Array, Array, Array]:
+    """Lower and upper bounds and the natural size of each number, (p,) each."""
+    low, high, size = [], [], []
+    for h in handles:
+        if h.place == "term":
+            term = model.terms[h.index]
+            parameter = get_effect(term.effect).parameter(h.key)
+            s = data.records[0][term.joint - 1].scale.of(parameter.size)
+            low.append(parameter.lower)
+            high.append(parameter.upper)
+            size.append(max(abs(term.parameters[h.key].value), 0.02 * s) if parameter.size not in ("angle", "number", "ratio") else 1.0)
+            if parameter.size == "ratio":
+                size[-1] = 0.1
+        elif h.place == "offset":
+            record = data.records[0][h.index]
+            width = max(record.measurement.resolution, 1e-9)
+            low.append(record.base_offset - width)
+            high.append(record.base_offset + width)
+            size.append(width)
+        else:
+            value = float(get_values(model, [h])[0])
+            signed = h.place == "mechanism" and h.key in ("p3", "gravity")
+            low.append(-np.inf if signed else 1e-3 * value)
+            high.append(np.inf)
+            size.append(abs(value))
+    return np.array(low), np.array(high), np.array(size)
+
+
+def block_count(data: Data, seconds: float = 0.25) -> int:
+    """Samples in one block of the robust statistics."""
+    return max(10, round(seconds / data.records[0][0].sample_time))
+
+
+def fit(
+    data: Data,
+    model: Model,
+    handles: Sequence[Handle],
+    *,
+    joints: Sequence[int] = (),
+    iterations: int = 12,
+    tolerance: float = 1e-4,
+    jobs: int = 2,
+    start: Array | None = None,
+) -> Fit:
+    """Fit the free numbers of a model to recordings.
+
+    Parameters
+    ----------
+    data : Data
+    model : Model
+        Start values; terms in kernel form.
+    handles : sequence of Handle
+        What is free.
+    joints : sequence of int
+        Joints whose innovations count (1-based); all where empty.
+    iterations : int
+        At most so many Levenberg-Marquardt steps.
+    tolerance : float
+        Stop when the relative decrease of the cost falls below.
+    jobs : int
+        Threads.
+    start : ndarray or None, shape (p,)
+        Other start values.
+
+    Returns
+    -------
+    Fit
+    """
+    handles = tuple(handles)
+    wanted = tuple(joints or range(1, data.joints + 1))
+    low, high, size = bounds_and_steps(data, model, handles)
+    x = np.clip(get_values(model, handles) if start is None else start, low, high)
+    prior = np.array([1.0 / (0.3 * size[i]) if h.place == "offset" else 0.0 for i, h in enumerate(handles)])
+    centre = get_values(model, handles)
+
+    def evaluate(at: Array) -> Array:
+        return np.concatenate([residual(data, set_values(model, handles, at), wanted), prior[prior > 0] * (at - centre)[prior > 0]])
+
+    r = evaluate(x)
+    cost, damping, done = float(r @ r), 1e-3, not len(handles)
+    jac = np.zeros((len(r), len(handles)))
+    count = 0
+    with ThreadPoolExecutor(max(1, jobs)) as pool:
+
+        def jacobian(at: Array, base: Array) -> Array:
+            step = 1e-4 * np.maximum(np.abs(at), size)
+            step = np.where(at + step > high, -step, step)
+            points = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
+            columns = list(pool.map(evaluate, points))
+            return np.stack([(c - base) / s for c, s in zip(columns, step, strict=True)], axis=1) if columns else jac
+
+        if handles:
+            jac = jacobian(x, r)
+        while not done and count < iterations:
+            count += 1
+            gradient, normal = jac.T @ r, jac.T @ jac
+            diagonal = np.maximum(np.diag(normal), 1e-12 * max(float(np.max(np.diag(normal))), 1e-300))
+            pinned = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+            better = False
+            for _ in range(8):
+                use = ~pinned
+                step = np.zeros_like(x)
+                if use.any():
+                    a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
+                    step[use] = -np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
+                trial = np.clip(x + step, low, high)
+                r_new = evaluate(trial)
+                new = float(r_new @ r_new)
+                if np.isfinite(new) and new < cost:
+                    better = True
+                    break
+                damping = max(damping * 6, 1e-6)
+            if not better:
+                done = True
+                break
+            gain = (cost - new) / max(cost, 1e-300)
+            x, r, cost = trial, r_new, new
+            damping = max(damping / 8, 1e-9)
+            if gain < tolerance:
+                done = True
+            jac = jacobian(x, r)
+    covariance = robust_covariance(jac, r, block_count(data))
+    at_bound = tuple(bool(v) for v in (np.isclose(x, low) | np.isclose(x, high)))
+    return Fit(set_values(model, handles, x), handles, x, covariance, cost, count, at_bound, done, jac, r)
+
+
+def robust_covariance(jac: Array, r: Array, block: int) -> Array:
+    """Covariance of least squares that stays honest when residuals are correlated within blocks (sandwich), (p, p).
+
+    The larger of the classical and the block-wise variance counts for each parameter.
+    """
+    n, p = jac.shape
+    if not p:
+        return np.zeros((0, 0))
+    normal = jac.T @ jac
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
+    classic = inverse * float(r @ r) / max(1, n - p)
+    starts = np.arange(0, n, block)
+    scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
+    count = len(scores)
+    sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
+    grow = np.sqrt(np.maximum(1.0, np.diag(classic) / np.maximum(np.diag(sandwich), 1e-300)))
+    return sandwich * np.outer(grow, grow)
+
+
+def quantity(value: float, free: bool = True) -> Quantity:
+    """A Quantity of that value."""
+    return Quantity(value, free)

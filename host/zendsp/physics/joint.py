@@ -1,0 +1,234 @@
+"""One joint of one recording, ready for the kernel, and the two ways of running it: observed and free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.native import native
+from zendsp.physics.rigid import Basis
+from zendsp.physics.signals import Measurement, Motion
+
+Array = npt.NDArray[np.float64]
+
+MAX_EFFECTS, MAX_PARAMETERS = 24, 6
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Typical sizes along a recording, SI: they set steps, starts and bounds of the parameters of effects."""
+
+    torque: float
+    speed: float
+    position: float
+    inertia: float
+    command: float
+    seconds: float
+    turn: float = 1.0  # rad or m per turn of the ripple search: 1 for rotary joints
+
+    def of(self, size: str) -> float:
+        """Typical value of a parameter that measures ``size`` (see ``Parameter.size``)."""
+        table = {
+            "torque": self.torque,
+            "torque/speed": self.torque / self.speed,
+            "torque/speed2": self.torque / self.speed**2,
+            "torque/position": self.torque / self.position,
+            "torque/position3": self.torque / self.position**3,
+            "speed": self.speed,
+            "position": self.position,
+            "time": self.seconds,
+            "inertia": self.inertia,
+            "command": self.command,
+            "order": 1.0 / self.turn,
+        }
+        return table.get(size, 1.0)
+
+
+@dataclass
+class JointRecord:
+    """One joint along one recording. Arrays are (n,) and C-contiguous; SI units, joint coordinates."""
+
+    joint: int
+    sample_time: float
+    t0: float
+    command: Array
+    measurement: Measurement
+    motion: Motion
+    basis: dict[str, Basis]
+    others: Array  # (joints, 3, n)
+    scale: Scale
+    base_offset: float
+    position: Array  # as measured, quantised
+    _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
+    _integral: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.command)
+
+    @property
+    def integral(self) -> Array:
+        """Integral of the held command, (n + 1,)."""
+        if self._integral is None:
+            self._integral = np.ascontiguousarray(np.r_[0.0, np.cumsum(self.command)] * self.sample_time)
+        return self._integral
+
+    def gains(self, bandwidth: float) -> tuple[Array, Array, Array]:
+        """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process noise of that strength."""
+        key = round(bandwidth, 6)
+        if key not in self._gains:
+            lib, n = native(), self.n
+            white = self.measurement.resolution**2 / 12 + self.measurement.noise**2
+            variance = self.measurement.variance
+            reference = white if white > 0 else float(np.median(variance[variance > 0]))
+            k1, k2, w = np.empty(n), np.empty(n), np.empty(n)
+            p = lib.doubles
+            lib.lib.zf_gains(n, self.sample_time, bandwidth**2 * np.sqrt(reference), p(self.measurement.variance), p(k1), p(k2), p(w))
+            self._gains[key] = (k1, k2, w)
+        return self._gains[key]
+
+    def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
+        """Inertia and known torque along the record for the mechanism parameters of a model, each (n,)."""
+        inertia, bias = np.zeros(self.n), np.zeros(self.n)
+        for key, basis in self.basis.items():
+            value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
+            inertia += value * basis.inertia
+            bias += value * basis.bias
+        return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
+
+
+def mechanism_value(model: Model, key: str, joint: int) -> float:
+    """Value of a mechanism parameter for joint 1, 2, …; 0 where the model has none."""
+    items = model.mechanism.get(key)
+    if not items:
+        return 0.0
+    return items[joint - 1].value if joint - 1 < len(items) else items[0].value
+
+
+def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
+    """Effects as the kernel takes them: indices and a table of parameters.
+
+    The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give the breakaway).
+    """
+    index = native().index
+    kinds = np.zeros(max(1, len(terms)), np.int32)
+    table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
+    for row, term in enumerate(terms):
+        effect = get_effect(term.effect)
+        kinds[row] = index[term.effect]
+        for column, parameter in enumerate(effect.parameters):
+            table[row, column] = term.value(parameter.name, parameter.default or 0.0)
+        if term.effect == "coupling":
+            table[row, 0] -= 1
+    return kinds, table
+
+
+@dataclass(frozen=True)
+class Run:
+    """Outcome of one pass of the kernel: weighted innovations (n,), states and torque where asked for, sample at which it ran away."""
+
+    innovations: Array
+    q: Array | None
+    qd: Array | None
+    torque: Array | None
+    diverged: int
+
+
+def run(
+    record: JointRecord,
+    model: Model,
+    bandwidth: float,
+    *,
+    inner: int = 2,
+    states: bool = False,
+    free_every: int = 0,
+    extra: Array | None = None,
+) -> Run:
+    """Predict every sample of one joint with a model.
+
+    Parameters
+    ----------
+    record : JointRecord
+    model : Model
+        With the terms in kernel form (see ``pack``).
+    bandwidth : float
+        Of the observer, rad/s.
+    inner : int
+        Integration steps per sample.
+    states : bool
+        Also return states and torque.
+    free_every : int
+        Restart from the smoothed motion every so many samples and simulate freely between; 0: observer.
+    extra : ndarray or None, shape (n,)
+        Resisting torque added from outside, N m or N.
+
+    Returns
+    -------
+    Run
+    """
+    lib, n = native(), record.n
+    p, ffi = lib.doubles, lib.ffi
+    kinds, table = pack(model.at(record.joint))
+    inertia, bias = record.inertia_and_bias(model)
+    k1, k2, w = record.gains(bandwidth)
+    shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
+    value = record.measurement.value + shift if shift else record.measurement.value
+    half = record.measurement.half
+    if free_every:
+        value, half, w = record.position + shift, np.zeros(n), np.ones(n)
+    rq, rqd = np.ascontiguousarray(record.motion.states[0] + shift), np.ascontiguousarray(record.motion.states[1])
+    value = np.ascontiguousarray(value)
+    r = np.empty(n)
+    xq, xqd, torque = (np.empty(n), np.empty(n), np.empty(n)) if states else (None, None, None)
+    m = ffi.new("zk_model *")
+    m.n, m.sub, m.T, m.ucum, m.delay = n, inner, record.sample_time, p(record.integral), model.actuator.delay
+    m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
+    m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
+    m.m, m.half, m.k1, m.k2, m.w = p(value), p(half), p(k1), p(k2), p(w)
+    m.inertia, m.bias = p(inertia), p(bias)
+    m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
+    m.other = p(record.others)
+    m.extra = p(extra) if extra is not None else ffi.NULL
+    m.nfx, m.kind, m.p = len(model.at(record.joint)), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    m.q0, m.qd0 = float(rq[0]), float(rqd[0])
+    m.load_sensor = 1 if model.sensor.side == "load" else 0
+    m.reset, m.rq, m.rqd, m.t0 = free_every, p(rq), p(rqd), record.t0
+    out = [p(a) if a is not None else ffi.NULL for a in (xq, xqd, torque)]
+    diverged = int(lib.lib.zk_run(m, p(r), *out))
+    return Run(r, xq, xqd, torque, diverged)
+
+
+def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floor: float) -> Array:
+    """Resisting torque of some effects along the measured motion, (n,); dry friction smoothed over ``speed_floor`` rad/s."""
+    lib, n = native(), record.n
+    p, ffi = lib.doubles, lib.ffi
+    kinds, table = pack(terms)
+    m = ffi.new("zk_model *")
+    m.n, m.T, m.t0 = n, record.sample_time, record.t0
+    m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
+    m.other, m.nfx = p(record.others), len(terms)
+    m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    motion = np.ascontiguousarray(record.motion.states)
+    out = np.empty(n)
+    lib.lib.zk_trace(m, p(motion), p(record.command), speed_floor, p(out))
+    return out
+
+
+def response(record: JointRecord, bandwidth: float, inertia: Array, damping: Array, columns: Array, *, on_sensor: bool = False) -> Array:
+    """What torque columns (m, n) do to the weighted innovations, to first order (m, n); ``on_sensor``: position columns."""
+    lib, n = native(), record.n
+    p = lib.doubles
+    k1, k2, w = record.gains(bandwidth)
+    columns = np.ascontiguousarray(np.atleast_2d(columns))
+    active = np.ones(n)
+    out = np.empty_like(columns)
+    lib.lib.zk_filter(
+        n, record.sample_time, p(k1), p(k2), p(w), p(active), p(np.ascontiguousarray(inertia)), p(np.ascontiguousarray(damping)),
+        len(columns), p(columns), int(on_sensor), p(out),
+    )  # fmt: skip
+    return out

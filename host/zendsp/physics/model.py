@@ -1,0 +1,111 @@
+"""The model of a machine as DIAGNOSIS.md writes it: mechanism, effects, actuator, sensor, controller, columns.
+
+A parameter that has several joints is a tuple of one number per joint. All SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+KINDS = ("rotary", "linear", "planar2r", "urdf", "python")
+REQUIRED = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2", "p3"), "urdf": (), "python": ()}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter: its value, whether it may be calibrated, its unit (may be empty)."""
+
+    value: float
+    free: bool = True
+    unit: str = ""
+    std: float = 0.0  # where a fit has found it
+
+
+@dataclass(frozen=True)
+class Term:
+    """One physical effect of a model, at one joint (1-based)."""
+
+    effect: str
+    joint: int
+    parameters: Mapping[str, Quantity]
+
+    def value(self, name: str, default: float = 0.0) -> float:
+        """Value of one parameter, ``default`` where the term has none of that name."""
+        return self.parameters[name].value if name in self.parameters else default
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """Command to torque: gain per joint, limits in command units (0: none), hold and delay in s."""
+
+    gain: tuple[float, ...] = (1.0,)
+    gain_free: bool = False
+    limit: tuple[float, ...] = ()
+    hold: float | None = None
+    delay: float = 0.0
+    matrix: tuple[tuple[float, ...], ...] = ()
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Position sensor: joint = matrix @ measured + offset; resolution in rad or m per count of the measured column."""
+
+    resolution: tuple[float, ...] = ()
+    matrix: tuple[tuple[float, ...], ...] = ()
+    offset: tuple[float, ...] = ()
+    side: str = "motor"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each parameter."""
+
+    name: str
+    sample_time: float | None
+    kind: str
+    mechanism: Mapping[str, tuple[Quantity, ...]]
+    terms: tuple[Term, ...] = ()
+    actuator: Actuator = Actuator()
+    sensor: Sensor = Sensor()
+    controller: Mapping[str, Any] = field(default_factory=dict)
+    columns: Mapping[str, Any] = field(default_factory=dict)
+    file: str = ""  # urdf
+    entry: str = ""  # python
+    joint_kinds: tuple[str, ...] = ()
+    limits: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path = Path(".")
+
+    @property
+    def joints(self) -> int:
+        """Number of joints, from the columns, the kind or the parameters."""
+        position = self.columns.get("position")
+        if self.kind == "planar2r":
+            return 2
+        if isinstance(position, list):
+            return len(position)
+        return max([1, *(len(v) for v in self.mechanism.values()), *(t.joint for t in self.terms)])
+
+    def joint_kind(self, joint: int) -> str:
+        """``"rotary"`` or ``"linear"`` for joint 1, 2, …"""
+        if self.joint_kinds:
+            return self.joint_kinds[min(joint, len(self.joint_kinds)) - 1]
+        return "linear" if self.kind == "linear" else "rotary"
+
+    def with_terms(self, terms: tuple[Term, ...]) -> Model:
+        """The same model with other effects."""
+        return replace(self, terms=terms)
+
+    def at(self, joint: int) -> tuple[Term, ...]:
+        """Effects of one joint (1-based)."""
+        return tuple(term for term in self.terms if term.joint == joint)
+
+
+def per_joint(values: tuple[float, ...], joint: int, default: float) -> float:
+    """The number for joint 1, 2, …: one of a tuple, the only one, or the default."""
+    if not values:
+        return default
+    return values[joint - 1] if joint - 1 < len(values) else values[0]

@@ -1,0 +1,243 @@
+"""Reads and writes model files (TOML), naming the key and what was expected wherever one is wrong."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from zendsp.errors import ModelError
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import KINDS, REQUIRED, Actuator, Model, Quantity, Sensor, Term
+
+LAWS = ("inertia", "coriolis", "viscous", "coulomb")
+
+
+class _Reader:
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def fail(self, key: str, expected: str, got: Any) -> ModelError:
+        return ModelError(f"{self.path}: {key} = {got!r}: expected {expected}")
+
+    def table(self, data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+        value = data.get(key, {})
+        if not isinstance(value, Mapping):
+            raise self.fail(f"[{key}]", "a table", value)
+        return value
+
+    def number(self, key: str, value: Any, positive: bool = False) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self.fail(key, "a finite number", value)
+        if positive and value <= 0:
+            raise self.fail(key, "a number above 0", value)
+        return float(value)
+
+    def numbers(self, key: str, value: Any) -> tuple[float, ...]:
+        items = value if isinstance(value, list) else [value]
+        return tuple(self.number(key, item) for item in items)
+
+    def matrix(self, key: str, value: Any) -> tuple[tuple[float, ...], ...]:
+        if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+            raise self.fail(key, "a list of rows", value)
+        rows = tuple(self.numbers(key, row) for row in value)
+        if len({len(row) for row in rows}) != 1 or len(rows) != len(rows[0]):
+            raise self.fail(key, "a square matrix", value)
+        return rows
+
+    def quantities(self, key: str, value: Any) -> tuple[Quantity, ...]:
+        table = value if isinstance(value, Mapping) else {"value": value}
+        if "value" not in table:
+            raise self.fail(key, "{ value = … }", value)
+        free = table.get("free", True)
+        if not isinstance(free, bool):
+            raise self.fail(f"{key}.free", "true or false", free)
+        std = table.get("std", 0.0)
+        return tuple(
+            Quantity(v, free, str(table.get("unit", "")), float(std) if isinstance(std, int | float) else 0.0)
+            for v in self.numbers(f"{key}.value", table["value"])
+        )
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file as in DIAGNOSIS.md.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelError
+        Where the file cannot be read or a key is not what the contract says; the message names the key.
+    """
+    try:
+        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"{path}: is not TOML: {error}") from error
+    return parse_model(data, str(path))
+
+
+def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
+    """Turn the contents of a model file into a Model; see ``load_model``."""
+    read = _Reader(path)
+    mechanism = read.table(data, "mechanism")
+    kind = mechanism.get("kind")
+    if kind not in KINDS:
+        raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
+    parameters = read.table(mechanism, "parameters")
+    values = {key: read.quantities(f"[mechanism.parameters] {key}", value) for key, value in parameters.items()}
+    for key in REQUIRED[kind]:
+        if key not in values:
+            raise ModelError(f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs")
+        if key in ("inertia", "mass", "p1", "p2") and any(q.value <= 0 for q in values[key]):
+            raise read.fail(f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value)
+    for key, needed in (("urdf", "file"), ("python", "entry")):
+        if kind == key and not isinstance(mechanism.get(needed), str):
+            raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
+    sample_time = data.get("sample_time")
+    folder = Path(path).parent
+    model = Model(
+        name=str(data.get("name", Path(path).stem)),
+        sample_time=None if sample_time is None else read.number("sample_time", sample_time, positive=True),
+        kind=kind,
+        mechanism=values,
+        actuator=_actuator(read, read.table(data, "actuator")),
+        sensor=_sensor(read, read.table(data, "sensor")),
+        controller=dict(read.table(data, "controller")),
+        columns=dict(read.table(data, "columns")),
+        file=str(mechanism.get("file", "")),
+        entry=str(mechanism.get("entry", "")),
+        limits=dict(read.table(data, "limits")),
+        folder=folder,
+    )
+    effects = data.get("effect", [])
+    if not isinstance(effects, list):
+        raise read.fail("[[effect]]", "an array of tables", effects)
+    return model.with_terms(tuple(_term(read, item, model.joints) for item in effects))
+
+
+def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
+    gain = read.quantities("[actuator] gain", data.get("gain", {"value": 1.0, "free": False}))
+    explicit = isinstance(data.get("gain"), Mapping) and data["gain"].get("free", False)
+    return Actuator(
+        gain=tuple(q.value for q in gain),
+        gain_free=bool(explicit),
+        limit=read.numbers("[actuator] limit", data["limit"]) if "limit" in data else (),
+        hold=read.number("[actuator] hold", data["hold"]) if "hold" in data else None,
+        delay=read.number("[actuator] delay", data.get("delay", 0.0)),
+        matrix=read.matrix("[actuator] matrix", data["matrix"]) if "matrix" in data else (),
+        unit=str(data.get("unit", "")),
+    )
+
+
+def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
+    side = data.get("side", "motor")
+    if side not in ("motor", "load"):
+        raise read.fail("[sensor] side", '"motor" or "load"', side)
+    return Sensor(
+        resolution=read.numbers("[sensor] position_resolution", data["position_resolution"]) if "position_resolution" in data else (),
+        matrix=read.matrix("[sensor] matrix", data["matrix"]) if "matrix" in data else (),
+        offset=read.numbers("[sensor] offset", data["offset"]) if "offset" in data else (),
+        side=side,
+    )
+
+
+def _term(read: _Reader, data: Any, joints: int) -> Term:
+    if not isinstance(data, Mapping) or "kind" not in data:
+        raise read.fail("[[effect]]", 'a table with kind = "…"', data)
+    effect = get_effect(str(data["kind"]))
+    where = f"[[effect]] {effect.name}"
+    joint = data.get("joint", 1)
+    if not isinstance(joint, int) or isinstance(joint, bool) or not 1 <= joint <= joints:
+        raise read.fail(f"{where} joint", f"1 … {joints}", joint)
+    values: dict[str, Quantity] = {}
+    for parameter in effect.parameters:
+        raw = data.get(parameter.name)
+        if parameter.name == "law" and isinstance(raw, str):
+            if raw not in LAWS:
+                raise read.fail(f"{where} law", " | ".join(LAWS), raw)
+            raw = {"value": LAWS.index(raw), "free": False}
+        if raw is None:
+            if parameter.default is None:
+                raise ModelError(f"{read.path}: {where} lacks {parameter.name!r}")
+            values[parameter.name] = Quantity(parameter.default, free=False)
+            continue
+        quantity = read.quantities(f"{where} {parameter.name}", raw)[0]
+        values[parameter.name] = quantity if parameter.fitted else Quantity(quantity.value, False, quantity.unit)
+    return Term(effect.name, joint, values)
+
+
+def _number(value: float) -> float:
+    return float(f"{value:.10g}")
+
+
+def _quantity(items: tuple[Quantity, ...]) -> dict[str, Any]:
+    out: dict[str, Any] = {"value": _number(items[0].value) if len(items) == 1 else [_number(q.value) for q in items]}
+    if not all(q.free for q in items):
+        out["free"] = False
+    if items[0].std > 0:
+        out["std"] = _number(items[0].std)
+    if items[0].unit:
+        out["unit"] = items[0].unit
+    return out
+
+
+def model_text(model: Model) -> str:
+    """The model as TOML text that ``load_model`` reads back."""
+    data: dict[str, Any] = {"name": model.name}
+    if model.sample_time:
+        data["sample_time"] = model.sample_time
+    mechanism: dict[str, Any] = {"kind": model.kind}
+    if model.file:
+        mechanism["file"] = str((model.folder / model.file).resolve())
+    if model.entry:
+        mechanism["entry"] = model.entry
+    mechanism["parameters"] = {key: _quantity(items) for key, items in model.mechanism.items()}
+    data["mechanism"] = mechanism
+    terms = []
+    for term in model.terms:
+        row: dict[str, Any] = {"kind": term.effect, "joint": term.joint}
+        for name, quantity in term.parameters.items():
+            if term.effect == "coupling" and name == "law":
+                row[name] = LAWS[int(quantity.value)]
+            elif term.effect == "coupling" and name == "from_joint":
+                row[name] = int(quantity.value)
+            else:
+                row[name] = _quantity((quantity,))
+        terms.append(row)
+    if terms:
+        data["effect"] = terms
+    a, s = model.actuator, model.sensor
+    gain: Any = _number(a.gain[0]) if len(a.gain) == 1 else [_number(g) for g in a.gain]
+    data["actuator"] = {"gain": {"value": gain, "free": a.gain_free}, "delay": a.delay}
+    if a.limit:
+        data["actuator"]["limit"] = a.limit[0] if len(a.limit) == 1 else list(a.limit)
+    if a.hold is not None:
+        data["actuator"]["hold"] = a.hold
+    if a.matrix:
+        data["actuator"]["matrix"] = [list(row) for row in a.matrix]
+    if a.unit:
+        data["actuator"]["unit"] = a.unit
+    data["sensor"] = {"side": s.side}
+    if s.resolution:
+        data["sensor"]["position_resolution"] = s.resolution[0] if len(s.resolution) == 1 else list(s.resolution)
+    if s.matrix:
+        data["sensor"]["matrix"] = [list(row) for row in s.matrix]
+    if s.offset:
+        data["sensor"]["offset"] = list(s.offset)
+    for key, table in (("controller", model.controller), ("columns", model.columns), ("limits", model.limits)):
+        if table:
+            data[key] = dict(table)
+    return tomli_w.dumps(data)

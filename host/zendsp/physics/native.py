@@ -1,0 +1,178 @@
+"""Builds the C of this room (kernel and filters, completed with the library of effects) and opens it through cffi."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from zendsp.errors import ZendspError
+from zendsp.physics.effects import Effect, library
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=c11")
+
+CDEF = """
+typedef struct {
+    int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
+    const double *m; const double *half; const double *k1; const double *k2; const double *w;
+    const double *inertia; const double *bias; double gravity; const double *other; const double *extra;
+    int nfx; const int *kind; const double *p; double q0; double qd0; int load_sensor; int reset;
+    const double *rq; const double *rqd; double t0;
+} zk_model;
+int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque);
+void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out);
+void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *active,
+               const double *inertia, const double *damp, int cols, const double *d, int meas, double *out);
+void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k2, double *w);
+double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
+                 double q0, double v0, double *work, double *out, double *var);
+"""
+
+_CASES = {
+    "torque": "case {i}: {look} f->torque += fx_{name}(p, &o); break;",
+    "viscous": "case {i}: visc += fx_{name}(p, s); break;",
+    "dry": "case {i}: if (dry) {{ f->dry_pos += fx_{name}(p, s, 1); f->dry_neg += fx_{name}(p, s, -1); }} break;",
+    "scale": "case {i}: {{ double c = fx_{name}(p, s); f->dry_scale *= c; f->visc_scale *= c; }} break;",
+}
+
+
+def source_text(effects: dict[str, Effect]) -> str:
+    """The complete C source for a library of effects; the index of an effect is its place in the mapping."""
+    functions, force, actuator, sensor, setup = [], [], [], [], []
+    for i, effect in enumerate(effects.values()):
+        head = {
+            "dry": "(const double *p, const zs *s, int dir)",
+            "actuator": "(const double *p, double u)",
+        }.get(effect.site, "(const double *p, const zs *s)")
+        if effect.site == "setup":
+            setup.append(f"case {i}: {effect.c} break;")
+            continue
+        unused = "(void)p; " + ("(void)s; " if effect.site != "actuator" else "") + ("(void)dir; " if effect.site == "dry" else "")
+        functions.append(f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}")
+        if effect.site in _CASES:
+            look = "look_at(M, (int)p[0], k, &o);" if effect.name == "coupling" else ""
+            force.append(_CASES[effect.site].format(i=i, name=effect.name, look=look))
+        elif effect.site == "actuator":
+            actuator.append(f"case {i}: u = fx_{effect.name}(p, u); break;")
+        elif effect.site == "sensor":
+            sensor.append(f"case {i}: out += fx_{effect.name}(p, &s); break;")
+        else:
+            raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
+    room = resources.files("zendsp.physics")
+    text = (room / "kernel.c").read_text() + (room / "filter.c").read_text()
+    for mark, lines in (
+        ("EFFECT_FUNCTIONS", functions),
+        ("EFFECT_CASES_FORCE", force),
+        ("EFFECT_CASES_ACTUATOR", actuator),
+        ("EFFECT_CASES_SENSOR", sensor),
+        ("EFFECT_CASES_SETUP", setup),
+    ):
+        text = text.replace(f"/* {mark} */", "\n".join(lines))
+    return text
+
+
+def find_compiler() -> list[str]:
+    """The C compiler as a command: ``$CC``, else cc, gcc or clang, else the ``ziglang`` package.
+
+    Raises
+    ------
+    ZendspError
+        Where there is none; the message says what to install.
+    """
+    if os.environ.get("CC"):
+        return shlex.split(os.environ["CC"])
+    for name in ("cc", "gcc", "clang"):
+        path = shutil.which(name)
+        if path:
+            return [path]
+    try:
+        import ziglang  # noqa: F401
+    except ImportError:
+        raise ZendspError("no C compiler found ($CC, cc, gcc, clang): install gcc, or pip install 'zendsp[zig]'") from None
+    return [sys.executable, "-m", "ziglang", "cc"]
+
+
+def cache_folder() -> Path:
+    """Folder of compiled code: ``$ZENDSP_CACHE``, else the user's cache folder."""
+    base = os.environ.get("ZENDSP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "zendsp"
+    folder = Path(base)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _machine() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+    except OSError:
+        return platform.machine()
+
+
+def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
+    """Compile C source to a shared object, cached by content, compiler and CPU.
+
+    Parameters
+    ----------
+    source : str
+        C source.
+    flags : tuple of str
+        Compiler flags.
+
+    Returns
+    -------
+    Path
+        The shared object.
+
+    Raises
+    ------
+    ZendspError
+        With the compiler's words where it refuses.
+    """
+    compiler = find_compiler()
+    key = hashlib.sha256("\0".join([source, *flags, *compiler, _machine(), platform.machine()]).encode()).hexdigest()[:24]
+    target = cache_folder() / f"physics-{key}.so"
+    if target.exists():
+        return target
+    with tempfile.TemporaryDirectory(dir=cache_folder()) as folder:
+        code, out = Path(folder) / "physics.c", Path(folder) / "physics.so"
+        code.write_text(source)
+        run = subprocess.run([*compiler, *flags, str(code), "-o", str(out), "-lm"], capture_output=True, text=True, check=False)
+        if run.returncode:
+            raise ZendspError(f"the C compiler refused the physics kernel:\n{run.stderr[-4000:]}")
+        out.replace(target)  # atomic: several processes may build at once
+    return target
+
+
+class Native:
+    """The opened library; one per set of effects."""
+
+    def __init__(self, effects: dict[str, Effect]) -> None:
+        self.ffi: Any = cffi.FFI()
+        self.ffi.cdef(CDEF)
+        self.lib: Any = self.ffi.dlopen(str(build(source_text(effects))))
+        self.index = {name: i for i, name in enumerate(effects)}
+
+    def doubles(self, array: Any) -> Any:
+        """Pointer to a C-contiguous float64 array, which must outlive the call."""
+        return self.ffi.cast("double *", self.ffi.from_buffer(array))
+
+
+@cache
+def _open(names: tuple[str, ...]) -> Native:
+    return Native(library())
+
+
+def native() -> Native:
+    """The library for the present set of effects, compiled at first use."""
+    return _open(tuple(library()))

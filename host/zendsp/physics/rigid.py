@@ -1,0 +1,103 @@
+"""Each joint as a scalar system: its inertia and the torques that the measured motion of all joints makes known.
+
+For joint i of M(q) q̈ + C q̇ + g = tau the terms in the other joints' accelerations, velocities and positions are computed from the
+measured motion; what is left is inertia_i(t) q̈_i + bias_i(t) = tau_i. Both are linear in the parameters of the mechanism.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Coefficients of one mechanism parameter in one joint: inertia and bias along the record, each (n,)."""
+
+    inertia: Array
+    bias: Array
+
+
+def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
+    """For each joint, the coefficient of each mechanism parameter.
+
+    Parameters
+    ----------
+    model : Model
+    motion : list of ndarray, shape (3, n)
+        Smoothed q, qd, qdd of each joint.
+
+    Returns
+    -------
+    list of dict
+        Key: parameter name, ``"fixed"`` for what no parameter scales. Gravity of rotary joints is not in here: the simulation
+        evaluates it on the predicted position.
+    """
+    n = motion[0].shape[1]
+    one, zero = np.ones(n), np.zeros(n)
+    if model.kind == "rotary":
+        return [{"inertia": Basis(one, zero)} for _ in motion]
+    if model.kind == "linear":
+        return [{"mass": Basis(one, zero)} for _ in motion]
+    if model.kind == "planar2r":
+        (_, qd1, qdd1), (q2, qd2, qdd2) = motion[0], motion[1]
+        c, s = np.cos(q2), np.sin(q2)
+        return [
+            {
+                "p1": Basis(one, zero),
+                "p2": Basis(zero, qdd2),
+                "p3": Basis(2 * c, c * qdd2 - s * (2 * qd1 * qd2 + qd2**2)),
+            },
+            {"p2": Basis(one, qdd1), "p3": Basis(zero, c * qdd1 + s * qd1**2)},
+        ]
+    if model.kind == "urdf":
+        return [{"fixed": basis} for basis in _urdf_bases(model, motion)]
+    raise ModelError(f"kind = {model.kind!r} has no rigid-body form")
+
+
+@cache
+def _pinocchio(path: str) -> Any:
+    import pinocchio  # imports 0.3 s: only where a URDF is used
+
+    try:
+        return pinocchio, pinocchio.buildModelFromUrdf(path)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"{path}: is not a URDF that Pinocchio reads: {error}") from error
+
+
+def urdf_path(model: Model) -> str:
+    """Path of the URDF, relative to the model file.
+
+    Raises
+    ------
+    ModelError
+        Where there is no such file.
+    """
+    path = Path(model.file) if Path(model.file).is_absolute() else model.folder / model.file
+    if not path.exists():
+        raise ModelError(f"[mechanism] file = {model.file!r}: no such file beside the model ({path})")
+    return str(path)
+
+
+def _urdf_bases(model: Model, motion: list[Array]) -> list[Basis]:
+    pin, robot = _pinocchio(urdf_path(model))
+    if robot.nq != robot.nv or robot.nv != len(motion):
+        raise ModelError(f"{model.file}: has {robot.nv} joints, the recording {len(motion)}")
+    data = robot.createData()
+    q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
+    n, joints = q.shape
+    inertia, torque = np.empty((joints, n)), np.empty((joints, n))
+    for k in range(n):
+        torque[:, k] = pin.rnea(robot, data, q[k], qd[k], qdd[k])
+        inertia[:, k] = np.diag(pin.crba(robot, data, q[k]))
+    return [Basis(inertia[i], torque[i] - inertia[i] * qdd[:, i]) for i in range(joints)]

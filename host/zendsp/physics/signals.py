@@ -1,0 +1,187 @@
+"""What a position sensor really says: quantiser edges, noise variance per sample, and the smoothed motion behind them.
+
+While a joint crosses less than half a count per sample, a constant code says only that the position lies in an interval, and
+the moment at which the code changes says where it is to a fraction of a count: code changes are used as measurements, plateaus as
+intervals. Faster motion is treated as position plus white noise of variance resolution²/12.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
+
+from zendsp.physics.native import native
+
+Array = npt.NDArray[np.float64]
+
+EDGE_FLOOR = 0.05  # counts: no edge of a real encoder is known better
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Per sample: value, half width of the interval that says nothing, variance (negative: no information). Shapes (n,)."""
+
+    value: Array
+    half: Array
+    variance: Array
+    resolution: float
+    noise: float  # standard deviation of what is not quantisation
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smoothed q, qd, qdd (3, n), their variances of q, qd and of the unexplained acceleration (3, n)."""
+
+    states: Array
+    variances: Array
+    bandwidth: float
+
+
+def find_resolution(y: Array) -> float:
+    """Smallest step of a quantised signal, 0 where it is not on a lattice.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Position, any unit.
+
+    Returns
+    -------
+    float
+        Step in the unit of ``y``.
+    """
+    steps = np.abs(np.diff(y))
+    span = float(np.ptp(y))
+    steps = steps[steps > 1e-9 * max(span, 1e-12)]
+    if len(steps) < 10:
+        return 0.0
+    step = float(np.quantile(steps, 0.001))
+    small = steps[steps < 1.5 * step]
+    step = float(np.mean(small))
+    ratio = steps / step
+    close = ratio < 200
+    if close.sum() < 10:
+        return 0.0
+    off = np.abs(ratio[close] - np.round(ratio[close]))
+    return step if np.mean(off < 0.02) > 0.98 else 0.0
+
+
+def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0) -> Measurement:
+    """Turn quantised samples into measurements with a variance each.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Position, rad or m.
+    sample_time : float
+        s.
+    resolution : float
+        Counts step, rad or m; 0 where unknown or continuous.
+    noise : float
+        Standard deviation of the sensor noise beside quantisation, rad or m.
+
+    Returns
+    -------
+    Measurement
+    """
+    n = len(y)
+    white = resolution**2 / 12 + noise**2
+    if resolution <= 0 or noise > 0.3 * resolution:
+        floor = max(white, (1e-9 * max(float(np.ptp(y)), 1e-9)) ** 2)
+        return Measurement(y.astype(float), np.zeros(n), np.full(n, floor), resolution, noise)
+    window = max(5, round(0.02 / sample_time))
+    speed = np.abs(np.gradient(uniform_filter1d(y, window, mode="nearest"), sample_time))
+    speed = uniform_filter1d(speed, window, mode="nearest")
+    slow = speed * sample_time < 0.5 * resolution
+    change = np.zeros(n, bool)
+    change[1:] = np.abs(np.diff(y)) > 0.5 * resolution
+    value, half, variance = y.astype(float).copy(), np.zeros(n), np.full(n, white)
+    starts = np.flatnonzero(np.r_[True, change[1:]])
+    run = np.diff(np.r_[starts, n])
+    length = np.repeat(run, run)
+    half[slow] = 0.5 * resolution
+    variance[slow] = white * length[slow]
+    edge = slow & change
+    travel = np.abs(y[edge] - y[np.flatnonzero(edge) - 1])
+    one = travel < 1.5 * resolution
+    k = np.flatnonzero(edge)[one]
+    direction = np.sign(y[k] - y[k - 1])
+    step = np.minimum(speed[k] * sample_time, resolution)
+    value[k] = 0.5 * (y[k] + y[k - 1]) + 0.5 * direction * step
+    half[k] = 0.0
+    variance[k] = step**2 / 12 + (EDGE_FLOOR * resolution) ** 2 + noise**2
+    return Measurement(value, half, variance, resolution, noise)
+
+
+def smooth(measurement: Measurement, sample_time: float, known_acceleration: Array) -> Motion:
+    """The motion behind the measurements, given the acceleration that is already known.
+
+    The rest of the acceleration is a random walk, whose strength maximises the likelihood of the measurements.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    sample_time : float
+        s.
+    known_acceleration : ndarray, shape (n,)
+        rad/s² or m/s², held over each sample.
+
+    Returns
+    -------
+    Motion
+    """
+    lib = native()
+    n = len(measurement.value)
+    span = float(np.ptp(measurement.value)) or 1e-6
+    size = max(float(np.std(known_acceleration)), span)
+    window = max(5, round(0.02 / sample_time))
+    early = measurement.value[: 4 * window]
+    v0 = float(np.polyfit(np.arange(len(early)) * sample_time, early, 1)[0]) if len(early) > 3 else 0.0
+    work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
+    a = np.ascontiguousarray(known_acceleration)
+    p = lib.doubles
+
+    def run(strength: float) -> float:
+        value: float = lib.lib.zf_smooth(
+            n, sample_time, strength, 3 * size, p(a), p(measurement.value), p(measurement.half), p(measurement.variance),
+            float(measurement.value[0]), v0, p(work), p(out), p(var),
+        )  # fmt: skip
+        return value
+
+    grid = size * 10.0 ** np.arange(-2.0, 3.6, 0.5)
+    best = min(grid, key=run)
+    run(float(best))
+    states = np.stack([out[0], out[1], out[2] + a])
+    return Motion(states, var.copy(), float(best))
+
+
+def noise_beside_quantisation(y: Array, resolution: float) -> float:
+    """Standard deviation of sensor noise that the resolution does not explain, from fourth differences where the motion is fast.
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Position, rad or m.
+    resolution : float
+        rad or m, 0 where unknown.
+
+    Returns
+    -------
+    float
+        rad or m.
+    """
+    fourth = np.diff(y, 4)
+    if resolution > 0:
+        moving = np.abs(y[4:] - y[:-4]) > 3 * resolution
+        if moving.sum() < 200:
+            flips = np.diff(y)
+            flips = flips[flips != 0]
+            back = np.mean(flips[1:] * flips[:-1] < 0) if len(flips) > 20 else 0.0
+            return 0.4 * resolution * float(back) if back > 0.25 else 0.0
+        fourth = fourth[moving]
+    # 70 = sum of squared binomials of the fourth difference; median absolute deviation keeps impacts out
+    spread = float(np.median(np.abs(fourth - np.median(fourth)))) / 0.6745 / np.sqrt(70)
+    return float(np.sqrt(max(0.0, spread**2 - 1.3 * resolution**2 / 12)))
