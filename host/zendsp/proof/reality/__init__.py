@@ -1,0 +1,5 @@
+"""Machines with concealed physics, simulated by code and numerics that the diagnosis does not share."""
+
+from zendsp.proof.reality.machine import CouplingTruth, JointTruth, LinkTruth, MachineTruth, Run, run
+
+__all__ = ["CouplingTruth", "JointTruth", "LinkTruth", "MachineTruth", "Run", "run"]
