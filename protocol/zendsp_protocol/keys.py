@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 ROOT = "zendsp"
-LANES = ("quick", "stop", "slow", "bulk")
+LANES = ("quick", "sync", "stop", "slow", "bulk")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 

@@ -134,7 +134,7 @@ _ROWS = (
     Verb("variables", Nothing, tuple[m.VariableInfo, ...], "quick"),
     Verb("read", Read, m.Reading, "quick"),
     Verb("write", Write, m.Written, "quick", repeatable=False),
-    Verb("update", Write, m.Applied, "quick", repeatable=False),
+    Verb("update", Write, m.Applied, "sync", repeatable=False),
     Verb("wait_applied", Wait, m.Applied, "slow", 60.0),
     Verb("log", Log, tuple[m.Change, ...], "quick"),
     Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False),

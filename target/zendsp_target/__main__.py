@@ -1,0 +1,85 @@
+"""``python -m zendsp_target``: start a target. Needs zenoh, numpy, msgspec, cffi and a C compiler, nothing else."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Sequence
+
+from zendsp_protocol.errors import ZendspError
+from zendsp_target.endpoints import Security, check
+
+
+def parser() -> argparse.ArgumentParser:
+    """Command line of the target."""
+    p = argparse.ArgumentParser(
+        prog="python -m zendsp_target",
+        description="Run C control code at a fixed rate against a machine, and serve it over Zenoh.",
+        epilog="Example: python -m zendsp_target --machine imi_planar --name imi --rate 1000 --clock real",
+    )
+    p.add_argument("--machine", default="imi_planar", help="machine to drive (default: imi_planar)")
+    p.add_argument("--name", default="", help="name of the target (default: that of the machine)")
+    p.add_argument(
+        "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate in Hz (default: 1000)"
+    )
+    p.add_argument(
+        "--clock", choices=("real", "fast"), default="real", help="fast: as fast as the CPU allows"
+    )
+    p.add_argument("--listen", action="append", metavar="ENDPOINT",
+                   help="Zenoh endpoint (default: tcp/127.0.0.1:0, a free port on loopback); may be repeated")  # fmt: skip
+    p.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="router to announce to")
+    p.add_argument("--tls-cert", default="", metavar="PEM", help="this target's certificate")
+    p.add_argument("--tls-key", default="", metavar="PEM", help="this target's private key")
+    p.add_argument("--tls-ca", default="", metavar="PEM", help="authority that signs the hosts' certificates")
+    p.add_argument("--users", default="", metavar="FILE", help="lines user:password that hosts must know")
+    p.add_argument("--parent", type=int, default=0, metavar="PID", help="end when this parent process ends")
+    p.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="option of the runtime")
+    p.add_argument(
+        "--json", action="store_true", help="say where it listens as one line of JSON on standard output"
+    )
+    p.add_argument("--verbose", "-v", action="store_true", help="log what happens on standard error")
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a target until it is told to end; return the exit status."""
+    args = parser().parse_args(arguments)
+    logging.basicConfig(
+        level=logging.DEBUG if args.verbose else logging.WARNING, format="%(levelname)s %(message)s"
+    )
+    security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users)
+    listen = args.listen or ["tcp/127.0.0.1:0"]
+    try:
+        check(listen, security)  # before the machine is touched
+        return _serve(args, listen, security)
+    except (ZendspError, ValueError) as error:
+        print(f"zendsp target: {error}", file=sys.stderr)
+        return 2
+
+
+def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
+    from zendsp_target.monitor import Monitor, Options
+    from zendsp_target.runtime import Runtime
+
+    options = dict(text.partition("=")[::2] for text in args.option)
+    runtime = Runtime(machine=args.machine, rate_hz=args.rate, clock=args.clock, **options)
+    try:
+        monitor = Monitor(
+            runtime, Options(args.name or args.machine, args.machine, listen, args.connect, security)
+        )
+    except BaseException:
+        runtime.close()
+        raise
+    where = {"name": args.name or args.machine, "endpoints": monitor.endpoints}
+    if args.json:
+        print(json.dumps(where), flush=True)
+    else:
+        print(f"target {where['name']} listens on {', '.join(monitor.endpoints)}; Ctrl-C ends it", flush=True)
+    monitor.run(args.parent)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""Recorded rows on their way out: one request, many replies, each with its own checksum."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from zendsp_protocol import messages as m
+from zendsp_protocol import verbs
+from zendsp_protocol.chunks import crc, spans
+from zendsp_protocol.codec import encode
+from zendsp_protocol.errors import AcquisitionError
+from zendsp_protocol.version import PROTOCOL
+from zendsp_target.api import RuntimeApi
+
+LOWEST, HIGHEST = 1 << 12, 1 << 23  # bytes of one chunk
+
+
+def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: zenoh.Query) -> m.Empty:
+    """Reply with the rows asked for, in chunks; they give way to quick replies on the same link.
+
+    Raises
+    ------
+    AcquisitionError
+        The rows were never recorded or are overwritten already.
+    """
+    status = runtime.acquire_status(stream)
+    if args.first < status.first or args.count < 0 or args.first + args.count > status.count:
+        raise AcquisitionError(
+            f"rows {args.first}…{args.first + args.count} are not held; the recorder has {status.first}…{status.count}"
+        )
+    columns = max(1, len(status.channels))
+    rows_each = max(1, min(max(args.chunk, LOWEST), HIGHEST) // (8 * columns))
+    for first, count in spans(args.first, args.count, rows_each):
+        _send(query, first, runtime.acquire_read(stream, first, count))
+    return m.Empty()
+
+
+def _send(query: zenoh.Query, first: int, rows: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+    data = rows.astype("<f8", copy=False).tobytes()
+    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=rows.shape[0], columns=rows.shape[1], crc=crc(data))
+    query.reply(
+        query.key_expr,
+        data,
+        attachment=encode(header),
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        priority=zenoh.Priority.DATA_LOW,
+    )

@@ -1,0 +1,141 @@
+"""Where the target listens, and on what condition; and the Zenoh settings that follow.
+
+Loopback needs nothing. Anything else needs TLS and a way to tell who connects, because a link that moves a machine is
+not for everyone on the network.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import zenoh
+
+from zendsp_protocol.errors import Refused
+
+LEASE_MS = 1000  # a stopped or unplugged host is noticed within this time
+
+
+@dataclass(frozen=True)
+class Security:
+    """Files that make a link beyond loopback acceptable.
+
+    Attributes
+    ----------
+    certificate, key : str
+        This target's certificate and private key (PEM).
+    authority : str
+        Certificate of the authority that signs the hosts' certificates: hosts must then show one.
+    users : str
+        File of lines ``user:password``: hosts must then know one.
+    """
+
+    certificate: str = ""
+    key: str = ""
+    authority: str = ""
+    users: str = ""
+
+    @property
+    def encrypted(self) -> bool:
+        """Whether certificate and key are given."""
+        return bool(self.certificate and self.key)
+
+    @property
+    def authenticated(self) -> bool:
+        """Whether a host must prove who it is."""
+        return bool(self.authority or self.users)
+
+
+def is_local(endpoint: str) -> bool:
+    """Tell whether only this machine can reach ``endpoint``."""
+    scheme, _, rest = endpoint.partition("/")
+    if scheme == "unixsock-stream":
+        return True
+    host = rest.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]").partition("%")[0]
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def check(endpoints: Sequence[str], security: Security) -> None:
+    """Refuse endpoints that others could reach without encryption and authentication.
+
+    Raises
+    ------
+    Refused
+        Naming the endpoint and the options that are missing.
+    """
+    for endpoint in endpoints:
+        if "/" not in endpoint:
+            raise Refused(f"--listen {endpoint}: expected protocol/address:port, for example tcp/127.0.0.1:0")
+        if is_local(endpoint):
+            continue
+        if endpoint.partition("/")[0] not in ("tls", "quic"):
+            raise Refused(
+                f"--listen {endpoint} can be reached from other machines: use tls/… there, with --tls-cert, --tls-key and "
+                "either --tls-ca (hosts show a certificate) or --users (hosts know a password)"
+            )
+        if not security.encrypted or not security.authenticated:
+            missing = [] if security.encrypted else ["--tls-cert and --tls-key"]
+            missing += [] if security.authenticated else ["--tls-ca or --users"]
+            raise Refused(
+                f"--listen {endpoint} can be reached from other machines and needs {' and '.join(missing)}"
+            )
+
+
+def with_free_ports(endpoints: Sequence[str]) -> list[str]:
+    """Replace port 0 by a port that is free now, since Zenoh does not tell which one it took."""
+    chosen = []
+    for endpoint in endpoints:
+        address, colon, port = endpoint.rpartition(":")
+        if colon and port == "0":
+            host = address.partition("/")[2].strip("[]")
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            with socket.socket(family, socket.SOCK_STREAM) as probe:
+                probe.bind((host, 0))
+                endpoint = f"{address}:{probe.getsockname()[1]}"
+        chosen.append(endpoint)
+    return chosen
+
+
+def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence[str] = ()) -> zenoh.Config:
+    """Settings of the target's session, each for a measured reason.
+
+    Parameters
+    ----------
+    endpoints : sequence of str
+        Where to listen.
+    connect : sequence of str
+        Routers to announce the target to.
+    """
+    settings = {
+        "mode": "peer",
+        "listen/endpoints": list(endpoints),
+        "connect/endpoints": list(connect),
+        "connect/exit_on_failure": False,
+        # The default waits half a second for others to be heard of; nothing is announced by multicast here.
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,  # hosts of one target need not know of each other
+        "scouting/delay": 0,
+        "open/return_conditions/connect_scouted": False,
+        "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+    }
+    if security.encrypted:
+        settings["transport/link/tls/listen_certificate"] = security.certificate
+        settings["transport/link/tls/listen_private_key"] = security.key
+    if security.authority:
+        settings["transport/link/tls/root_ca_certificate"] = security.authority
+        settings["transport/link/tls/enable_mtls"] = True
+    if security.users:
+        settings["transport/auth/usrpwd/dictionary_file"] = security.users
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

@@ -1,0 +1,40 @@
+"""Who is connected, as the link itself knows it: a host that is killed is gone within the lease."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import zenoh
+
+from zendsp_protocol import keys
+
+
+class Hosts:
+    """Follows the liveliness tokens of the hosts of one target."""
+
+    def __init__(self, session: zenoh.Session, target: str, on_gone: Callable[[str], None]) -> None:
+        self._present: set[str] = set()
+        self._lock = threading.Lock()
+        self._on_gone = on_gone
+        self._subscriber = session.liveliness().declare_subscriber(
+            keys.host(target), self._changed, history=True
+        )
+
+    def __contains__(self, host: str) -> bool:
+        with self._lock:
+            return host in self._present
+
+    def names(self) -> tuple[str, ...]:
+        """Hosts connected now, sorted."""
+        with self._lock:
+            return tuple(sorted(self._present))
+
+    def _changed(self, sample: zenoh.Sample) -> None:
+        host = str(sample.key_expr).rpartition("/")[2]
+        gone = sample.kind == zenoh.SampleKind.DELETE
+        with self._lock:
+            self._present.discard(host) if gone else self._present.add(host)
+        if gone:
+            # Not in this thread: it belongs to Zenoh and must not wait for the runtime.
+            threading.Thread(target=self._on_gone, args=(host,), daemon=True).start()

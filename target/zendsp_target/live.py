@@ -1,0 +1,192 @@
+"""Live streams: the newest samples of chosen channels, published as they come, at a bounded cost.
+
+Rows that a slow poll missed are skipped and counted, never queued: the loop and the link owe nothing to a slow viewer.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol import messages as m
+from zendsp_protocol.codec import encode
+from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.version import PROTOCOL
+from zendsp_target.api import AcquireConfig, RuntimeApi
+
+log = logging.getLogger(__name__)
+STREAMS = range(1, 8)
+SHORTEST_S = 0.001  # between polls: half of the promised lag
+SHORTEST_FAST_S = 0.01  # where simulated time runs ahead, viewers cannot follow every row anyway
+RING_S = 0.5  # held for a poll that comes late
+RETRY_S = 0.25  # after the stream's program went away
+
+
+class Send(Protocol):
+    """Publish one message of a stream."""
+
+    def __call__(self, stream: int, payload: bytes, header: bytes) -> None: ...
+
+
+@dataclass
+class Stream:
+    """One live stream and who looks at it."""
+
+    number: int
+    config: AcquireConfig
+    interval: float
+    window: int
+    viewers: set[str] = field(default_factory=set)
+    session: int = 0
+    columns: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    next_row: int = 0
+    skipped: int = 0
+    due: float = 0.0
+    broken: bool = False
+
+
+class LiveStreams:
+    """Polls the runtime's rings from one thread and publishes what is new."""
+
+    def __init__(self, runtime: RuntimeApi, send: Send) -> None:
+        self._runtime = runtime
+        self._send = send
+        self._lock = threading.RLock()
+        self._streams: dict[int, Stream] = {}
+        self._sessions = itertools.count(1)
+        self._wake = threading.Event()
+        self._end = False
+        self._thread = threading.Thread(target=self._run, name="live", daemon=True)
+        self._thread.start()
+
+    def open(self, channels: list[str], decimation: int, interval: float, window: int, viewer: str) -> Stream:
+        """Open a stream, or join one of the same channels.
+
+        Raises
+        ------
+        Refused
+            All seven are in use by others.
+        AcquisitionError
+            No such channel.
+        """
+        status = self._runtime.status()
+        sample_time = decimation / status.rate_hz
+        shortest = SHORTEST_S if status.clock == "real" else SHORTEST_FAST_S
+        interval = max(shortest, interval)
+        window = max(1, min(window, 1 << 16))
+        ring = max(RING_S, 2 * window * sample_time if status.clock == "fast" else 0.0)
+        config = AcquireConfig(tuple(channels), decimation, seconds=ring, continuous=True)
+        with self._lock:
+            for stream in self._streams.values():
+                if stream.config.channels == config.channels and stream.config.decimation == decimation:
+                    stream.viewers.add(viewer)
+                    stream.interval = min(stream.interval, interval)
+                    stream.window = max(stream.window, window)
+                    return stream
+            free = [number for number in STREAMS if number not in self._streams]
+            if not free:
+                users = sorted({viewer for stream in self._streams.values() for viewer in stream.viewers})
+                raise Refused(f"all {len(STREAMS)} live streams are in use by {', '.join(users)}; close one")
+            stream = Stream(free[0], config, interval, window, {viewer})
+            self._start(stream)
+            self._streams[stream.number] = stream
+        self._wake.set()
+        return stream
+
+    def close_stream(self, number: int, viewer: str) -> None:
+        """Leave a stream; it ends with its last viewer."""
+        with self._lock:
+            stream = self._streams.get(number)
+            if stream is None:
+                return
+            stream.viewers.discard(viewer)
+            if not stream.viewers:
+                del self._streams[number]
+                self._stop(number)
+
+    def forget(self, viewer: str) -> None:
+        """Leave all streams of a host that is gone."""
+        with self._lock:
+            for number in list(self._streams):
+                self.close_stream(number, viewer)
+
+    def close(self) -> None:
+        """End the thread and all streams."""
+        self._end = True
+        self._wake.set()
+        self._thread.join(2.0)
+        with self._lock:
+            for number in list(self._streams):
+                self._stop(number)
+            self._streams.clear()
+
+    def _start(self, stream: Stream) -> None:
+        status = self._runtime.acquire_configure(stream.number, stream.config)
+        self._runtime.acquire_start(stream.number)
+        stream.columns, stream.units = status.channels, status.units
+        stream.session = next(self._sessions)
+        stream.next_row, stream.broken = 0, False
+
+    def _stop(self, number: int) -> None:
+        try:
+            self._runtime.acquire_stop(number)
+        except ZendspError as error:
+            log.debug("live stream %d was gone already: %s", number, error)
+
+    def _run(self) -> None:
+        while not self._end:
+            with self._lock:
+                now = time.monotonic()
+                for stream in list(self._streams.values()):
+                    if now >= stream.due:
+                        stream.due = now + self._serve(stream)
+                due = min((stream.due for stream in self._streams.values()), default=None)
+            if due is None:
+                self._wake.wait()
+                self._wake.clear()
+            else:
+                time.sleep(max(0.0, due - time.monotonic()))
+
+    def _serve(self, stream: Stream) -> float:
+        """Publish what is new and return the time to wait, in s."""
+        try:
+            if stream.broken:
+                self._start(stream)
+            status = self._runtime.acquire_status(stream.number)
+            if status.state == "idle":  # a new program was loaded: its rings are new as well
+                stream.broken = True
+                return RETRY_S if status.state == "idle" and not status.channels else 0.0
+            first = max(stream.next_row, status.first, status.count - stream.window)
+            if status.count <= first:
+                return stream.interval
+            rows = self._runtime.acquire_read(stream.number, first, status.count - first)
+        except ZendspError as error:
+            if not stream.broken:
+                log.debug("live stream %d waits: %s", stream.number, error)
+            stream.broken = True
+            return RETRY_S
+        self._publish(stream, status, first, rows)
+        return stream.interval
+
+    def _publish(self, stream: Stream, status: Any, first: int, rows: npt.NDArray[np.float64]) -> None:
+        stream.skipped += first - stream.next_row
+        stream.next_row = first + len(rows)
+        header = m.LiveHeader(
+            v=PROTOCOL,
+            session=stream.session,
+            first=first,
+            rows=len(rows),
+            columns=stream.columns,
+            tick=status.start_tick + first * status.decimation,
+            decimation=status.decimation,
+            lost=stream.skipped,
+        )
+        self._send(stream.number, rows.tobytes(), encode(header))

@@ -1,0 +1,96 @@
+"""The target process: one runtime, one server, one entry in the registry, ended together."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import zenoh
+
+from zendsp_protocol.errors import LinkError, Refused
+from zendsp_target import endpoints as listening
+from zendsp_target.api import RuntimeApi
+from zendsp_target.endpoints import Security
+from zendsp_target.registration import check_free, register, unregister
+from zendsp_target.server import Server
+from zendsp_target.service import identity
+
+TRIES = 5  # another process may take a free port before Zenoh does
+PARENT_POLL_S = 0.2
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a target presents itself."""
+
+    name: str
+    machine: str
+    listen: Sequence[str] = ("tcp/127.0.0.1:0",)
+    connect: Sequence[str] = ()
+    security: Security = field(default_factory=Security)
+
+
+class Monitor:
+    """Serves ``runtime`` until closed.
+
+    Raises
+    ------
+    Refused
+        Endpoints that others could reach without TLS and authentication, or a name that is taken.
+    LinkError
+        None of the endpoints can be listened to.
+    """
+
+    def __init__(self, runtime: RuntimeApi, options: Options) -> None:
+        listening.check(options.listen, options.security)
+        who = identity(options.name, options.machine)
+        check_free(who.name)
+        self._runtime = runtime
+        self._session, self.endpoints = _open(options)
+        self._server = Server(runtime, who, self._session)
+        self._entry = register(who.name, self.endpoints, options.machine)
+        self._closed = False
+
+    def close(self) -> None:
+        """End serving; the runtime is left in its safe state."""
+        if self._closed:
+            return
+        self._closed = True
+        unregister(self._entry)
+        self._server.close()
+        self._session.close()  # type: ignore[no-untyped-call]
+        self._runtime.close()
+
+    def run(self, parent: int = 0) -> None:
+        """Serve until SIGTERM, SIGINT, or until the process ``parent`` is no longer this one's parent."""
+        end = threading.Event()
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, lambda *_: end.set())
+        try:
+            while not end.wait(PARENT_POLL_S):
+                if parent and os.getppid() != parent:
+                    break
+        finally:
+            self.close()
+
+
+def _open(options: Options) -> tuple[Any, list[str]]:
+    for attempt in range(TRIES):
+        chosen = listening.with_free_ports(options.listen)
+        try:
+            config = listening.zenoh_config(chosen, options.security, options.connect)
+            return zenoh.open(config), chosen
+        except zenoh.ZError as error:
+            if list(options.listen) == chosen or attempt == TRIES - 1:
+                shown = ", ".join(options.listen)
+                raise LinkError(f"cannot listen on {shown}: {_reason(error)}") from error
+    raise Refused("no endpoint was given to --listen")
+
+
+def _reason(error: Exception) -> str:
+    """Zenoh's own sentence without the places in its source."""
+    return str(error).partition(" at /")[0].strip()

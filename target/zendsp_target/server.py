@@ -1,0 +1,191 @@
+"""The Zenoh side of the target: lanes of requests, publications, and the tokens that show it is alive."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import zenoh
+
+from zendsp_protocol import codec, keys, verbs
+from zendsp_protocol.errors import LinkError, ZendspError
+from zendsp_protocol.version import PROTOCOL
+from zendsp_target.api import RuntimeApi
+from zendsp_target.bulk import send_rows
+from zendsp_target.hosts import Hosts
+from zendsp_target.live import LiveStreams
+from zendsp_target.service import RECORDER, Identity, Later, Service
+
+log = logging.getLogger(__name__)
+
+# Threads of each lane. One serves the quick requests in order; a compile, a wait for a sample or a large transfer must
+# neither hold these up nor each other.
+THREADS = {"quick": 1, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
+WAITING = 1024  # requests that may wait in a lane before the link holds back the sender
+PULSE_S = 0.5
+PULSE_POLL_S = 0.1
+
+
+class Server:
+    """Serves one runtime under one name on an open session, until closed."""
+
+    def __init__(self, runtime: RuntimeApi, identity: Identity, session: zenoh.Session) -> None:
+        self.name = identity.name
+        self._session = session
+        self._end = threading.Event()
+        self._publishers: dict[int, zenoh.Publisher] = {}
+        self.live = LiveStreams(runtime, self._send_live)
+        self.service = Service(runtime, identity, self.live)
+        self._hosts = Hosts(session, self.name, self.service.host_gone)
+        self.service.present = self._hosts.names
+        self._waiters = ThreadPoolExecutor(8, "waiter")
+        self._threads: list[threading.Thread] = []
+        self._queryables: list[Any] = []
+        for lane, count in THREADS.items():
+            self._serve(keys.rpc(self.name, lane), count, lambda query, lane=lane: self._request(lane, query))  # type: ignore[misc]
+        self._serve(keys.info(self.name), 1, self._info)
+        self._serve(keys.variable(self.name), 1, self._variable)
+        self._thread("pulse", self._pulse)
+        # Last, so that whoever sees the token finds everything in place.
+        self._token = session.liveliness().declare_token(keys.alive(self.name))
+
+    def close(self) -> None:
+        """Withdraw everything; the session stays open for its owner to close."""
+        self._end.set()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self.live.close()
+        for queryable in self._queryables:
+            queryable.undeclare()
+        self._waiters.shutdown(wait=False, cancel_futures=True)
+
+    # requests --------------------------------------------------------------------------------------------------------
+
+    def _serve(self, key: str, threads: int, answer: Callable[[zenoh.Query], None]) -> None:
+        queryable = self._session.declare_queryable(key, zenoh.handlers.FifoChannel(WAITING), complete=True)
+        self._queryables.append(queryable)
+        waiting = queryable.handler
+
+        def work() -> None:
+            while not self._end.is_set():
+                try:
+                    query = waiting.recv()
+                except zenoh.ZError:  # closed
+                    return
+                answer(query)
+
+        for number in range(threads):
+            self._thread(f"{key}#{number}", work)
+
+    def _thread(self, name: str, work: Callable[[], None]) -> None:
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    def _request(self, lane: str, query: zenoh.Query) -> None:
+        """Answer one request, whatever happens: silence would look like a dead target."""
+        try:
+            payload = query.payload
+            if payload is None:
+                raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
+            verb, args, by = codec.decode_request(payload.to_bytes(), lane)
+            reply = codec.encode_result(self._run(verb, args, by, query))
+        except Later as later:
+            self._waiters.submit(self._finish, query, later.rest)
+            return
+        except ZendspError as error:
+            reply = codec.encode_error(error)
+        except Exception as error:
+            log.exception("request on lane %s failed", lane)
+            reply = codec.encode_error(error)
+        self._reply(query, reply)
+
+    def _run(self, verb: verbs.Verb, args: Any, by: str, query: zenoh.Query) -> Any:
+        if verb.name == "acquire_read":
+            return send_rows(self.service.runtime, RECORDER, args, query)
+        handler = self.service.handlers.get(verb.name)
+        if handler is None:
+            raise LinkError(f"this target does not know the verb {verb.name!r}")
+        return handler(args, by)
+
+    def _finish(self, query: zenoh.Query, rest: Callable[[], Any]) -> None:
+        try:
+            reply = codec.encode_result(rest())
+        except Exception as error:
+            reply = codec.encode_error(error)
+        self._reply(query, reply)
+
+    def _reply(self, query: zenoh.Query, reply: bytes) -> None:
+        try:
+            query.reply(query.key_expr, reply)
+        except zenoh.ZError as error:  # the host is gone: nobody is left to tell
+            log.debug("reply was not delivered: %s", error)
+        finally:
+            query.drop()  # type: ignore[no-untyped-call]
+
+    # for any Zenoh client --------------------------------------------------------------------------------------------
+
+    def _info(self, query: zenoh.Query) -> None:
+        self._answer(
+            query, lambda: {keys.info(self.name): self.service.do_info(verbs.Nothing(), "")}
+        )
+
+    def _variable(self, query: zenoh.Query) -> None:
+        self._answer(query, lambda: self._values(query.key_expr))
+
+    def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
+        runtime = self.service.runtime
+        infos = {info.name: info for info in runtime.variables()}
+        found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n)))]
+        if not found:
+            raise LinkError(
+                f"no variable matches {wanted}; there are: {', '.join(infos) or 'none (no program loaded)'}"
+            )
+        tick, read = runtime.read(found)
+        return {
+            keys.variable(self.name, name): {
+                "v": PROTOCOL, "name": name, "value": value, "unit": infos[name].unit, "tick": tick,
+            }
+            for name, value in read.items()
+        }  # fmt: skip
+
+    def _answer(self, query: zenoh.Query, find: Callable[[], dict[str, Any]]) -> None:
+        try:
+            with query:
+                try:
+                    for key, message in find().items():
+                        query.reply(key, codec.encode(message))
+                except Exception as error:
+                    query.reply_err(codec.encode_error(error))
+        except zenoh.ZError as error:
+            log.debug("reply was not delivered: %s", error)
+
+    def _send_live(self, stream: int, payload: bytes, header: bytes) -> None:
+        publisher = self._publishers.get(stream)
+        if publisher is None:
+            publisher = self._session.declare_publisher(
+                keys.live(self.name, stream),
+                congestion_control=zenoh.CongestionControl.DROP,  # a viewer that hangs must not hold up the others
+                express=True,
+            )
+            self._publishers[stream] = publisher
+        publisher.put(payload, attachment=header)
+
+    def _pulse(self) -> None:
+        """Publish the status at every change of state and twice a second."""
+        publisher = self._session.declare_publisher(keys.event(self.name))
+        last, due = None, 0.0
+        while not self._end.wait(PULSE_POLL_S):
+            try:
+                status = self.service.do_status(verbs.Nothing(), "")
+            except Exception:
+                log.exception("the status cannot be read")
+                continue
+            now = time.monotonic()
+            shown = (status["state"], status["drive"], status["crash"], status["hosts"], status["trip"])
+            if shown != last or now >= due:
+                last, due = shown, now + PULSE_S
+                publisher.put(codec.encode({"v": PROTOCOL, **status}))
