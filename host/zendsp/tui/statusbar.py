@@ -159,6 +159,8 @@ class StatusBar(Widget):
         """Return the line that says how the loop and the link do."""
         bad = Style(color=self.app.theme_variables["error"], bold=True)
         line = Text(" ", no_wrap=True, overflow="ellipsis")
+        if s.link in ("none", "connecting"):
+            return line.append("Reference works without a target", Style(dim=True))
 
         def item(name: str, value: str, alarm: bool = False) -> None:
             line.append(f"{name} ", Style(dim=True))

@@ -13,7 +13,7 @@ from zendsp.tui.scope.settings import Channel, ScopeSettings
 from zendsp.tui.scope.ticks import ticks
 
 Floats = npt.NDArray[np.float64]
-GRID, CURSOR, EMPTY = 100, 101, 102  # owners of a cell beside the channel numbers 0 … 7
+GRID, CURSOR, EMPTY, LIMIT = 100, 101, 102, 103  # owners of a cell beside the channel numbers 0 … 7
 LOWEST_LANE = 4  # character rows below which lanes are drawn over one another
 
 
@@ -92,6 +92,7 @@ def compose(
     view: tuple[float, float, float],
     ranges: Mapping[str, tuple[float, float]],
     size: tuple[int, int],
+    limits: Mapping[str, Sequence[float]] | None = None,
 ) -> Picture:
     """Draw one picture.
 
@@ -107,6 +108,8 @@ def compose(
         The y ranges drawn last; with ``settings.auto`` they are adapted, otherwise kept.
     size : (width, height)
         Of the plot area, in characters.
+    limits : mapping of unit to values, optional
+        Drawn as broken lines where they are within the range.
     """
     width, height = max(size[0], 1), max(size[1], 1)
     start, end, zero = view
@@ -128,6 +131,9 @@ def compose(
     codes = encode(back)
     owner = np.where(codes > 0, GRID, EMPTY).astype(np.int8)
 
+    bounds = encode(_bounds(np.zeros_like(back), lanes, limits or {}))
+    codes = np.where(bounds > 0, bounds, codes)
+    owner[bounds > 0] = LIMIT
     marks = np.zeros((height * DOTS_Y, columns), dtype=bool)
     _marks(marks, lanes, settings)
     marked = encode(marks)
@@ -159,6 +165,19 @@ def _grid(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], time_ticks: Sequen
         column = int((value - start) / (end - start) * columns)
         if 0 <= column < columns:
             dots[::4, column] = True
+
+
+def _bounds(
+    dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], limits: Mapping[str, Sequence[float]]
+) -> npt.NDArray[np.bool_]:
+    """Limits of the machine as broken lines."""
+    columns = np.arange(dots.shape[1])
+    for lane in lanes:
+        for value in limits.get(lane.unit, ()):
+            if lane.bottom <= value <= lane.top:
+                share = (lane.top - value) / (lane.top - lane.bottom)
+                dots[lane.row * DOTS_Y + round(share * (lane.rows * DOTS_Y - 1)), columns % 8 < 5] = True
+    return dots
 
 
 def _marks(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], settings: ScopeSettings) -> None:

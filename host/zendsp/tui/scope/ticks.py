@@ -64,4 +64,4 @@ def number(value: float) -> str:
         return "—"
     if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.3e}"
-    return f"{value:.5g}"
+    return f"{value + 0.0:.5g}" if value else "0"

@@ -18,7 +18,7 @@ from textual.widget import Widget
 
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
-from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, Picture, compose
+from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.settings import MOST_CHANNELS, WINDOWS, Channel, ScopeSettings
 from zendsp.tui.scope.ticks import duration, label, number, ticks
@@ -47,6 +47,7 @@ class Scope(Widget, can_focus=True):
         self.history = History(0)
         self.settings = ScopeSettings()
         self.paused = False
+        self.limits: dict[str, list[float]] = {}  # unit -> values drawn as broken lines
         self.past = 0.0  # s that a paused picture is moved into the past
         self.single = False  # armed for one trigger, then pause
         self.picture: Picture | None = None
@@ -128,7 +129,7 @@ class Scope(Widget, can_focus=True):
         self.redraw()
 
     def _tick(self) -> None:
-        if self.paused or self.history.count == self._seen or not self.display or not self.screen.is_current:
+        if self.paused or self.history.count == self._seen or self.screen not in self.app.screen_stack:
             return
         self.redraw()
 
@@ -175,7 +176,7 @@ class Scope(Widget, can_focus=True):
         if not self._pens:
             self._pens = self._make_pens()
         view = self._view(t, y, columns * 2)
-        self.picture = compose(t, y, self.channels, self.settings, view, self._ranges, (columns, rows))
+        self.picture = compose(t, y, self.channels, self.settings, view, self._ranges, (columns, rows), self.limits)
         self._ranges = {lane.unit: (lane.bottom, lane.top) for lane in self.picture.lanes}
         self._values = y[-1] if len(y) else np.zeros(0)
         strips = [self._text(row, width) for row in self._legend_rows(width)]
@@ -243,15 +244,15 @@ class Scope(Widget, can_focus=True):
         if not self._pens:
             self._pens = self._make_pens()
         s = self.settings
-        state = "PAUSED" if self.paused else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
+        state = "" if not self._live else "PAUSED" if self.paused else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
         mode = f" {state} {duration(s.window)}{'' if s.auto else ' fixed'} "
         mode_style = self._pens[CURSOR] + Style(reverse=True) if self.paused else self._pens[CURSOR]
         rows: list[list[tuple[str, Style]]] = [[]]
         room = width - len(mode)
         values = getattr(self, "_values", np.zeros(0))
         for k, channel in enumerate(self.channels):
-            value = number(float(values[k])) if k < len(values) else "—"
-            text = f" {k + 1}▐ {channel.name} {value:>9}{' ' + channel.unit if channel.unit else ''} "
+            value = f" {number(float(values[k])) if k < len(values) else '—':>9}" if self._live else ""
+            text = f" {k + 1}▐ {channel.name}{value}{' ' + channel.unit if channel.unit else ''} "
             if sum(len(part) for part, _ in rows[-1]) + len(text) > room and rows[-1]:
                 if len(rows) == 3:
                     break
@@ -294,6 +295,7 @@ class Scope(Widget, can_focus=True):
         styles = {k: back + Style(color=colour) for k, colour in enumerate(colours.traces)}
         styles[GRID] = back + Style(color=colours.grid)
         styles[CURSOR] = back + Style(color=colours.cursor)
+        styles[LIMIT] = back + Style(color=self.app.theme_variables["error"])
         styles[EMPTY] = back
         return styles
 

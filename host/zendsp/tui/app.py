@@ -1,0 +1,206 @@
+"""The terminal application: three screens over one session, one table of actions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import ClassVar, cast
+
+from textual.app import App, SystemCommand
+from textual.binding import Binding
+from textual.screen import ModalScreen, Screen
+
+from zendsp.errors import ZendspError
+from zendsp.tui.actions import ACTIONS, bindings
+from zendsp.tui.colours import THEMES
+from zendsp.tui.dialogs import Choose, Message, Option
+from zendsp.tui.port import Port
+from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.session import Session
+from zendsp.tui.workspace import Workspace
+
+
+class ZendspApp(App[None]):
+    """Console, Execute and Reference.
+
+    Parameters
+    ----------
+    open_port : callable
+        ``open_port(name) -> Port``.
+    find_targets : callable, optional
+        Returns the targets in reach as (name, description).
+    start_machine : callable, optional
+        ``start_machine(machine) -> (name, Port)`` starts a simulated machine here.
+    machines : sequence of str
+        What ``start_machine`` knows.
+    folder : path
+        Where references, runs and parameter sets are kept.
+    source : path, optional
+        C file to begin with.
+    """
+
+    TITLE = "zendsp"
+    CSS_PATH = "zendsp.tcss"
+    ENABLE_COMMAND_PALETTE = True
+    BINDINGS = bindings("app")  # noqa: RUF012
+
+    def __init__(
+        self,
+        open_port: Callable[[str], Port],
+        *,
+        find_targets: Callable[[], list[tuple[str, str]]] | None = None,
+        start_machine: Callable[[str], tuple[str, Port]] | None = None,
+        machines: Iterable[str] = (),
+        target: str = "",
+        folder: Path = Path("."),
+        source: Path | None = None,
+        first: str = "console",
+        theme: str = "zendsp-night",
+    ) -> None:
+        super().__init__()
+        self.session = Session(open_port)
+        self.workspace = Workspace(folder)
+        self.source = source
+        self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)
+        self._target, self._first, self._theme_name = target, first, theme
+        self._screens: dict[str, LabScreen] = {}
+
+    # -- life ---------------------------------------------------------------------------------------------------------
+
+    def on_mount(self) -> None:
+        from zendsp.tui.screens.console import ConsoleScreen
+        from zendsp.tui.screens.execute import ExecuteScreen
+        from zendsp.tui.screens.reference import ReferenceScreen
+
+        for theme in THEMES:
+            self.register_theme(theme)
+        self.theme = self._theme_name
+        self.session.start()
+        makers = {"console": ConsoleScreen, "execute": ExecuteScreen, "reference": ReferenceScreen}
+        for name, maker in makers.items():
+            self.add_mode(name, lambda name=name, maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
+        self.switch_mode(self._first)
+        if self._target:
+            self.session.connect(self._target)
+
+    def on_unmount(self) -> None:
+        self.session.close()
+
+    # -- actions of the table that belong to no screen ------------------------------------------------------------------
+
+    async def action_stop(self) -> None:
+        """STOP."""
+        self.session.stop()
+        self.toast("STOP sent", "warning")
+
+    async def action_show(self, name: str) -> None:
+        """Show a screen; not while a dialog waits for an answer."""
+        if not isinstance(self.screen, ModalScreen) and self.current_mode != name:
+            await self.switch_mode(name)
+
+    def action_help(self) -> None:
+        """Show the keys."""
+        if isinstance(self.screen, LabScreen):
+            self.push_screen(Message("Keys", self.screen.help_text()))
+
+    def action_next_theme(self) -> None:
+        """Change the colours."""
+        names = [t.name for t in THEMES] + sorted(n for n in self.available_themes if not n.startswith("zendsp"))
+        self.theme = names[(names.index(self.theme) + 1) % len(names)]
+
+    def action_connect(self) -> None:
+        """Choose a target."""
+        self.run_worker(self._ask_target, thread=True, exclusive=True, group="discovery")
+
+    def _ask_target(self) -> None:
+        try:
+            found = self._find() if self._find else []
+        except ZendspError as error:
+            found = []
+            self.session.events.add(f"discovery: {error}", "warning")
+        options = [Option(f"target {name}", name, text) for name, text in found]
+        options += [Option(f"machine {m}", f"start {m} here", "a simulated machine in a process of its own") for m in self._machines]
+        self.call_from_thread(self._offer_targets, options)
+
+    def _offer_targets(self, options: list[Option]) -> None:
+        if not options:
+            self.toast("no target answers, and none can be started here; start one with: zendsp target", "warning")
+            return
+        self.push_screen(Choose("Connect to", options), self._connect)
+
+    def _connect(self, keys: list[str] | None) -> None:
+        if not keys:
+            return
+        what, _, name = keys[0].partition(" ")
+        if what == "target":
+            self.session.connect(name)
+        elif self._start_machine is not None:
+            self.toast(f"starting {name} …", "information")
+            self.run_worker(lambda: self._start_here(name), thread=True, exclusive=True, group="discovery")
+
+    def _start_here(self, machine: str) -> None:
+        assert self._start_machine is not None
+        try:
+            name, port = self._start_machine(machine)
+        except ZendspError as error:
+            self.session.events.add(f"start {machine}: {error}", "error")
+            self.call_from_thread(self.toast, str(error), "error")
+            return
+        self.session.adopt(port, name)
+
+    def action_command(self) -> None:
+        """Take the right to command, or give it back."""
+        if self.session.snapshot.mine:
+            self.session.do("give back the command right", lambda port: port.drive("release"))
+        elif self.session.snapshot.commander:
+            who = self.session.snapshot.commander
+            self.push_screen(
+                Message("Take over", f"{who} commands this target.\nTaking over ends that at once.", agree="Take over"),
+                lambda yes: self.drive("take the command right", "take", force=True) if yes else None,
+            )
+        else:
+            self.drive("take the command right", "take")
+
+    def action_acknowledge(self) -> None:
+        """Acknowledge a trip."""
+        self.drive("acknowledge", "acknowledge")
+
+    # -- helpers of the screens -------------------------------------------------------------------------------------------
+
+    def drive(self, label: str, verb: str, **values: object) -> None:
+        """Ask something of the drives; a refusal is shown with its reason."""
+
+        def job(port: Port) -> str:
+            return port.drive(verb, **values)
+
+        def done(future: object) -> None:
+            from concurrent.futures import Future
+
+            error = cast("Future[str]", future).exception()
+            if error is not None:
+                self.call_later(self.toast, f"{label}: {error}", "error")
+            else:
+                said = cast("Future[str]", future).result()
+                self.session.events.add(said or f"{label}: done", "good")
+
+        self.session.do(label, job).add_done_callback(done)
+
+    def toast(self, text: str, level: str = "information") -> None:
+        """Show a short message over the screen; brackets of units survive."""
+        severity = "error" if level == "error" else "warning" if level == "warning" else "information"
+        self.notify(text, severity=severity, timeout=6, markup=False)  # type: ignore[arg-type]
+
+    def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
+        """Fill the command palette from the table of actions."""
+        here = screen.NAME if isinstance(screen, LabScreen) else ""
+        for a in ACTIONS:
+            if a.scope in ("app", here) and a.name != "command_palette":
+                node = self if a.scope == "app" else screen
+
+                def run(name: str = a.name, node: object = node) -> None:
+                    self.call_later(self.run_action, name, node)
+
+                yield SystemCommand(f"{a.label} ({a.shown_key})", a.help, run)
+
+
+STOP_BINDING: Binding = next(b for b in ZendspApp.BINDINGS if isinstance(b, Binding) and b.action == "stop")

@@ -1,0 +1,68 @@
+"""What the terminal needs of a target; ``link_port`` fulfils it with a :class:`zendsp.link.Target`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.recording import Recording
+from zendsp.tui.snapshot import Snapshot
+
+Sink = Callable[[npt.NDArray[np.int64], npt.NDArray[np.float64], float], None]
+
+
+@dataclass(frozen=True)
+class Remark:
+    """One message of the compiler."""
+
+    severity: str  # "error" | "warning" | "note"
+    file: str
+    line: int
+    column: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Build:
+    """What became of a source."""
+
+    ok: bool
+    seconds: float
+    cached: bool
+    remarks: tuple[Remark, ...]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What to acquire."""
+
+    channels: tuple[str, ...]
+    seconds: float
+    decimation: int = 1
+    trigger: str = ""  # source, "" to start now
+    level: float = 0.0
+    edge: str = "rising"
+    pre_s: float = 0.0
+
+
+class Port(Protocol):
+    """Every call may raise ``ZendspError``; ``LinkError`` means that the target is out of reach."""
+
+    def snapshot(self) -> Snapshot: ...
+    def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]: ...
+    def stop(self) -> None: ...
+    def start(self) -> None: ...
+    def pause(self) -> None: ...
+    def build(self, sources: Mapping[str, str]) -> Build: ...
+    def write(self, values: Mapping[str, Any]) -> int: ...
+    def update(self, values: Mapping[str, Any]) -> int: ...
+    def drive(self, verb: str, **values: Any) -> str: ...
+    def arm(self, shot: Shot) -> None: ...
+    def progress(self) -> tuple[str, float]: ...
+    def load(self, note: str = "") -> Recording: ...
+    def end_acquisition(self) -> None: ...
+    def close(self) -> None: ...

@@ -1,0 +1,103 @@
+"""Shows a reference on the scope: its curves by view, its path in the plane, its peaks against the limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.reference import Machine, Reference, forward_kinematics
+from zendsp.tui.scope import Channel, History, Scope
+from zendsp.tui.scope.path import Curve
+
+Floats = npt.NDArray[np.float64]
+QUANTITIES = ("position", "velocity", "acceleration", "torque")
+
+
+def views_of(reference: Reference, tall: bool = True) -> list[str]:
+    """Return the views there are: everything at once for one or two joints where there is room, else one quantity."""
+    every = ["all"] if reference.joints <= 2 and tall else []
+    return [*every, *QUANTITIES, "path"]
+
+
+def _columns(reference: Reference, tau: Floats) -> dict[str, tuple[str, str, Floats]]:
+    u = reference.unit
+    return {
+        "position": ("q", u, reference.q),
+        "velocity": ("qd", f"{u}/s", reference.qd),
+        "acceleration": ("qdd", f"{u}/s²", reference.qdd),
+        "torque": ("tau", "N m" if u == "rad" else "N", tau),
+    }
+
+
+def curves_of(scope: Scope, reference: Reference, tau: Any, view: str) -> None:
+    """Put a reference on a scope that is not live."""
+    chosen = _columns(reference, tau)
+    if view != "all":
+        chosen = {view: chosen[view]}
+    channels, columns = [], []
+    for name, unit, values in chosen.values():
+        for joint in range(reference.joints):
+            channels.append(Channel(f"{name}{joint + 1}", unit))
+            columns.append(values[:, joint])
+    data = np.stack(columns, axis=1)[:, :8]
+    history = History(data.shape[1], rows=len(data) + 1)
+    history.append(np.arange(len(data)), data, reference.sample_time)
+    scope.settings = replace(scope.settings, mode="roll", window=max(reference.duration, 1e-3) * 1.0001, selected=0)
+    scope.show_channels(channels, history)
+
+
+def limits_of(machine: Machine) -> dict[str, list[float]]:
+    """Return the limits of a machine by unit, as the scope draws them."""
+    lim = machine.limits
+
+    def both(values: Floats) -> list[float]:
+        return sorted({float(v) for v in values} | {-float(v) for v in values})
+
+    return {
+        "rad": sorted({float(v) for v in (*lim.position_min, *lim.position_max)}),
+        "rad/s": both(lim.speed),
+        "rad/s²": both(lim.acceleration),
+        "N m": both(lim.torque),
+    }
+
+
+def peaks_of(machine: Machine, reference: Reference, tau: Any, brief: bool = False) -> list[list[tuple[float, str]]]:
+    """Return for each quantity the peaks of the joints as (share of the limit, words); ``brief`` leaves the values out."""
+    lim = machine.limits
+    low, high = lim.position_min, lim.position_max
+    reach = np.maximum(np.abs(low), np.abs(high))
+    lines = []
+    for name, (_, unit, values) in _columns(reference, tau).items():
+        limit = {"position": reach, "velocity": lim.speed, "acceleration": lim.acceleration, "torque": lim.torque}[name]
+        parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]
+        for joint in range(min(reference.joints, len(limit))):
+            peak = float(np.abs(values[:, joint]).max())
+            share = peak / limit[joint] if np.isfinite(limit[joint]) and limit[joint] > 0 else 0.0
+            if reference.joints <= 2 and not brief:
+                parts.append((share, f"{peak:9.4g} {unit:<7}{100 * share:4.0f} %   "))
+            else:
+                parts.append((share, f"{100 * share:4.0f} %"))
+        lines.append(parts)
+    return lines
+
+
+def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[str, str], bool]:
+    """Return the curves, the names of the axes and whether both have one scale: the tip's path, else the phase plane."""
+    if machine.kind == "planar2r":
+        l1, l2 = float(machine.parameters["l1"]), float(machine.parameters["l2"])
+        angle = np.linspace(0.0, 2.0 * np.pi, 181)
+        circle = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        tip = forward_kinematics(machine, reference.q)[:: max(reference.samples // 2000, 1)]
+        q = reference.q[0]
+        arm = np.array([[0.0, 0.0], [l1 * np.cos(q[0]), l1 * np.sin(q[0])], tip[0]])
+        curves = [Curve("reach", (l1 + l2) * circle, -1), Curve("arm at start", arm, 7), Curve("path of the tip", tip, 1)]
+        return curves, ("x [m]", "y [m]"), True
+    step = max(reference.samples // 2000, 1)
+    curves = [
+        Curve(f"joint {j + 1}", np.stack((reference.q[::step, j], reference.qd[::step, j]), axis=1), j)
+        for j in range(min(reference.joints, 8))
+    ]
+    return curves, (f"q [{reference.unit}]", f"qd [{reference.unit}/s]"), False

@@ -1,0 +1,83 @@
+"""What the three screens share: the status bar above, the footer below, and a look at the snapshot at 30 Hz."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.screen import Screen
+from textual.widgets import Footer
+
+from zendsp.tui.actions import actions
+from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.statusbar import StatusBar
+
+if TYPE_CHECKING:
+    from zendsp.tui.app import ZendspApp
+
+PULL_S = 1.0 / 30.0
+WIDE = 116  # columns from which panels stand side by side
+
+
+class LabScreen(Screen[None]):
+    """One of Console, Execute, Reference."""
+
+    NAME: ClassVar[str] = ""
+    HORIZONTAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-narrow"), (WIDE, "-broad")]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bar = StatusBar(self.NAME)
+        self._pulled: Snapshot | None = None
+
+    @property
+    def lab(self) -> ZendspApp:
+        """The application, by its own type."""
+        from zendsp.tui.app import ZendspApp
+
+        assert isinstance(self.app, ZendspApp)
+        return self.app
+
+    def compose(self) -> ComposeResult:
+        yield self.bar
+        yield from self.body()
+        yield Footer(compact=True, show_command_palette=False)
+
+    def body(self) -> ComposeResult:
+        """Yield what stands between the status bar and the footer."""
+        raise NotImplementedError
+
+    def on_mount(self) -> None:
+        self.set_interval(PULL_S, self._pull)
+
+    def _pull(self) -> None:
+        if self not in self.app.screen_stack:  # another screen is shown; a dialog over this one is not another screen
+            return
+        snapshot = self.lab.session.snapshot
+        self.bar.show(snapshot)
+        fresh = snapshot is not self._pulled
+        self._pulled = snapshot
+        self.pull(snapshot, fresh)
+
+    def pull(self, snapshot: Snapshot, fresh: bool) -> None:
+        """Show a snapshot; ``fresh`` tells whether it is another one than last time."""
+
+    def say(self, text: str, level: str = "info") -> None:
+        """Put a line into the event log, and before the user's eyes where it matters."""
+        self.lab.session.events.add(text, level)
+        if level in ("warning", "error"):
+            self.lab.toast(text, level)
+
+    def help_text(self) -> Text:
+        """Return every key of this screen and those that work everywhere."""
+        c: dict[str, Any] = self.app.theme_variables
+        text = Text()
+        for scope, title in ((self.NAME, self.NAME.capitalize()), ("app", "Everywhere")):
+            text.append(f"{title}\n", f"bold {c['accent']}")
+            for a in actions(scope):
+                text.append(f"  {a.shown_key:>6} ", f"bold {c['primary']}")
+                text.append(f"{a.label:<14}", "bold")
+                text.append(f" {a.help}\n")
+            text.append("\n")
+        return text

@@ -1,0 +1,302 @@
+"""Reference: plans a motion, shows it over the limits of the machine, saves the MAT that Execute plays. Needs no target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from rich.text import Text
+from textual import on
+from textual.app import ComposeResult
+from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.timer import Timer
+from textual.widgets import Button, Input, Select, Static, Switch
+
+from zendsp.errors import ReferenceError_, ZendspError
+from zendsp.reference import KINDS, MACHINES, Machine, Parameter, Reference, Violation, load_machine, load_reference
+from zendsp.reference import save_reference
+from zendsp.tui.actions import bindings
+from zendsp.tui.dialogs import Choose, Field, Form, Option, not_empty
+from zendsp.tui.preview import curves_of, limits_of, path_of, peaks_of, views_of
+from zendsp.tui.scope import Scope
+from zendsp.tui.scope.path import PathPlot
+from zendsp.tui.screens.base import WIDE, LabScreen
+
+SETTLE_S = 0.25  # of quiet after a key before the motion is planned anew
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One planned motion with its check."""
+
+    reference: Reference
+    tau: Any  # (N, joints), N m
+    violations: tuple[Violation, ...]
+
+
+class ReferenceScreen(LabScreen):
+    """Form on the left, preview on the right."""
+
+    NAME: ClassVar[str] = "reference"
+    BINDINGS = bindings("reference")  # noqa: RUF012
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.machine: Machine = load_machine(MACHINES[0])
+        self.kind = next(iter(KINDS))
+        self.plan: Plan | None = None
+        self.view = "all"
+        self._timer: Timer | None = None
+
+    # -- layout -------------------------------------------------------------------------------------------------------
+
+    def body(self) -> ComposeResult:
+        with Horizontal(id="reference-body"):
+            with Vertical(id="form"):
+                with Horizontal(classes="line"):
+                    yield Static("Machine", classes="label")
+                    yield Select([(m, m) for m in MACHINES], value=self.machine.name, allow_blank=False, compact=True, id="machine")
+                with Horizontal(classes="line"):
+                    yield Static("Motion", classes="label")
+                    yield Select(self._kinds(), value=self.kind, allow_blank=False, compact=True, id="kind")
+                yield Static("", id="about", markup=False)
+                yield VerticalScroll(id="fields")
+                yield Static("", id="problem", markup=False)
+                with Horizontal(classes="line"):
+                    yield Button("Save ^s", id="save", variant="primary", compact=True)
+                    yield Button("Execute x", id="to-execute", compact=True)
+            with Vertical(id="preview"):
+                yield Scope(id="curves", live=False)
+                yield PathPlot(id="path")
+                yield Static("", id="check", markup=False)
+
+    def _kinds(self) -> list[tuple[Text, str]]:
+        return [(Text(kind.title), name) for name, kind in KINDS.items() if kind.fits(self.machine)]
+
+    async def on_mount(self) -> None:
+        super().on_mount()
+        scope = self.query_one("#curves", Scope)
+        scope.empty_text = "nothing planned yet"
+        await self._fill_form()
+
+    # -- the form -----------------------------------------------------------------------------------------------------
+
+    async def _fill_form(self) -> None:
+        kind = KINDS[self.kind]
+        self.query_one("#about", Static).update(kind.description)
+        fields = self.query_one("#fields", VerticalScroll)
+        await fields.remove_children()
+        await fields.mount(*[self._line(p) for p in kind.parameters])
+        self._plan_soon()
+
+    def _line(self, p: Parameter) -> Horizontal:
+        value = p.default_for(self.machine)
+        widget: Input | Select[str] | Switch
+        if p.type == "choice":
+            widget = Select([(c, c) for c in p.choices], value=str(value), allow_blank=False, compact=True, name=p.name)
+        elif p.type == "bool":
+            widget = Switch(bool(value), name=p.name)
+        else:
+            widget = Input(words(value), compact=True, name=p.name)
+        bounds = f"  ({p.describe_bounds()})" if p.describe_bounds() and not p.choices else ""
+        widget.tooltip = f"{p.description}{bounds}".replace("[", "(").replace("]", ")")
+        unit = Static(p.unit, classes="unit", markup=False)
+        return Horizontal(Static(p.name, classes="label", markup=False), widget, unit, classes="line parameter")
+
+    @on(Select.Changed, "#machine")
+    async def _machine_changed(self, event: Select.Changed) -> None:
+        if event.value == self.machine.name:
+            return
+        self.machine = load_machine(str(event.value))
+        kinds = self.query_one("#kind", Select)
+        fitting = self._kinds()
+        if self.kind not in [name for _, name in fitting]:
+            self.kind = fitting[0][1]
+        with self.prevent(Select.Changed):
+            kinds.set_options(fitting)
+            kinds.value = self.kind
+        await self._fill_form()
+
+    @on(Select.Changed, "#kind")
+    async def _kind_changed(self, event: Select.Changed) -> None:
+        if event.value != self.kind and str(event.value) in KINDS:
+            self.kind = str(event.value)
+            await self._fill_form()
+
+    @on(Input.Changed, "#fields Input")
+    @on(Select.Changed, "#fields Select")
+    @on(Switch.Changed, "#fields Switch")
+    def _plan_soon(self) -> None:
+        if self._timer is not None:
+            self._timer.stop()
+        self._timer = self.set_timer(SETTLE_S, self.plan_now)
+
+    def values(self) -> dict[str, Any]:
+        """Return the parameters as typed, parsed; raises ReferenceError_ with the reason."""
+        values = {}
+        for p in KINDS[self.kind].parameters:
+            for widget in self.query(f"#fields .parameter > *"):
+                if widget.name == p.name and isinstance(widget, Input | Select | Switch):
+                    raw = widget.value
+                    if p.default is None and raw == "":
+                        continue
+                    values[p.name] = p.parse(raw, self.machine)
+        return values
+
+    # -- planning -----------------------------------------------------------------------------------------------------
+
+    def plan_now(self) -> None:
+        """Plan on a thread: an optimal swing takes seconds."""
+        try:
+            values = self.values()
+        except ReferenceError_ as error:
+            self._show_problem(str(error))
+            return
+        self._show_problem("")
+        machine, kind = self.machine, KINDS[self.kind]
+
+        def work() -> None:
+            try:
+                reference = kind.make(machine, sample_time=machine.sample_time, **values)
+                plan = Plan(reference, machine.torque(reference), tuple(machine.find_violations(reference)))
+            except ZendspError as error:
+                self.app.call_from_thread(self._show_problem, str(error))
+                return
+            self.app.call_from_thread(self._show_plan, plan, (machine.name, kind.name))
+
+        self.run_worker(work, thread=True, exclusive=True, group="plan")
+
+    def _show_problem(self, text: str) -> None:
+        self.query_one("#problem", Static).update(text)
+        self.query_one("#save", Button).disabled = bool(text) or self.plan is None
+        if text:
+            self.plan = None
+            self.query_one("#check", Static).update("")
+
+    def _show_plan(self, plan: Plan, of: tuple[str, str]) -> None:
+        if of != (self.machine.name, self.kind):
+            return  # the user has gone on meanwhile
+        self.plan = plan
+        if self.view not in self._views():
+            self.view = self._views()[0]
+        scope, path = self.query_one("#curves", Scope), self.query_one("#path", PathPlot)
+        scope.display, path.display = self.view != "path", self.view == "path"
+        if self.view == "path":
+            path.show(*path_of(self.machine, plan.reference))
+        else:
+            curves_of(scope, plan.reference, plan.tau, self.view)
+            scope.limits = limits_of(self.machine)
+        self.query_one("#check", Static).update(self._check(plan))
+        self.query_one("#save", Button).disabled = bool(plan.violations)
+
+    def _views(self) -> list[str]:
+        return views_of(self.plan.reference, tall=self.size.height >= 36) if self.plan is not None else []
+
+    def on_resize(self) -> None:
+        if self.plan is not None:
+            self._show_plan(self.plan, (self.machine.name, self.kind))
+
+    def _check(self, plan: Plan) -> Text:
+        c = self.app.theme_variables
+        r = plan.reference
+        brief = self.size.width < WIDE
+        text = Text()
+        text.append(f"{r.duration:.3f} s, {r.samples} samples at {1.0 / r.sample_time:g} Hz", "bold")
+        text.append("\n" if brief else f"   view: {self.view}   v changes\n", "dim")
+        for line in peaks_of(self.machine, r, plan.tau, brief):
+            for share, words_ in line:
+                colour = c["error"] if share > 1.0 + 1e-9 else c["warning"] if share > 0.9 else c["success"]
+                text.append(words_, colour)
+            text.append("\n")
+        for violation in plan.violations:
+            text.append(f"✖ {violation}\n", f"bold {c['error']}")
+        if not plan.violations:
+            text.append("✔ within every limit of the machine", c["success"])
+        text.rstrip()
+        return text
+
+    # -- actions ------------------------------------------------------------------------------------------------------
+
+    def action_machine(self) -> None:
+        """Open the list of machines."""
+        select = self.query_one("#machine", Select)
+        select.focus()
+        select.action_show_overlay()
+
+    def action_kind(self) -> None:
+        """Open the list of motions."""
+        select = self.query_one("#kind", Select)
+        select.focus()
+        select.action_show_overlay()
+
+    def action_view(self) -> None:
+        """Go to the next view."""
+        if self.plan is not None:
+            views = self._views()
+            self.view = views[(views.index(self.view) + 1) % len(views)]
+            self._show_plan(self.plan, (self.machine.name, self.kind))
+
+    @on(Button.Pressed, "#save")
+    def action_save(self) -> None:
+        """Ask for a name and save."""
+        self._save(None)
+
+    @on(Button.Pressed, "#to-execute")
+    def action_execute(self) -> None:
+        """Save and open on Execute."""
+        self._save("execute")
+
+    def _save(self, then: str | None) -> None:
+        plan = self.plan
+        if plan is None or plan.violations:
+            self.say("nothing to save: the motion is not planned, or it breaks a limit (see below the curves)", "warning")
+            return
+        stem = f"{self.machine.name}-{self.kind}"
+        form = Form("Save reference", [Field("name", "Name", stem, check=not_empty)], str(self.lab.workspace.references), "Save")
+        self.app.push_screen(form, lambda result: self._write(plan, result["name"], then) if result else None)
+
+    def _write(self, plan: Plan, name: str, then: str | None) -> None:
+        path = self.lab.workspace.free(self.lab.workspace.references, name, ".mat")
+        try:
+            save_reference(plan.reference, path)
+        except (ZendspError, OSError) as error:
+            self.say(f"save {path.name}: {error}", "error")
+            return
+        self.say(f"saved {path}", "good")
+        self.lab.toast(f"saved {path}")
+        if then == "execute":
+            self.lab.play(path)
+
+    def action_load(self) -> None:
+        """Choose among the saved references."""
+        options = [Option(str(p), p.stem, p.parent.name) for p in self.lab.workspace.saved_references()]
+        if not options:
+            self.say("no saved reference yet: save one with Ctrl+S", "warning")
+            return
+        self.app.push_screen(Choose("Reference", options), lambda keys: self._open(Path(keys[0])) if keys else None)
+
+    def _open(self, path: Path) -> None:
+        try:
+            reference = load_reference(path)
+            machine = load_machine(reference.machine) if reference.machine else self.machine
+            plan = Plan(reference, machine.torque(reference), tuple(machine.find_violations(reference)))
+        except (ZendspError, OSError) as error:
+            self.say(f"{path.name}: {error}", "error")
+            return
+        self.machine = machine
+        with self.prevent(Select.Changed):
+            self.query_one("#machine", Select).value = machine.name
+        self._show_plan(plan, (self.machine.name, self.kind))
+
+
+def words(value: Any) -> str:
+    """Return a default as text for an input field: numbers without noise, lists with blanks."""
+    if value is None:
+        return ""
+    if isinstance(value, bool | str):
+        return str(value)
+    if isinstance(value, list | tuple | np.ndarray):
+        return " ".join(f"{float(v):.6g}" for v in np.ravel(value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,258 @@
+"""Talks to the target from threads of its own and keeps the newest snapshot; screens only ever read that.
+
+Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects, the worker does what the
+user asked in order, and STOP has a thread to itself that never stands behind either.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from zendsp.errors import LinkError, ZendspError
+from zendsp.tui.events import EventLog
+from zendsp.tui.port import Port
+from zendsp.tui.scope import Channel, History
+from zendsp.tui.snapshot import Snapshot
+
+T = TypeVar("T")
+POLL_S = 0.1  # between snapshots
+RETRY_S = 0.4  # between attempts to reconnect
+
+
+class Session:
+    """The link of one terminal to one target.
+
+    Parameters
+    ----------
+    open_port : callable
+        ``open_port(name) -> Port``; raises :class:`LinkError` where nothing answers.
+    """
+
+    def __init__(self, open_port: Callable[[str], Port]) -> None:
+        self.events = EventLog()
+        self.snapshot = Snapshot()
+        self.channels: tuple[Channel, ...] = ()
+        self.history = History(0)
+        self._open = open_port
+        self._port: Port | None = None
+        self._name = ""
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
+        self._live: Callable[[], None] | None = None
+        self._live_wanted = False
+        self._lock = threading.Lock()
+        self._threads = [
+            threading.Thread(target=self._poll, name="tui-poller", daemon=True),
+            threading.Thread(target=self._work, name="tui-worker", daemon=True),
+        ]
+
+    # -- life ---------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Start the threads."""
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Leave the target as it is and end the threads."""
+        self._closing.set()
+        self._wake.set()
+        self._jobs.put(None)
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(timeout=3.0)
+        self._drop()
+
+    def connect(self, name: str) -> None:
+        """Talk to another target from now on; returns at once, the snapshot tells how it goes."""
+        self._drop()
+        with self._lock:
+            self._name = name
+        self.snapshot = Snapshot(link="connecting", target=name)
+        self._wake.set()
+
+    def adopt(self, port: Port, name: str) -> None:
+        """Talk to a target that is already open, for example one that was started here."""
+        self._drop()
+        with self._lock:
+            self._name, self._port = name, port
+        self._live_wanted = bool(self.channels)
+        self._wake.set()
+
+    # -- what the user asks ---------------------------------------------------------------------------------------------
+
+    def do(self, label: str, job: Callable[[Port], T]) -> Future[T]:
+        """Run a job against the target on the worker thread. What goes wrong becomes an event and the future's error."""
+        future: Future[T] = Future()
+        self._jobs.put((future, label, job))
+        return future
+
+    def stop(self) -> Future[None]:
+        """STOP: at once, on a thread of its own, past everything that waits."""
+        future: Future[None] = Future()
+        threading.Thread(target=self._stop, args=(future,), name="tui-stop", daemon=True).start()
+        return future
+
+    def _stop(self, future: Future[None]) -> None:
+        port = self._port
+        try:
+            if port is None:
+                raise LinkError("STOP not sent: there is no link to a target; use the machine's own emergency stop")
+            port.stop()
+            self.events.add("STOP: velocity mode, zero reference", "warning")
+            future.set_result(None)
+        except Exception as error:
+            self.events.add(f"STOP failed: {error}", "error")
+            future.set_exception(error)
+        self._wake.set()
+
+    def watch(self, channels: Sequence[Channel]) -> History:
+        """Follow these signals live; returns the history that fills from now on."""
+        self.channels = tuple(channels)
+        self.history = History(len(self.channels))
+        self._live_wanted = True
+        self._wake.set()
+        return self.history
+
+    # -- the poller -----------------------------------------------------------------------------------------------------
+
+    def _poll(self) -> None:
+        while not self._closing.is_set():
+            port, name = self._port, self._name
+            pause = POLL_S
+            if port is not None:
+                try:
+                    if self._live_wanted:
+                        self._follow(port)
+                    snapshot = port.snapshot()
+                    if self._port is port:
+                        self._take(replace(snapshot, link="up", target=snapshot.target or name))
+                except LinkError as error:
+                    self._lost(port, str(error))
+                except ZendspError as error:
+                    self.events.add(f"status: {error}", "error")
+                    pause = 5 * POLL_S
+                except Exception as error:  # a screen that stays alive beats a thread that died unseen
+                    self.events.add(f"status: {type(error).__name__}: {error}", "error")
+                    pause = 10 * POLL_S
+            elif name:
+                pause = RETRY_S
+                self._connect(name)
+            self._wake.wait(pause)
+            self._wake.clear()
+
+    def _take(self, new: Snapshot) -> None:
+        """Keep a snapshot and put its changes of state into the event log."""
+        old, self.snapshot = self.snapshot, new
+        if old.link != "up":
+            return
+        if new.state != old.state:
+            self.events.add(f"program {old.state or '—'} → {new.state}", "good" if new.state == "running" else "info")
+        if new.drive != old.drive:
+            bad = new.drive in ("tripped", "stopped")
+            self.events.add(f"drives {old.drive or '—'} → {new.drive}", "warning" if bad else "info")
+        if new.trip != old.trip and new.trip is not None:
+            self.events.add(f"trip at sample {new.trip.tick}: {new.trip.text}", "error")
+        if new.crash != old.crash and new.crash:
+            self.events.add(f"crash: {new.crash}", "error")
+        if new.commander != old.commander:
+            self.events.add(f"command right: {'you' if new.mine else new.commander or 'nobody'}")
+        if new.program != old.program:
+            self._live_wanted = bool(self.channels)
+
+    def _connect(self, name: str) -> None:
+        lost = self.snapshot.link == "lost"
+        try:
+            port = self._open(name)
+        except ZendspError as error:
+            if not lost and self.snapshot.link != "connecting":
+                self.snapshot = Snapshot(link="connecting", target=name)
+            self._complain(str(error))
+            return
+        with self._lock:
+            if name != self._name:
+                port.close()
+                return
+            self._port = port
+        self._complaint = ""
+        self._live_wanted = bool(self.channels)
+        self.events.add(f"link to {name} is {'back' if lost else 'up'}", "good")
+        self._wake.set()
+
+    _complaint = ""
+
+    def _complain(self, text: str) -> None:
+        """Log a failure to connect once, not at every attempt."""
+        if text != self._complaint:
+            self._complaint = text
+            self.events.add(text, "warning")
+
+    def _lost(self, port: Port, why: str) -> None:
+        with self._lock:
+            if self._port is not port:
+                return
+            self._port = None
+        self._live = None
+        self.snapshot = replace(self.snapshot, link="lost", latency_s=float("nan"), recording=False)
+        self.events.add(f"link lost: {why}", "error")
+        threading.Thread(target=_close_quietly, args=(port,), daemon=True).start()
+
+    def _drop(self) -> None:
+        with self._lock:
+            port, self._port, self._name = self._port, None, ""
+        self._live = None
+        if port is not None:
+            _close_quietly(port)
+
+    def _follow(self, port: Port) -> None:
+        """Subscribe to the wanted channels; signals that the program lacks are left out with a word."""
+        self._live_wanted = False
+        if self._live is not None:
+            self._live()
+            self._live = None
+        if not self.channels:
+            return
+        history = self.history
+        try:
+            self._live = port.live([c.name for c in self.channels], history.append)
+        except LinkError:
+            raise
+        except ZendspError as error:
+            self.events.add(f"scope: {error}", "warning")
+
+    # -- the worker -----------------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while True:
+            item = self._jobs.get()
+            if item is None or self._closing.is_set():
+                return
+            future, label, job = item
+            port = self._port
+            try:
+                if port is None:
+                    raise LinkError(f"{label}: there is no link to a target; connect with Ctrl+O")
+                future.set_result(job(port))
+            except ZendspError as error:
+                self.events.add(f"{label}: {error}", "error")
+                future.set_exception(error)
+            except Exception as error:
+                self.events.add(f"{label}: {type(error).__name__}: {error}", "error")
+                future.set_exception(error)
+            self._wake.set()
+
+
+def _close_quietly(port: Port) -> None:
+    try:
+        port.close()
+    except Exception:  # the link is gone anyway; nothing is left to be told
+        return
+
+
+Values = Mapping[str, Any]

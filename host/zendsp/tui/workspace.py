@@ -1,0 +1,54 @@
+"""The folder that a terminal works in: references, runs and parameter sets, as plain files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+
+def file_name(text: str) -> str:
+    """Return a text as a name that any file system takes."""
+    return re.sub(r"[^\w.+-]+", "_", text.strip()).strip("._") or "unnamed"
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where things are kept; folders come into being when something is saved."""
+
+    root: Path
+
+    @property
+    def references(self) -> Path:
+        """Planned motions, MAT."""
+        return self.root / "references"
+
+    @property
+    def runs(self) -> Path:
+        """One folder for each run."""
+        return self.root / "runs"
+
+    @property
+    def sets(self) -> Path:
+        """Parameter sets, JSON."""
+        return self.root / "sets"
+
+    def free(self, folder: Path, stem: str, suffix: str) -> Path:
+        """Return a path in ``folder`` that does not exist yet, made of ``stem``."""
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{file_name(stem)}{suffix}"
+        n = 2
+        while path.exists():
+            path = folder / f"{file_name(stem)}-{n}{suffix}"
+            n += 1
+        return path
+
+    def saved_references(self) -> list[Path]:
+        """Return the references there are, newest first."""
+        return sorted(self.references.glob("*.mat"), key=lambda p: p.stat().st_mtime, reverse=True)
+
+    def sources(self) -> list[Path]:
+        """Return the C files in this folder and beneath it, the nearest first; hidden folders are left out."""
+        found = [p for p in self.root.glob("*.c")]
+        found += [p for p in self.root.glob("*/*.c") if not p.parent.name.startswith(".")]
+        return sorted(found)[:200]
