@@ -1,0 +1,159 @@
+/* isr.h: everything that control code needs; the only header to include.
+ *
+ *     #include "isr.h"
+ *     static double Kp = 400.0, q, tau;
+ *
+ *     void UserInit(void)      { PARAMETER(Kp, 400.0, "N m/rad", 0.0, 5000.0, "gain"); SIGNAL(q, "rad", "angle"); SIGNAL(tau, "N m", ""); }
+ *     void UserISR_INT2(void)  { q = READ_POSITION(0); tau = -Kp * q; WRITE_TORQUE(0, tau); }
+ *     void UserBackground(void) {}
+ *
+ * Channels, joints and array elements count from 0, as everywhere in C. What the code writes at sample k acts from sample k + 1.
+ */
+#ifndef ZENDSP_ISR_H
+#define ZENDSP_ISR_H
+
+#include <math.h>    /* sin, cos, …: control laws need them */
+#include <stdbool.h> /* bool variables */
+#include <stddef.h>  /* NULL */
+#include <stdint.h>  /* int32_t */
+
+/* ---- The three functions that you write ---------------------------------------------------------------------------------- */
+
+void UserInit(void);       /* once, at load: declare and initialise variables */
+void UserISR_INT2(void);   /* every sample: the control law */
+void UserBackground(void); /* again and again beneath the loop, which interrupts it (leave out if not needed) */
+
+/* ---- Declaring variables, in UserInit ------------------------------------------------------------------------------------
+ * A variable is a static or global double, float, int32_t or bool, or a one-dimensional array of them. */
+
+/* The host may write it, within min … max (NO_MIN, NO_MAX). Every element starts at `initial`. */
+#define PARAMETER(variable, initial, unit, min, max, text) \
+    ZENDSP_DECLARE(variable, ZENDSP_PARAMETER, 1, (double)(initial), unit, min, max, text)
+
+/* An array parameter that keeps the values of its C initialiser. */
+#define PARAMETER_ARRAY(variable, unit, min, max, text) ZENDSP_DECLARE(variable, ZENDSP_PARAMETER, 0, 0.0, unit, min, max, text)
+
+/* The host may read, record and plot it. */
+#define SIGNAL(variable, unit, text) ZENDSP_DECLARE(variable, ZENDSP_SIGNAL, 0, 0.0, unit, NO_MIN, NO_MAX, text)
+
+/* A large array of double, `columns` values a row, at most `capacity` rows (60 s × 7 joints at 1 kHz: 60000 rows, 7 columns). The
+ * host fills it while the loop runs; all of it, with its length, takes effect at the start of one sample. `variable` is a `table`. */
+#define TABLE(variable, capacity, columns, unit, text) zendsp_declare_table(&(variable), #variable, capacity, columns, unit, text)
+
+typedef struct table {
+    const double *data; /* row after row; NULL while empty */
+    int32_t rows;       /* 0 while empty */
+    int32_t columns;
+    uint32_t version;   /* counts the switch-overs: a change means new content */
+} table;
+
+#define NO_MIN (-INFINITY)
+#define NO_MAX (INFINITY)
+
+/* ---- Inputs and outputs --------------------------------------------------------------------------------------------------- */
+
+#define IOGP_FU1_READ_ENC_CURRENT(ch) (zendsp->enc[(ch)&7]) /* encoder, counts (int32_t) */
+#define IOGP_FU1_READ_ADC(ch) (zendsp->adc[(ch)&7])         /* analog input, in the machine's unit (double) */
+#define IOGP_FU1_READ_DIN(ch) ((zendsp->din >> ((ch)&31) & 1u) != 0u) /* digital input (bool) */
+
+/* Analog output, mV: an lvalue, IOGP_FU1_WRITE_AOUT_ENGU(ch) = mv; or with two arguments, IOGP_FU1_WRITE_AOUT_ENGU(ch, mv); */
+#define IOGP_FU1_WRITE_AOUT_ENGU(...) ZENDSP_PICK(__VA_ARGS__, ZENDSP_AOUT_SET, ZENDSP_AOUT, )(__VA_ARGS__)
+
+/* Digital output: on is true or false. */
+#define IOGP_FU1_WRITE_DOUT(ch, on) \
+    (zendsp->dout = (on) ? zendsp->dout | 1u << ((ch)&31) : zendsp->dout & ~(1u << ((ch)&31)))
+
+/* The same in physical units, by the scales of the machine: rad (or m), N m (or N). */
+#define READ_POSITION(ch) ((zendsp->enc[(ch)&7] - zendsp->zero_counts[(ch)&7]) / zendsp->counts_per_unit[(ch)&7])
+#define WRITE_TORQUE(ch, tau) (zendsp->aout[(ch)&7] = (tau)*zendsp->mv_per_torque[(ch)&7])
+
+/* ---- Time, state, acquisition ---------------------------------------------------------------------------------------------- */
+
+#define SAMPLE_PERIOD (zendsp->period) /* s */
+#define SAMPLE_TICK (zendsp->tick)     /* samples since load (uint64_t) */
+#define SAMPLE_TIME (zendsp->t)        /* s since load */
+#define JOINTS (zendsp->joints)        /* joints of the machine */
+#define DRIVE_ENABLED (zendsp->enabled != 0) /* false: outputs are being ignored (hold your integrators) */
+
+/* Store one row of every running acquisition here and now; without a call it is done after UserISR_INT2. Never blocks. */
+#define Acquire() (zendsp->acquire())
+
+/* Value of a table at a row (a fraction interpolates linearly, ends hold), 0 while empty. */
+static inline double TableValue(const table *source, double row, int32_t column) {
+    if (source->rows <= 0 || column < 0 || column >= source->columns)
+        return 0.0;
+    const double last = (double)(source->rows - 1);
+    const double at = row > 0.0 ? (row < last ? row : last) : 0.0; /* NaN goes to the first row */
+    const int32_t i = (int32_t)at;
+    const double *here = source->data + (int64_t)i * source->columns + column;
+    const double part = at - (double)i;
+    return part > 0.0 ? here[0] + part * (here[source->columns] - here[0]) : here[0];
+}
+
+/* ---- Beneath: how the macros reach the runtime ------------------------------------------------------------------------------ */
+
+enum { ZENDSP_ISR_ABI = 1 }; /* raised when anything below changes; checked at load */
+enum { ZENDSP_PARAMETER = 1, ZENDSP_SIGNAL = 2, ZENDSP_TABLE = 3 };
+enum { ZENDSP_DOUBLE = 1, ZENDSP_FLOAT = 2, ZENDSP_INT32 = 3, ZENDSP_BOOL = 4 };
+
+typedef struct zendsp_declaration {
+    const char *name, *unit, *text;
+    void *address;
+    double initial, minimum, maximum;
+    int32_t kind, type;
+    int32_t bytes;         /* size of the variable; of a table: 0 */
+    int32_t rows, columns; /* of a table */
+    int32_t set;           /* 1: give every element `initial` now */
+} zendsp_declaration;
+
+typedef struct zendsp_io {
+    uint64_t tick;
+    double t, period; /* s */
+    int32_t joints, enabled;
+    uint32_t din, dout;
+    int32_t enc[8];
+    double adc[8], aout[8];
+    double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
+    void (*declare)(const zendsp_declaration *declaration);
+    void (*acquire)(void);
+} zendsp_io;
+
+/* Weak: every file of a program may include this header, and all share one. */
+__attribute__((weak, visibility("default"))) zendsp_io *zendsp;
+__attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZENDSP_ISR_ABI;
+
+#define ZENDSP_PICK(a, b, name, ...) name
+#define ZENDSP_AOUT(ch) (zendsp->aout[(ch)&7])
+#define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[(ch)&7] = (mv))
+
+#define ZENDSP_TYPE(variable)                                                                                                  \
+    _Generic((variable), double: ZENDSP_DOUBLE, double *: ZENDSP_DOUBLE, float: ZENDSP_FLOAT, float *: ZENDSP_FLOAT,          \
+        int32_t: ZENDSP_INT32, int32_t *: ZENDSP_INT32, bool: ZENDSP_BOOL, bool *: ZENDSP_BOOL)
+#define ZENDSP_DECLARE(variable, kind_, set_, initial_, unit_, min_, max_, text_)                                              \
+    zendsp->declare(&(const zendsp_declaration){.name = #variable,                                                             \
+                                                .unit = (unit_),                                                               \
+                                                .text = (text_),                                                               \
+                                                .address = (void *)&(variable),                                                \
+                                                .initial = (initial_),                                                         \
+                                                .minimum = (min_),                                                             \
+                                                .maximum = (max_),                                                             \
+                                                .kind = (kind_),                                                               \
+                                                .type = ZENDSP_TYPE(variable),                                                 \
+                                                .bytes = (int32_t)sizeof(variable),                                            \
+                                                .set = (set_)})
+
+static inline void zendsp_declare_table(table *variable, const char *name, int32_t capacity, int32_t columns, const char *unit,
+                                        const char *text) {
+    zendsp->declare(&(const zendsp_declaration){.name = name,
+                                                .unit = unit,
+                                                .text = text,
+                                                .address = variable,
+                                                .minimum = NO_MIN,
+                                                .maximum = NO_MAX,
+                                                .kind = ZENDSP_TABLE,
+                                                .type = ZENDSP_DOUBLE,
+                                                .rows = capacity,
+                                                .columns = columns});
+}
+
+#endif

@@ -1,0 +1,110 @@
+/* pd.c: PD control of the planar arm around a circle in joint space, or around a reference that the host has downloaded.
+ *
+ *     tau = Kp (r - q) - Kd qd        qd: difference of positions through a first-order filter
+ *
+ * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left smoothly from where the arm stands.
+ */
+#include "isr.h"
+
+enum { N = 2, ROWS = 60000 }; /* reference of 60 s at 1 kHz */
+
+static double Kp1, Kd1, Kp2, Kd2, cutoff;
+static double center1, center2, radius, turn_time, approach_time;
+static bool use_table;
+static int32_t row_rate; /* rows of the table a second */
+static table ref;
+
+static double q1, q2, qd1, qd2, r1, r2, e1, e2, tau1, tau2;
+static double q[N], e[N], tau[N];
+
+static double start[N], last[N], t0;
+static uint32_t seen;
+static bool running;
+
+void UserInit(void) {
+    PARAMETER(Kp1, 2000.0, "N m/rad", 0.0, 20000.0, "proportional gain, joint 1");
+    PARAMETER(Kd1, 120.0, "N m s/rad", 0.0, 1000.0, "derivative gain, joint 1");
+    PARAMETER(Kp2, 300.0, "N m/rad", 0.0, 5000.0, "proportional gain, joint 2");
+    PARAMETER(Kd2, 12.0, "N m s/rad", 0.0, 200.0, "derivative gain, joint 2");
+    PARAMETER(cutoff, 80.0, "Hz", 1.0, 1000.0, "velocity filter");
+    PARAMETER(center1, 0.2, "rad", -1.5, 1.5, "circle: center, joint 1");
+    PARAMETER(center2, 0.6, "rad", -1.5, 1.5, "circle: center, joint 2");
+    PARAMETER(radius, 0.4, "rad", 0.0, 1.0, "circle: radius; 0 holds the center");
+    PARAMETER(turn_time, 4.5, "s", 0.5, 1000.0, "circle: time for a turn");
+    PARAMETER(approach_time, 1.5, "s", 0.1, 60.0, "time from where the arm stands to the reference");
+    PARAMETER(use_table, 0, "", 0, 1, "follow the table ref in place of the circle");
+    PARAMETER(row_rate, 1000, "1/s", 1, 100000, "rows of ref a second");
+    TABLE(ref, ROWS, N, "rad", "reference positions, one row a step");
+    SIGNAL(q1, "rad", "position, joint 1");
+    SIGNAL(q2, "rad", "position, joint 2");
+    SIGNAL(qd1, "rad/s", "velocity, joint 1");
+    SIGNAL(qd2, "rad/s", "velocity, joint 2");
+    SIGNAL(r1, "rad", "reference, joint 1");
+    SIGNAL(r2, "rad", "reference, joint 2");
+    SIGNAL(e1, "rad", "error, joint 1");
+    SIGNAL(e2, "rad", "error, joint 2");
+    SIGNAL(tau1, "N m", "command, joint 1");
+    SIGNAL(tau2, "N m", "command, joint 2");
+    SIGNAL(q, "rad", "positions");
+    SIGNAL(e, "rad", "errors");
+    SIGNAL(tau, "N m", "commands");
+}
+
+/* Smooth step of fifth order: 0 at s <= 0, 1 at s >= 1, at rest at both ends. */
+static double smooth(double s) {
+    if (s <= 0.0)
+        return 0.0;
+    return s < 1.0 ? s * s * s * (10.0 + s * (6.0 * s - 15.0)) : 1.0;
+}
+
+static void reference(double t) {
+    const double blend = smooth(t / approach_time);
+    double target1, target2;
+    if (use_table) {
+        const double row = t > approach_time ? (t - approach_time) * row_rate : 0.0;
+        target1 = TableValue(&ref, row, 0);
+        target2 = TableValue(&ref, row, 1);
+    } else {
+        const double phi = 6.283185307179586 * t / turn_time;
+        target1 = center1 + radius * cos(phi);
+        target2 = center2 + radius * sin(phi);
+    }
+    r1 = start[0] + blend * (target1 - start[0]);
+    r2 = start[1] + blend * (target2 - start[1]);
+}
+
+void UserISR_INT2(void) {
+    q1 = READ_POSITION(0);
+    q2 = READ_POSITION(1);
+    /* begin afresh, from where the arm stands, when the drives come on and when a new table has arrived */
+    if (!running || !DRIVE_ENABLED || (use_table && seen != ref.version)) {
+        if (!running || !DRIVE_ENABLED) {
+            qd1 = qd2 = 0.0;
+            last[0] = q1;
+            last[1] = q2;
+        }
+        start[0] = q1;
+        start[1] = q2;
+        t0 = SAMPLE_TIME;
+        seen = ref.version;
+        running = true;
+    }
+    const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
+    qd1 += a * ((q1 - last[0]) / SAMPLE_PERIOD - qd1);
+    qd2 += a * ((q2 - last[1]) / SAMPLE_PERIOD - qd2);
+    last[0] = q1;
+    last[1] = q2;
+    reference(SAMPLE_TIME - t0);
+    e1 = r1 - q1;
+    e2 = r2 - q2;
+    tau1 = Kp1 * e1 - Kd1 * qd1;
+    tau2 = Kp2 * e2 - Kd2 * qd2;
+    WRITE_TORQUE(0, tau1);
+    WRITE_TORQUE(1, tau2);
+    q[0] = q1;
+    q[1] = q2;
+    e[0] = e1;
+    e[1] = e2;
+    tau[0] = tau1;
+    tau[1] = tau2;
+}

@@ -1,0 +1,226 @@
+/* loop.c: the sample, and when it happens. */
+#define _GNU_SOURCE
+#include <string.h> /* memcpy */
+
+#include "runner.h"
+#include "timing.h"
+
+enum { CATCH_UP = 1000 }; /* most samples that a simulated machine makes good after a stall */
+static const uint64_t idle_poll_ns = 500000; /* while paused */
+static const double coast_s = 1.0; /* machine time that the fast clock goes on after STOP, for the machine to come to rest */
+
+/* Make this sample readable from outside, whole: readers copy a slot and check that it was not rewritten meanwhile. */
+static void publish(runner *r, uint64_t tick) {
+    control *c = r->control;
+    const uint64_t n = c->newest;
+    unsigned char *place = r->data + c->snapshot_offset + n % LAYOUT_SNAPSHOTS * c->snapshot_stride;
+    snapshot *slot = (snapshot *)(void *)place;
+    unsigned char *values = place + sizeof *slot;
+    __atomic_store_n(&slot->sequence, 2 * n + 1, __ATOMIC_RELAXED);
+    __atomic_thread_fence(__ATOMIC_RELEASE);
+    slot->tick = tick;
+    for (int i = 0; i < r->ranges_used; i++)
+        memcpy(values + r->ranges[i].to, r->ranges[i].from, r->ranges[i].size);
+    store64(&slot->sequence, 2 * n + 2);
+    store64(&c->newest, n + 1);
+}
+
+static void fill_inputs(runner *r) {
+    control *c = r->control;
+    const double t = (double)c->tick / c->rate_hz;
+    r->io.tick = c->tick;
+    r->io.t = t;
+    r->io.din = r->sensors.din;
+    memcpy(r->io.enc, r->sensors.enc, sizeof r->io.enc);
+    memcpy(r->io.adc, r->sensors.adc, sizeof r->io.adc);
+    r->now.tick = (double)c->tick;
+    r->now.t = t;
+    r->now.din = (double)r->sensors.din;
+    for (int j = 0; j < MACHINE_JOINTS; j++)
+        r->now.enc[j] = (double)r->sensors.enc[j];
+    memcpy(r->now.adc, r->sensors.adc, sizeof r->now.adc);
+}
+
+/* The control law of this sample: the user's, or the machine's homing. */
+static void compute(runner *r) {
+    control *c = r->control;
+    if (c->running == RUN_HOME) {
+        store32(&c->within, WITHIN_MACHINE);
+        const int answer = r->machine->home(r->handle, &r->sensors, &r->held);
+        store32(&c->within, WITHIN_RUNTIME);
+        safety_home(r, answer);
+        return;
+    }
+    store32(&c->within, WITHIN_ISR);
+    r->isr();
+    store32(&c->within, WITHIN_RUNTIME);
+    safety_command(r);
+}
+
+/* One sample: outputs of the sample before → conversion → updates → control law → everything recorded. */
+static void sample(runner *r, uint64_t begin, uint64_t late) {
+    control *c = r->control;
+    store64(&c->heartbeat, c->heartbeat | 1u);
+    safety_requests(r);
+    safety_output(r);
+    r->machine->write(r->handle, &r->acting);
+    r->machine->read(r->handle, &r->sensors);
+    if (safety_inputs(r)) {
+        safety_output(r);
+        r->machine->write(r->handle, &r->acting);
+    }
+    batch_apply(r, c->tick);
+    stream_exchange(r);
+    fill_inputs(r);
+    r->acquired = false;
+    r->now.late_us = 1e-3 * (double)late;
+    compute(r);
+    const uint64_t exec = now_ns() - begin;
+    r->now.exec_us = 1e-3 * (double)exec;
+    r->now.dout = (double)r->io.dout;
+    stream_sample(r);
+    publish(r, c->tick);
+    timing_count(&c->timing, late, exec);
+}
+
+static void step_machine(runner *r) {
+    if (r->machine->step) {
+        store32(&r->control->within, WITHIN_MACHINE);
+        r->machine->step(r->handle, r->io.period);
+        store32(&r->control->within, WITHIN_RUNTIME);
+    }
+}
+
+static void finish_sample(runner *r) {
+    control *c = r->control;
+    step_machine(r);
+    store64(&c->tick, c->tick + 1);
+    store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);
+}
+
+/* Nothing runs: requests and updates are still answered; hardware is kept safe. */
+static void idle(runner *r) {
+    control *c = r->control;
+    const bool first = c->running != RUN_PAUSED;
+    store32(&c->running, RUN_PAUSED);
+    safety_requests(r);
+    const uint64_t applied = c->ring_tail;
+    const int waiting = r->waiting_used;
+    batch_apply(r, c->tick);
+    stream_idle(r);
+    if (!c->info.simulated) {
+        if (first)
+            r->machine->safe(r->handle);
+        r->machine->read(r->handle, &r->sensors);
+        r->held.mode = MACHINE_OFF; /* a command from before the pause shall not act after it */
+        c->drive_mode = MACHINE_OFF;
+        c->gain = 0.0;
+        r->speed_known = 0;
+        fill_inputs(r);
+        publish(r, c->tick);
+    } else if (c->ring_tail != applied || r->waiting_used != waiting || c->newest == 0) {
+        if (c->newest == 0) {
+            r->machine->read(r->handle, &r->sensors);
+            fill_inputs(r);
+        }
+        publish(r, c->tick);
+    }
+    store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);
+    sleep_ns(idle_poll_ns);
+}
+
+/* Wait for the deadline: asleep, and awake for the last `spin` ns. Returns the time. */
+static uint64_t wait_for(uint64_t deadline, uint64_t spin) {
+    uint64_t now = now_ns();
+    if (now + spin < deadline) {
+        sleep_until_ns(deadline - spin);
+        now = now_ns();
+    }
+    while (now < deadline)
+        now = now_ns();
+    return now;
+}
+
+/* Samples that the clock has left behind: by the setting, run late (count), or left out with the machine moving on (skip). */
+static uint64_t after_sample(runner *r, uint64_t deadline) {
+    control *c = r->control;
+    const uint64_t period = c->period_ns, next = deadline + period, now = now_ns();
+    if (now <= next) {
+        r->overruns_in_row = 0;
+        return next;
+    }
+    c->timing.overruns++;
+    r->overruns_in_row++;
+    if (r->set.overrun_policy == OVERRUN_TRIP && r->overruns_in_row >= (uint32_t)r->set.overrun_limit)
+        safety_trip(r, TRIP_OVERRUN, 0, (double)r->overruns_in_row, (double)r->set.overrun_limit);
+    const uint64_t behind = (now - next) / period;
+    if (behind == 0 || (r->set.overrun_policy != OVERRUN_SKIP && behind <= CATCH_UP))
+        return next;
+    for (uint64_t i = 0; i < behind && i < CATCH_UP; i++)
+        step_machine(r);
+    c->timing.missed += behind;
+    stream_skip(r, behind);
+    store64(&c->tick, c->tick + behind);
+    return next + behind * period;
+}
+
+/* Fast clock with a speed limit: sleep when machine time is ahead. */
+static void hold_speed(runner *r, uint64_t began, uint64_t first_tick) {
+    const control *c = r->control;
+    if (c->speed <= 0.0)
+        return;
+    const double machine_s = (double)(c->tick - first_tick) / c->rate_hz;
+    const uint64_t due = began + (uint64_t)(1e9 * machine_s / c->speed);
+    if (due > now_ns() + 1000000u)
+        sleep_until_ns(due);
+}
+
+static void run_real(runner *r, uint64_t *deadline, uint64_t spin) {
+    const uint64_t begin = wait_for(*deadline, spin);
+    sample(r, begin, begin - *deadline);
+    finish_sample(r);
+    *deadline = after_sample(r, *deadline);
+}
+
+static bool coasted(const runner *r) {
+    const control *c = r->control;
+    return c->clock == CLOCK_FAST && c->run_until == 0 && c->trip.reason != TRIP_NONE &&
+           (double)(c->tick - c->trip.tick) >= coast_s * c->rate_hz;
+}
+
+/* The life of the loop: paused, running, … until told to quit. */
+void loop(runner *r) {
+    control *c = r->control;
+    const double most = 0.6e-3 * (double)c->period_ns; /* µs; a FIFO thread that never sleeps is throttled by the kernel */
+    const double spin_us = realtime_granted() ? (c->spin_us < most ? c->spin_us : most) : 0.0;
+    const uint64_t spin = (uint64_t)(1e3 * spin_us);
+    uint64_t deadline = 0, began = 0, first_tick = 0;
+    for (;;) {
+        uint32_t run = load32(&c->run);
+        if (run == RUN_QUIT)
+            return;
+        const uint64_t until = load64(&c->run_until);
+        if (run != RUN_PAUSED && ((until != 0 && c->tick >= until) || coasted(r))) {
+            __atomic_compare_exchange_n(&c->run, &run, RUN_PAUSED, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+            continue;
+        }
+        if (run == RUN_PAUSED) {
+            idle(r);
+            deadline = 0;
+            continue;
+        }
+        store32(&c->running, run);
+        if (deadline == 0) {
+            began = now_ns();
+            first_tick = c->tick;
+            deadline = began + c->period_ns;
+        }
+        if (c->clock == CLOCK_REAL) {
+            run_real(r, &deadline, spin);
+        } else {
+            sample(r, now_ns(), 0);
+            finish_sample(r);
+            hold_speed(r, began, first_tick);
+        }
+    }
+}

@@ -1,0 +1,211 @@
+/* main.c: the runner process: map the shared memory, load machine and program, run UserInit, enter the loop.
+ *
+ *     runner CONTROL          run
+ *     runner --safe CONTROL   put the machine of a crashed runner into its safe state, and end
+ */
+#define _GNU_SOURCE
+#include <dlfcn.h>    /* dlopen */
+#include <errno.h>    /* errno */
+#include <fcntl.h>    /* open */
+#include <link.h>     /* dl_iterate_phdr */
+#include <signal.h>   /* sigaction */
+#include <stdio.h>    /* snprintf */
+#include <string.h>   /* strcmp, strerror */
+#include <sys/mman.h> /* mmap */
+#include <sys/stat.h> /* fstat */
+#include <ucontext.h> /* where a crash happened */
+#include <unistd.h>   /* close, _exit */
+
+#include "runner.h"
+
+runner the_runner;
+
+static control *map_control(const char *path) {
+    struct stat status;
+    const int file = open(path, O_RDWR | O_CLOEXEC);
+    if (file < 0 || fstat(file, &status) != 0 || (size_t)status.st_size < sizeof(control)) {
+        fprintf(stderr, "runner: %s: %s\n", path, file < 0 ? strerror(errno) : "not a control file");
+        return NULL;
+    }
+    control *c = mmap(NULL, sizeof *c, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
+    close(file);
+    if (c == MAP_FAILED || c->magic != LAYOUT_MAGIC || c->version != LAYOUT_VERSION || c->bytes != sizeof *c) {
+        fprintf(stderr, "runner: %s: made by another version of zendsp\n", path);
+        return NULL;
+    }
+    return c;
+}
+
+static int fail(control *c, const char *what, const char *why) {
+    if (c->error[0] == 0)
+        snprintf(c->error, sizeof c->error, "%s%s%s", what, why && why[0] ? ": " : "", why ? why : "");
+    store32(&c->phase, PHASE_FAILED);
+    return 1;
+}
+
+static int open_machine(runner *r) {
+    control *c = r->control;
+    char why[LAYOUT_TEXT] = "";
+    void *library = dlopen(c->machine_path, RTLD_NOW | RTLD_LOCAL);
+    if (!library)
+        return fail(c, "machine", dlerror());
+    r->machine = dlsym(library, "zendsp_machine");
+    if (!r->machine)
+        return fail(c, "machine", "exports no 'zendsp_machine' (see docs/machines.md)");
+    if (r->machine->abi != MACHINE_ABI)
+        return fail(c, "machine", "compiled against another machine.h; compile it again");
+    if (r->machine->open(&r->handle, c->machine_config, 1.0 / c->rate_hz, &c->info, why, sizeof why) != 0)
+        return fail(c, "machine", why[0] ? why : "open failed");
+    if (c->info.joints < 1 || c->info.joints > MACHINE_JOINTS || c->info.adcs < 0 || c->info.adcs > MACHINE_ADCS)
+        return fail(c, "machine", "joints or adcs out of range in machine_info");
+    if ((r->machine->step != NULL) != (c->info.simulated != 0))
+        return fail(c, "machine", "a simulated machine has step(), hardware has none; machine_info.simulated disagrees");
+    if (c->clock == CLOCK_FAST && !c->info.simulated)
+        return fail(c, "machine", "the fast clock needs a simulated machine");
+    return 0;
+}
+
+static int find_end(struct dl_phdr_info *info, size_t size, void *data) {
+    runner *r = data;
+    (void)size;
+    if (info->dlpi_addr != r->image)
+        return 0;
+    for (int i = 0; i < info->dlpi_phnum; i++) {
+        const uint64_t end = info->dlpi_addr + info->dlpi_phdr[i].p_vaddr + info->dlpi_phdr[i].p_memsz;
+        if (info->dlpi_phdr[i].p_type == PT_LOAD && end > r->image_end)
+            r->image_end = end;
+    }
+    return 1;
+}
+
+static int load_program(runner *r) {
+    control *c = r->control;
+    store32(&c->within, WITHIN_LOADING);
+    void *library = dlopen(c->program_path, RTLD_NOW | RTLD_LOCAL);
+    store32(&c->within, WITHIN_RUNTIME);
+    if (!library)
+        return fail(c, "program", dlerror());
+    const int32_t *abi = dlsym(library, "zendsp_isr_abi");
+    if (!abi || *abi != ZENDSP_ISR_ABI)
+        return fail(c, "program", abi ? "compiled against another isr.h; compile it again" : "does not include isr.h");
+    zendsp_io **io = dlsym(library, "zendsp");
+    void (*init)(void) = NULL;
+    *(void **)&init = dlsym(library, "UserInit");
+    *(void **)&r->isr = dlsym(library, "UserISR_INT2");
+    *(void **)&r->background = dlsym(library, "UserBackground");
+    if (!io || !init || !r->isr)
+        return fail(c, "program", "needs UserInit and UserISR_INT2");
+    Dl_info where;
+    if (dladdr((void *)(uintptr_t)abi, &where) != 0)
+        r->image = (uint64_t)(uintptr_t)where.dli_fbase;
+    dl_iterate_phdr(find_end, r);
+    *io = &r->io;
+    store32(&c->phase, PHASE_INIT);
+    store32(&c->within, WITHIN_INIT);
+    init();
+    store32(&c->within, WITHIN_RUNTIME);
+    return dictionary_finish(r) == 0 ? 0 : fail(c, "", NULL);
+}
+
+static void acquire(void) { stream_sample(&the_runner); }
+
+static void prepare_io(runner *r) {
+    const control *c = r->control;
+    r->io.period = 1.0 / c->rate_hz;
+    r->io.joints = c->info.joints;
+    r->io.declare = dictionary_declare;
+    r->io.acquire = acquire;
+    for (int j = 0; j < MACHINE_JOINTS; j++) {
+        const machine_joint *joint = &c->info.joint[j];
+        r->io.counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
+        r->io.zero_counts[j] = joint->zero_counts;
+        r->io.mv_per_torque[j] = joint->mv_per_torque;
+    }
+}
+
+static void on_crash(int number, siginfo_t *info, void *context) {
+    runner *r = &the_runner;
+    uint64_t at = 0;
+    (void)info;
+#if defined(__x86_64__)
+    at = (uint64_t)((ucontext_t *)context)->uc_mcontext.gregs[REG_RIP];
+#elif defined(__aarch64__)
+    at = (uint64_t)((ucontext_t *)context)->uc_mcontext.pc;
+#else
+    (void)context;
+#endif
+    r->control->crash_signal = number;
+    r->control->crash_within = (int32_t)r->control->within;
+    r->control->crash_address = at >= r->image && at < r->image_end ? at - r->image : 0;
+    /* SA_RESETHAND: returning repeats the fault, now with its default action */
+    if (number == SIGABRT)
+        raise(number);
+}
+
+static void on_end(int number) {
+    (void)number;
+    store32(&the_runner.control->run, RUN_QUIT);
+}
+
+static void catch_signals(void) {
+    static const int fatal[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
+    static unsigned char own_stack[65536];
+    const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
+    sigaltstack(&stack, NULL); /* a stack overflow needs another stack to be told on */
+    struct sigaction crash = {.sa_sigaction = on_crash, .sa_flags = (int)(SA_SIGINFO | SA_ONSTACK | SA_RESETHAND)};
+    for (size_t i = 0; i < sizeof fatal / sizeof fatal[0]; i++)
+        sigaction(fatal[i], &crash, NULL);
+    struct sigaction end = {.sa_handler = on_end};
+    sigaction(SIGTERM, &end, NULL);
+}
+
+/* In a fresh process, since the memory of the crashed one is not to be trusted. */
+static int make_safe(const char *path) {
+    control *crashed = map_control(path);
+    static control copy;
+    if (!crashed)
+        return 1;
+    copy = *crashed;
+    copy.error[0] = 0;
+    the_runner.control = &copy;
+    if (open_machine(&the_runner) != 0) {
+        fprintf(stderr, "runner: %s\n", copy.error);
+        return 1;
+    }
+    the_runner.machine->safe(the_runner.handle);
+    if (the_runner.machine->close)
+        the_runner.machine->close(the_runner.handle);
+    return 0;
+}
+
+int main(int count, char **arguments) {
+    runner *r = &the_runner;
+    if (count == 3 && strcmp(arguments[1], "--safe") == 0)
+        return make_safe(arguments[2]);
+    if (count != 2) {
+        fprintf(stderr, "usage: runner [--safe] CONTROL\n");
+        return 2;
+    }
+    r->control = map_control(arguments[1]);
+    if (!r->control)
+        return 1;
+    catch_signals();
+    if (open_machine(r) != 0)
+        return 1;
+    prepare_io(r);
+    dictionary_builtins(r);
+    safety_reset(r);
+    if (load_program(r) != 0)
+        return 1;
+    const int failed = service_start(r);
+    if (failed)
+        return fail(r->control, "threads", strerror(failed));
+    realtime_enter(r);
+    store32(&r->control->phase, PHASE_READY);
+    loop(r);
+    r->machine->safe(r->handle);
+    if (r->machine->close)
+        r->machine->close(r->handle);
+    store32(&r->control->phase, PHASE_ENDED);
+    _exit(0); /* the other threads are within user code: no destructors beneath their feet */
+}

@@ -1,0 +1,60 @@
+/* monitor.c: what the monitor does on shared memory that needs ordering: Python has no acquire and release. Loaded by cffi. */
+#include <string.h> /* memcpy */
+
+#include "layout.h"
+
+/* Copy the newest sample whole. Returns 1 and its tick, or 0 when the loop kept overwriting it (never seen). */
+int monitor_snapshot(const control *c, const unsigned char *data, unsigned char *values, uint64_t *tick) {
+    for (int attempt = 0; attempt < 1000; attempt++) {
+        const uint64_t newest = __atomic_load_n(&c->newest, __ATOMIC_ACQUIRE);
+        if (newest == 0)
+            return 0;
+        const uint64_t n = newest - 1;
+        const unsigned char *place = data + c->snapshot_offset + n % LAYOUT_SNAPSHOTS * c->snapshot_stride;
+        const snapshot *slot = (const snapshot *)(const void *)place;
+        if (__atomic_load_n(&slot->sequence, __ATOMIC_ACQUIRE) != 2 * n + 2)
+            continue;
+        *tick = slot->tick;
+        memcpy(values, place + sizeof *slot, (size_t)c->snapshot_bytes);
+        __atomic_thread_fence(__ATOMIC_ACQUIRE);
+        if (__atomic_load_n(&slot->sequence, __ATOMIC_RELAXED) == 2 * n + 2)
+            return 1;
+    }
+    return 0;
+}
+
+/* Make a filled batch visible to the loop: from here on it is applied whole, before here not at all. */
+void monitor_commit(control *c, batch *b, uint32_t index) {
+    __atomic_store_n(&b->state, BATCH_COMMITTED, __ATOMIC_RELAXED);
+    c->ring[c->ring_head % LAYOUT_BATCHES] = index;
+    __atomic_store_n(&c->ring_head, c->ring_head + 1, __ATOMIC_RELEASE);
+}
+
+uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
+uint64_t monitor_load64(const uint64_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
+void monitor_store32(uint32_t *word, uint32_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
+void monitor_store64(uint64_t *word, uint64_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
+
+/* RUN_… requested by the monitor, unless the runner is already quitting. */
+void monitor_run(control *c, uint32_t run) {
+    uint32_t now = __atomic_load_n(&c->run, __ATOMIC_ACQUIRE);
+    while (now != RUN_QUIT && !__atomic_compare_exchange_n(&c->run, &now, run, 0, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE)) {
+    }
+}
+
+/* Wait (asleep, at most timeout_ns) until a batch has been applied. Returns 1 when it has. */
+int monitor_applied(const batch *b) { return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED; }
+
+/* Copy rows [first, first + count) of a stream. Returns how many leading rows may have been overwritten while copying. */
+uint64_t monitor_rows(const stream_head *h, uint64_t first, uint64_t count, double *to) {
+    const double *rows = (const double *)(const void *)((const unsigned char *)h + h->rows);
+    const uint64_t place = first % h->capacity, channels = h->channels;
+    const uint64_t before_end = h->capacity - place < count ? h->capacity - place : count;
+    memcpy(to, rows + place * channels, before_end * channels * sizeof(double));
+    memcpy(to + before_end * channels, rows, (count - before_end) * channels * sizeof(double));
+    __atomic_thread_fence(__ATOMIC_ACQUIRE);
+    /* the row that the loop is writing now, and all before it by one round, are not to be trusted */
+    const uint64_t written = __atomic_load_n(&h->count, __ATOMIC_ACQUIRE) + 1;
+    const uint64_t oldest = written > h->capacity ? written - h->capacity : 0;
+    return oldest > first ? (oldest - first < count ? oldest - first : count) : 0;
+}

@@ -1,0 +1,142 @@
+/* runner.h: the private state of the runner process, and what its files offer each other.
+ *
+ * Threads: the loop (main thread, real-time where permitted), service (maps streams, watches the monitor) and background
+ * (UserBackground). loop.c, batch.c, stream.c and safety.c run inside the sample: no malloc, lock, print or unbounded loop there.
+ */
+#ifndef ZENDSP_RUNNER_H
+#define ZENDSP_RUNNER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "isr.h"
+#include "layout.h"
+#include "machine.h"
+
+enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
+
+/* What every program can read and record without declaring it; doubles, so that channels treat all alike. */
+typedef struct builtins {
+    double tick, t;
+    double exec_us;              /* from the start of this sample to its command */
+    double late_us;              /* start of this sample behind its deadline */
+    double drive;                /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
+    double enc[MACHINE_JOINTS];  /* counts */
+    double aout[MACHINE_JOINTS]; /* mV, the command that acts from this sample on */
+    double cmd[MACHINE_JOINTS];  /* mV, computed in this sample: acts from the next */
+    double adc[MACHINE_ADCS];
+    double din, dout;
+} builtins;
+
+/* What the host may set through the same synchronous updates as parameters. */
+typedef struct settings {
+    double position_min[MACHINE_JOINTS], position_max[MACHINE_JOINTS]; /* rad */
+    double speed_max[MACHINE_JOINTS];                                  /* rad/s */
+    double torque_max[MACHINE_JOINTS];                                 /* N m */
+    double command_max[MACHINE_JOINTS];                                /* mV */
+    int32_t torque_clamp;                                              /* 1: clamp the command instead of tripping */
+    double ramp;                                                       /* s, soft start and soft stop */
+    int32_t overrun_policy;                                            /* OVERRUN_… */
+    int32_t overrun_limit;                                             /* overruns in a row that trip */
+    int32_t stop_input;                                                /* digital input, -1: none */
+    int32_t stop_level;
+} settings;
+
+/* One contiguous piece of user memory that goes into the snapshot. */
+typedef struct range {
+    const unsigned char *from;
+    uint32_t to, size; /* offset in the snapshot, bytes */
+} range;
+
+/* A mapped stream and the loop's place in it. */
+typedef struct stream {
+    stream_head *head;
+    double *rows;
+    uint64_t bytes;
+    const void *pointer[LAYOUT_CHANNELS];
+    int32_t type[LAYOUT_CHANNELS];
+    const void *trigger;
+    int32_t trigger_type;
+    uint32_t countdown;
+    uint32_t arm_seen, disarm_seen, force_seen;
+    uint64_t place;  /* row index within the buffer, count mod capacity */
+    uint64_t finish; /* row count at which a shot is complete */
+    double before;   /* trigger source one sample earlier */
+} stream;
+
+typedef struct runner {
+    control *control;
+    unsigned char *data;
+    const machine_ops *machine;
+    void *handle;
+    void (*isr)(void);
+    void (*background)(void);
+    uint64_t image, image_end; /* where the program is loaded */
+
+    zendsp_io io;
+    machine_sensors sensors;
+    machine_actuators held; /* computed in the sample before, acts from this one */
+    machine_actuators acting;
+    builtins now;
+    settings set;
+
+    range ranges[RANGES];
+    int ranges_used;
+
+    const batch *waiting[LAYOUT_BATCHES]; /* taken from the ring, sorted by at_tick */
+    int waiting_used;
+
+    stream *streams[LAYOUT_STREAMS];  /* by the service thread: what to work with next (atomic) */
+    stream *active[LAYOUT_STREAMS];   /* by the loop: what it works with */
+    uint32_t offered[LAYOUT_STREAMS]; /* generation of streams[i] */
+    bool acquired;                    /* Acquire() was called in this sample */
+
+    int32_t counts_before[SPEED_WINDOW][MACHINE_JOINTS];
+    uint32_t speed_place, speed_window, speed_known;
+    double lowest[MACHINE_JOINTS], highest[MACHINE_JOINTS]; /* rad, limits in force (wider while a joint is brought back) */
+    uint32_t overruns_in_row;
+    bool input_seen;
+} runner;
+
+extern runner the_runner;
+
+/* dictionary.c */
+void dictionary_declare(const zendsp_declaration *declaration); /* called by user code in UserInit */
+void dictionary_builtins(runner *r);
+int dictionary_finish(runner *r); /* lays out and maps the data file; 0, or -1 with control->error set */
+
+/* realtime.c */
+void realtime_enter(runner *r);
+bool realtime_granted(void);
+
+/* service.c */
+int service_start(runner *r);
+
+/* loop.c */
+void loop(runner *r);
+
+/* batch.c */
+void batch_collect(runner *r);
+void batch_apply(runner *r, uint64_t tick);
+
+/* stream.c */
+void stream_exchange(runner *r);
+void stream_sample(runner *r);
+void stream_idle(runner *r);
+void stream_skip(runner *r, uint64_t samples);
+
+/* safety.c */
+void safety_reset(runner *r);
+void safety_requests(runner *r);
+void safety_output(runner *r);
+bool safety_inputs(runner *r);
+void safety_command(runner *r);
+void safety_home(runner *r, int answer);
+void safety_trip(runner *r, uint32_t reason, int joint, double value, double limit);
+
+static inline uint32_t load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
+static inline uint64_t load64(const uint64_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
+static inline void store32(uint32_t *word, uint32_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
+static inline void store64(uint64_t *word, uint64_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
+
+#endif

@@ -1,0 +1,211 @@
+/* safety.c: below the user's code, every sample: drive modes, STOP, limits, soft start and stop. */
+#include <math.h> /* fabs, isfinite */
+
+#include "runner.h"
+
+static double position_of(const runner *r, int j) {
+    const machine_joint *joint = &r->control->info.joint[j];
+    return ((double)r->sensors.enc[j] - joint->zero_counts) / joint->counts_per_unit;
+}
+
+static bool latched(const runner *r) { return r->control->trip.reason != TRIP_NONE; }
+
+/* Latch the first trip; later ones change nothing until it is acknowledged. */
+void safety_trip(runner *r, uint32_t reason, int joint, double value, double limit) {
+    control *c = r->control;
+    if (latched(r))
+        return;
+    c->trip.joint = joint;
+    c->trip.tick = c->tick;
+    c->trip.value = value;
+    c->trip.limit = limit;
+    store32(&c->trip.reason, reason);
+    c->gain = 0.0;
+}
+
+/* Limits from the machine; speeds unknown until positions have been seen. */
+void safety_reset(runner *r) {
+    const machine_info *info = &r->control->info;
+    for (int j = 0; j < MACHINE_JOINTS; j++) {
+        r->set.position_min[j] = r->lowest[j] = info->joint[j].position_min;
+        r->set.position_max[j] = r->highest[j] = info->joint[j].position_max;
+        r->set.speed_max[j] = info->joint[j].speed_max;
+        r->set.torque_max[j] = info->joint[j].torque_max;
+        r->set.command_max[j] = info->joint[j].command_max;
+    }
+    r->set.stop_input = info->stop_input;
+    r->set.stop_level = info->stop_level;
+    r->set.overrun_limit = 10;
+    /* speed from counts over 10 ms: one count in one sample would be a coarse speed */
+    const double samples = 0.01 * r->control->rate_hz;
+    r->speed_window = samples < 1.0 ? 1u : samples > SPEED_WINDOW - 1 ? SPEED_WINDOW - 1u : (uint32_t)samples;
+    r->speed_known = 0;
+    r->control->homed = !info->needs_homing;
+    r->held.mode = MACHINE_OFF;
+}
+
+/* A joint that was stopped outside its limits may be brought back: until it is inside, it may not go further out. */
+static void widen(runner *r) {
+    const double margin = 0.02; /* rad: room for the soft start */
+    for (int j = 0; j < r->control->info.joints; j++) {
+        const double q = position_of(r, j);
+        r->lowest[j] = q < r->set.position_min[j] ? q - margin : r->set.position_min[j];
+        r->highest[j] = q > r->set.position_max[j] ? q + margin : r->set.position_max[j];
+    }
+}
+
+/* Requests of the monitor, at the start of a sample and while paused. */
+void safety_requests(runner *r) {
+    control *c = r->control;
+    const uint32_t acknowledge = load32(&c->acknowledge);
+    if (acknowledge != c->acknowledged) {
+        store32(&c->trip.reason, TRIP_NONE);
+        c->gain = 0.0;
+        r->overruns_in_row = 0;
+        r->held.mode = MACHINE_OFF; /* what was computed before the trip shall not act */
+        widen(r);
+        store32(&c->acknowledged, acknowledge);
+    }
+    /* after the acknowledgement: a STOP pressed meanwhile wins */
+    const uint32_t stop = __atomic_exchange_n(&c->stop, TRIP_NONE, __ATOMIC_ACQ_REL);
+    if (stop != TRIP_NONE)
+        safety_trip(r, stop, 0, 0.0, 0.0);
+}
+
+/* Soft start and stop: the gain moves towards what is wanted of the drives. */
+static void move_gain(runner *r) {
+    control *c = r->control;
+    const int32_t wanted = c->running == RUN_HOME ? MACHINE_VELOCITY : __atomic_load_n(&c->drive, __ATOMIC_ACQUIRE);
+    const double step = r->set.ramp > 0.0 ? 1.0 / (r->set.ramp * c->rate_hz) : 1.0;
+    const bool same = wanted == c->drive_mode || c->drive_mode == MACHINE_OFF;
+    if (wanted != MACHINE_OFF && same) {
+        c->drive_mode = wanted;
+        c->gain = c->gain + step < 1.0 ? c->gain + step : 1.0;
+    } else {
+        c->gain = c->gain - step > 0.0 ? c->gain - step : 0.0;
+        if (c->gain <= 0.0)
+            c->drive_mode = wanted; /* off, or the other mode, from zero */
+    }
+}
+
+/* What acts from this sample on: the held command, or the safe state. */
+void safety_output(runner *r) {
+    control *c = r->control;
+    if (latched(r)) {
+        c->drive_mode = MACHINE_VELOCITY;
+        c->gain = 0.0;
+    } else {
+        move_gain(r);
+    }
+    r->acting.mode = c->drive_mode;
+    r->acting.dout = r->held.dout;
+    const bool live = !latched(r) && c->drive_mode != MACHINE_OFF && r->held.mode == c->drive_mode;
+    for (int j = 0; j < MACHINE_JOINTS; j++) {
+        r->acting.aout[j] = live ? c->gain * r->held.aout[j] : 0.0;
+        r->now.aout[j] = r->acting.aout[j];
+    }
+    r->now.drive = (double)c->drive_mode;
+    r->io.enabled = live || (!latched(r) && c->drive_mode != MACHINE_OFF);
+}
+
+static void check_motion(runner *r) {
+    const control *c = r->control;
+    const uint32_t window = r->speed_window;
+    const uint32_t oldest = (r->speed_place + SPEED_WINDOW - window) % SPEED_WINDOW;
+    for (int j = 0; j < c->info.joints; j++) {
+        const double q = position_of(r, j);
+        if (q >= r->set.position_min[j] && q <= r->set.position_max[j]) {
+            r->lowest[j] = r->set.position_min[j];
+            r->highest[j] = r->set.position_max[j];
+        }
+        if (c->drive_mode == MACHINE_OFF)
+            continue;
+        if (c->homed && c->running != RUN_HOME && (q < r->lowest[j] || q > r->highest[j]))
+            safety_trip(r, TRIP_POSITION, j + 1, q, q < r->lowest[j] ? r->lowest[j] : r->highest[j]);
+        if (r->speed_known >= window) {
+            const int64_t moved = (int64_t)r->sensors.enc[j] - r->counts_before[oldest][j];
+            const double speed = (double)moved / c->info.joint[j].counts_per_unit * c->rate_hz / (double)window;
+            if (fabs(speed) > r->set.speed_max[j])
+                safety_trip(r, TRIP_SPEED, j + 1, speed, r->set.speed_max[j]);
+        }
+        if (r->sensors.fault >> j & 1u)
+            safety_trip(r, TRIP_SENSOR, j + 1, 0.0, 0.0);
+    }
+    for (int j = 0; j < c->info.joints; j++)
+        r->counts_before[r->speed_place][j] = r->sensors.enc[j];
+    r->speed_place = (r->speed_place + 1) % SPEED_WINDOW;
+    if (r->speed_known < window)
+        r->speed_known++;
+}
+
+/* Check what was just read. Returns true when this very sample tripped: the outputs must be written again, safe. */
+bool safety_inputs(runner *r) {
+    control *c = r->control;
+    const bool before = latched(r);
+    if (c->info.simulated)
+        r->sensors.din |= c->simulated_din;
+    const int32_t input = r->set.stop_input;
+    if (input >= 0 && input < 32 && (int32_t)(r->sensors.din >> input & 1u) == r->set.stop_level)
+        safety_trip(r, TRIP_STOP_INPUT, 0, (double)r->set.stop_level, 0.0);
+    check_motion(r);
+    return latched(r) && !before;
+}
+
+static double within_torque(runner *r, int j, double mv, double scale) {
+    const double tau = mv / scale, limit = r->set.torque_max[j];
+    /* rounding of N m → mV → N m must not trip a command at its limit */
+    if (fabs(tau) <= limit * (1.0 + 1e-9))
+        return mv;
+    if (r->set.torque_clamp)
+        return tau > 0.0 ? limit * scale : -limit * scale;
+    safety_trip(r, TRIP_TORQUE, j + 1, tau, limit);
+    return 0.0;
+}
+
+/* One output of the user's code: what may be held for the next sample. */
+static double checked(runner *r, int j, double mv) {
+    const machine_joint *joint = &r->control->info.joint[j];
+    const double limit = r->set.command_max[j];
+    if (!isfinite(mv)) {
+        safety_trip(r, TRIP_NAN, j + 1, mv, 0.0);
+        return 0.0;
+    }
+    if (r->control->drive_mode == MACHINE_TORQUE && joint->mv_per_torque != 0.0)
+        mv = within_torque(r, j, mv, joint->mv_per_torque);
+    if (r->control->drive_mode == MACHINE_VELOCITY && joint->mv_per_speed != 0.0 &&
+        fabs(mv / joint->mv_per_speed) > r->set.speed_max[j] * (1.0 + 1e-9))
+        safety_trip(r, TRIP_SPEED, j + 1, mv / joint->mv_per_speed, r->set.speed_max[j]);
+    if (limit > 0.0 && fabs(mv) > limit * (1.0 + 1e-9)) {
+        if (!r->set.torque_clamp)
+            safety_trip(r, TRIP_COMMAND, j + 1, mv, limit);
+        mv = mv > 0.0 ? limit : -limit;
+    }
+    return mv;
+}
+
+/* Check the command of this sample and hold it for the next. With the drives off or tripped, nothing is held. */
+void safety_command(runner *r) {
+    control *c = r->control;
+    const bool enabled = !latched(r) && c->drive_mode != MACHINE_OFF;
+    r->held.mode = c->drive_mode;
+    r->held.dout = r->io.dout;
+    for (int j = 0; j < c->info.joints; j++) {
+        r->now.cmd[j] = r->io.aout[j];
+        r->held.aout[j] = enabled ? checked(r, j, r->io.aout[j]) : 0.0;
+    }
+}
+
+/* The machine's homing routine has filled `held`; see what it says. */
+void safety_home(runner *r, int answer) {
+    control *c = r->control;
+    for (int j = 0; j < c->info.joints; j++)
+        r->held.aout[j] = latched(r) ? 0.0 : checked(r, j, r->held.aout[j]);
+    if (answer == MACHINE_HOME_FAILED)
+        safety_trip(r, TRIP_HOMING, 0, 0.0, 0.0);
+    if (answer == MACHINE_HOME_BUSY && !latched(r))
+        return;
+    if (answer == MACHINE_HOME_DONE && !latched(r))
+        c->homed = 1;
+    uint32_t home = RUN_HOME;
+    __atomic_compare_exchange_n(&c->run, &home, RUN_PAUSED, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+}

@@ -1,0 +1,134 @@
+/* service.c: the threads beneath the loop: service (maps streams, sees the monitor go) and background (UserBackground). */
+#define _GNU_SOURCE
+#include <errno.h>    /* errno */
+#include <fcntl.h>    /* open */
+#include <pthread.h>  /* threads */
+#include <signal.h>   /* sigaltstack */
+#include <stdlib.h>   /* calloc, free */
+#include <sys/mman.h> /* mmap */
+#include <sys/resource.h> /* setpriority */
+#include <sys/stat.h> /* fstat */
+#include <sys/syscall.h> /* gettid */
+#include <unistd.h>   /* getppid, close */
+
+#include "runner.h"
+#include "timing.h"
+
+static const void *source_of(const control *c, const channel *which, int32_t *type) {
+    static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t), sizeof(bool)};
+    if (which->variable < 0 || which->variable >= c->variables)
+        return NULL;
+    const variable_entry *v = &c->variable[which->variable];
+    if (v->kind == KIND_TABLE || which->element < 0 || which->element >= v->length)
+        return NULL;
+    *type = v->type;
+    return (const unsigned char *)(uintptr_t)v->pointer + which->element * size_of_type[v->type];
+}
+
+/* Check the head against the file and find every channel's address. */
+static int resolve(const control *c, stream *s) {
+    stream_head *h = s->head;
+    const uint64_t row = h->channels * sizeof(double);
+    if (h->magic != LAYOUT_MAGIC || h->version != LAYOUT_VERSION || h->channels < 1 || h->channels > LAYOUT_CHANNELS ||
+        h->decimation < 1 || h->capacity < 1 || h->rows + h->capacity * row > s->bytes)
+        return EINVAL;
+    for (uint32_t i = 0; i < h->channels; i++) {
+        s->pointer[i] = source_of(c, &h->channel[i], &s->type[i]);
+        if (!s->pointer[i])
+            return EINVAL;
+    }
+    s->trigger = h->edge == EDGE_NONE ? NULL : source_of(c, &h->trigger, &s->trigger_type);
+    s->rows = (double *)(void *)((unsigned char *)h + h->rows);
+    return 0;
+}
+
+static void unmap(stream *s) {
+    if (s) {
+        if (s->head)
+            munmap(s->head, s->bytes);
+        free(s);
+    }
+}
+
+/* Map a stream with all its pages present, so that the loop never faults on it. */
+static stream *map(const control *c, const char *path, int *failed) {
+    struct stat status;
+    const int file = open(path, O_RDWR | O_CLOEXEC);
+    if (file < 0 || fstat(file, &status) != 0) {
+        *failed = errno;
+        if (file >= 0)
+            close(file);
+        return NULL;
+    }
+    stream *s = calloc(1, sizeof *s);
+    if (s) {
+        s->bytes = (uint64_t)status.st_size;
+        void *at = mmap(NULL, s->bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
+        s->head = at == MAP_FAILED ? NULL : at;
+        *failed = s->head ? resolve(c, s) : errno;
+    } else {
+        *failed = ENOMEM;
+    }
+    close(file);
+    if (*failed) {
+        unmap(s);
+        return NULL;
+    }
+    return s;
+}
+
+/* Offer each newly requested stream to the loop; take back the old one once the loop has let go of it. */
+static void serve_streams(runner *r) {
+    for (int i = 0; i < LAYOUT_STREAMS; i++) {
+        stream_slot *slot = &r->control->stream[i];
+        const uint32_t wanted = load32(&slot->requested);
+        if (wanted == r->offered[i])
+            continue;
+        stream *old = r->streams[i];
+        int failed = 0;
+        stream *next = wanted % 2 ? map(r->control, slot->path, &failed) : NULL;
+        slot->failed = failed;
+        __atomic_store_n(&r->streams[i], next, __ATOMIC_RELEASE);
+        store32(&r->offered[i], wanted);
+        while (load32(&slot->mapped) != wanted && load32(&r->control->run) != RUN_QUIT)
+            sleep_ns(200000);
+        if (load32(&slot->mapped) == wanted)
+            unmap(old);
+    }
+}
+
+static void *service(void *argument) {
+    runner *r = argument;
+    const pid_t monitor = getppid();
+    for (;;) {
+        serve_streams(r);
+        /* an orphan has nobody to report to: make the machine safe and end */
+        if (getppid() != monitor)
+            store32(&r->control->run, RUN_QUIT);
+        sleep_ns(1000000);
+    }
+    return NULL;
+}
+
+static void *background(void *argument) {
+    runner *r = argument;
+    static unsigned char own_stack[65536];
+    const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
+    sigaltstack(&stack, NULL);
+    setpriority(PRIO_PROCESS, (id_t)syscall(SYS_gettid), 10);
+    for (;;) {
+        if (load32(&r->control->running) == RUN_ISR)
+            r->background();
+        sleep_ns(1000000);
+    }
+    return NULL;
+}
+
+/* Start the threads; 0, or an errno. */
+int service_start(runner *r) {
+    pthread_t thread;
+    int failed = pthread_create(&thread, NULL, service, r);
+    if (!failed && r->background)
+        failed = pthread_create(&thread, NULL, background, r);
+    return failed;
+}
