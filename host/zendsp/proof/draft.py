@@ -97,6 +97,7 @@ class Draft:
             max(10, int(np.ceil(self.sample_time / step))),
             tuple([0.0] * self.n if self.open_loop else self.kp),
             tuple([0.0] * self.n if self.open_loop else self.kd),
+            ki=(0.0,) * self.n,
             velocity_filter=self.velocity_filter,
             q0=(0.0,) * self.n,
             v0=(0.0,) * self.n,

@@ -71,12 +71,17 @@ def moves(t: Array, amplitude: float, speed: float, rng: np.random.Generator, re
 
 
 def triangles(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
-    """Constant speeds in both directions, another speed every swing, corners rounded over 60 ms."""
+    """Constant speeds in both directions, another speed every swing, corners rounded over 60 ms.
+
+    No swing lasts longer than 2.5 s, so that slow swings are short and every run has many reversals.
+    """
     knots, places, side = [0.0, 0.4], [0.0, 0.0], 1.0
     while knots[-1] < t[-1]:
         goal = side * amplitude * rng.uniform(0.5, 1.0)
         cruise = speed * np.exp(rng.uniform(np.log(0.03), 0.0))
-        knots.append(knots[-1] + max(abs(goal - places[-1]) / cruise, 0.15))
+        way = np.clip(goal - places[-1], -2.5 * cruise, 2.5 * cruise)
+        goal = places[-1] + way
+        knots.append(knots[-1] + max(abs(way) / cruise, 0.15))
         places.append(goal)
         side = -side
     shape = np.interp(t, knots, places)
