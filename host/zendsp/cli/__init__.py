@@ -12,6 +12,7 @@ from zendsp.errors import ZendspError
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
+    "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),
     "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),
 }
 

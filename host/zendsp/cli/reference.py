@@ -1,0 +1,175 @@
+"""``zendsp reference``: plan a motion, check it against a machine's limits, save it; one subcommand per kind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+# A stand-in where the machine decides: the option's help then says so.
+MACHINE_DEFAULT = "of the machine"
+
+
+def _summary(reference: Any, torque: Any) -> dict[str, Any]:
+    """What the terminal prints: duration and the largest magnitudes of each joint."""
+    peaks = {name: abs(x).max(axis=0) for name, x in
+             (("speed", reference.qd), ("acceleration", reference.qdd), ("torque", torque))}  # fmt: skip
+    return {
+        "kind": reference.kind,
+        "machine": reference.machine,
+        "mode": reference.mode,
+        "samples": reference.samples,
+        "duration": reference.duration,
+        "cyclic": reference.cyclic,
+        "position_min": reference.q.min(axis=0).tolist(),
+        "position_max": reference.q.max(axis=0).tolist(),
+        **{name: x.tolist() for name, x in peaks.items()},
+        "parameters": dict(reference.parameters),
+    }
+
+
+def _print_table(summary: dict[str, Any]) -> None:
+    click.echo(
+        f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s, {summary['samples']} samples, "
+        f"mode {summary['mode']}{', cyclic' if summary['cyclic'] else ''}"
+    )
+    click.echo(f"{'joint':>6} {'q min rad':>10} {'q max rad':>10} {'rad/s':>9} {'rad/s^2':>9} {'N m':>9}")
+    columns = zip(*(summary[k] for k in ("position_min", "position_max", "speed", "acceleration", "torque")), strict=True)
+    for joint, row in enumerate(columns, start=1):
+        click.echo(f"{joint:>6} {row[0]:>10.4f} {row[1]:>10.4f} {row[2]:>9.3f} {row[3]:>9.2f} {row[4]:>9.3f}")
+
+
+def _finish(reference: Any, machine: Any, out: str | None, plot: str | None, as_json: bool, check: bool) -> None:
+    """Check, save, draw, print."""
+    from zendsp.reference import save_reference
+
+    if check:
+        machine.check(reference)
+    summary = _summary(reference, machine.torque(reference))
+    if out is not None:
+        summary["file"] = str(save_reference(reference, out, machine, check=False))
+    if plot is not None:
+        from zendsp.reference import plot_reference
+
+        Path(plot).parent.mkdir(parents=True, exist_ok=True)
+        plot_reference(reference, machine, plot)
+        summary["plot"] = plot
+    if as_json:
+        click.echo(json.dumps(summary))
+        return
+    _print_table(summary)
+    for key in ("file", "plot"):
+        if key in summary:
+            click.echo(f"wrote {summary[key]}")
+
+
+def _common(function: Any) -> Any:
+    """Options of every kind."""
+    for option in (
+        click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of the table."),
+        click.option("--no-check", is_flag=True, help="Write it even where it breaks limits of the machine."),
+        click.option("--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf."),
+        click.option("--out", type=click.Path(dir_okay=False), help="Write it: the .mat file that Execute plays."),
+        click.option("--machine", "machine_name", default=None, help="imi_planar, pendulum, wam7, or a .toml description."),
+    ):
+        function = option(function)
+    return function
+
+
+def _default_text(parameter: Any) -> str:
+    if parameter.by_machine or (parameter.type == "joints" and parameter.default is None):
+        return MACHINE_DEFAULT
+    if isinstance(parameter.default, list):
+        return ",".join(f"{x:g}" for x in parameter.default)
+    return f"{parameter.default:g}" if isinstance(parameter.default, float) else str(parameter.default)
+
+
+def _make_command(kind: Any) -> click.Command:
+    """The subcommand of one kind, with an option for each of its parameters."""
+
+    def run(machine_name: str | None, out: str | None, plot: str | None, as_json: bool, no_check: bool,
+            sample_time: float | None, **given: str | None) -> None:  # fmt: skip
+        from zendsp.reference import MACHINES, load_machine, make_reference
+
+        if machine_name is None:
+            machine_name = next(name for name in MACHINES if kind.fits(load_machine(name)))
+        machine = load_machine(machine_name)
+        chosen = {name: value for name, value in given.items() if value is not None}
+        reference = make_reference(kind.name, machine, sample_time=sample_time, **chosen)
+        _finish(reference, machine, out, plot, as_json, not no_check)
+
+    options: list[click.Parameter] = []
+    for parameter in kind.parameters:
+        unit = f" [{parameter.unit}]" if parameter.unit else ""
+        default = f"default {_default_text(parameter)}" if _default_text(parameter) else "required"
+        bounds = "" if parameter.choices or not parameter.describe_bounds() else f"; {parameter.describe_bounds()}"
+        options.append(
+            click.Option(
+                [f"--{parameter.name.replace('_', '-')}", parameter.name],
+                type=click.Choice(list(parameter.choices)) if parameter.choices else str,
+                metavar=None if parameter.choices else parameter.type.upper(),
+                help=f"{parameter.description}{unit} ({default}{bounds})",
+            )
+        )
+    options.append(click.Option(["--sample-time"], type=float, help="Sample time [s] (default of the machine)"))
+    example = f"Example:  zendsp reference {kind.name} --out {kind.name}.mat --plot {kind.name}.png"
+    command = click.Command(kind.name, callback=run, params=options, help=f"{kind.description}\n\n{example}",
+                            short_help=kind.title)  # fmt: skip
+    return _common_on(command)
+
+
+def _common_on(command: click.Command) -> click.Command:
+    """Append the common options to a command made without decorators."""
+
+    @_common
+    def carrier() -> None: ...
+
+    command.params.extend(reversed(carrier.__click_params__))
+    return command
+
+
+class _Kinds(click.Group):
+    """One subcommand per kind of reference, made from the registry when asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        from zendsp.reference import KINDS
+
+        return [*KINDS, *super().list_commands(ctx)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        from zendsp.reference import KINDS
+
+        name = cmd_name.replace("-", "_")
+        return _make_command(KINDS[name]) if name in KINDS else super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=_Kinds, context_settings={"help_option_names": ["-h", "--help"]})
+def command() -> None:
+    """Plan a motion within a machine's limits and save it as the MAT file that Execute plays.
+
+    Joint lists are one number for all joints or one per joint: --start 0.1,-0.2. Exit status 2 when a limit is broken.
+
+    Example:  zendsp reference circle --machine imi_planar --radius 0.15 --out circle.mat --plot circle.png
+    """
+
+
+@command.command("show", short_help="Check and describe a saved reference")
+@click.argument("file", type=click.Path(exists=True, dir_okay=False))
+@click.option("--machine", "machine_name", default=None, help="Check against this machine instead of its own.")
+@click.option("--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of the table.")
+def show(file: str, machine_name: str | None, plot: str | None, as_json: bool) -> None:
+    """Read a reference file, check it against the limits, print its extremes.
+
+    Example:  zendsp reference show circle.mat
+    """
+    from zendsp.errors import ReferenceError_
+    from zendsp.reference import load_machine, load_reference
+
+    reference = load_reference(file)
+    name = machine_name or reference.machine
+    if not name:
+        raise ReferenceError_(f"{file} names no machine: say which with --machine")
+    _finish(reference, load_machine(name), None, plot, as_json, check=True)

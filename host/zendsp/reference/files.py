@@ -1,0 +1,194 @@
+"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference.core import Reference
+from zendsp.reference.machine import MACHINES, Machine, load_machine
+
+FORMAT = "zendsp-reference-1"
+_NUMBERED = re.compile(r"^(q|qd|qdd|tau)_?(\d+)$")
+
+
+def save_reference(reference: Reference, path: str | Path, machine: Machine | None = None, check: bool = True) -> Path:
+    """Check a reference against its machine and write it as MAT (v5, opens in MATLAB and Octave).
+
+    Parameters
+    ----------
+    reference : Reference
+        The motion.
+    path : path
+        ``.mat`` is added where missing.
+    machine : Machine, optional
+        Whose limits count; the reference's own where it names a shipped one.
+    check : bool
+        False writes it in spite of the limits (an experiment that means to leave them says so).
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    ReferenceError_
+        A limit is broken: which, by how much, when, by which joint. Nothing is written.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib, numpy as np
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> save_reference(Reference(np.zeros(3), 0.001, machine="pendulum"), folder / "rest").name
+    'rest.mat'
+    """
+    from scipy.io import savemat
+
+    if machine is None and reference.machine in MACHINES:
+        machine = load_machine(reference.machine)
+    if check and machine is not None:
+        machine.check(reference)
+    target = Path(path)
+    if target.suffix != ".mat":
+        target = target.with_name(target.name + ".mat")
+    empty = np.zeros((0, 0))
+    table = {
+        "format": FORMAT, "kind": reference.kind, "machine": reference.machine, "mode": reference.mode, "unit": reference.unit,
+        "cyclic": int(reference.cyclic), "sample_time": reference.sample_time, "t": reference.t[:, None], "q": reference.q,
+        "qd": reference.qd, "qdd": reference.qdd, "tau": empty if reference.tau is None else reference.tau,
+        "parameters": json.dumps(dict(reference.parameters)),
+    }  # fmt: skip
+    target.parent.mkdir(parents=True, exist_ok=True)
+    savemat(target, table, do_compression=True)
+    return target
+
+
+def load_reference(path: str | Path) -> Reference:
+    """Read a reference that :func:`save_reference` wrote.
+
+    Parameters
+    ----------
+    path : path
+        A ``.mat`` file.
+
+    Returns
+    -------
+    Reference
+        Equal to the one saved.
+
+    Raises
+    ------
+    ReferenceError_
+        No such file, not MAT, or not a reference.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib, numpy as np
+    >>> file = save_reference(Reference(np.zeros(3), 0.001), pathlib.Path(tempfile.mkdtemp()) / "rest.mat")
+    >>> load_reference(file).samples
+    3
+    """
+    file = Path(path)
+    data = read_columns(file)
+    if str(data.get("format", "")) != FORMAT:
+        raise ReferenceError_(
+            f'{file}: not a reference file (format is "{data.get("format", "absent")}", expected "{FORMAT}"); '
+            "a plain table comes in as kind from_file"
+        )
+    try:
+        tau = data["tau"]
+        return Reference(
+            data["q"], float(data["sample_time"]), data["qd"], data["qdd"], None if tau.size == 0 else tau,
+            kind=str(data["kind"]), parameters=json.loads(data["parameters"]), machine=str(data["machine"]),
+            mode=data["mode"], cyclic=bool(data["cyclic"]), unit=str(data["unit"]),
+        )  # fmt: skip
+    except (KeyError, ValueError) as error:
+        raise ReferenceError_(f"{file}: damaged reference file: {error}; plan it again") from error
+
+
+def read_columns(path: Path) -> dict[str, Any]:
+    """Variables of a MAT, NPZ or CSV file; q1, q2, … (also q_1, …) are gathered into one array q of shape (N, joints).
+
+    Parameters
+    ----------
+    path : Path
+        ``.mat``, ``.npz`` or ``.csv`` (one row of names first).
+
+    Returns
+    -------
+    dict
+        Text as str, single numbers as float, columns as arrays; q, qd, qdd and tau always two-dimensional.
+
+    Raises
+    ------
+    ReferenceError_
+        No such file, unknown ending, or unreadable content.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> file = pathlib.Path(tempfile.mkdtemp()) / "a.csv"
+    >>> _ = file.write_text("t,q1,q2\\n0,1,2\\n")
+    >>> read_columns(file)["q"].tolist()
+    [[1.0, 2.0]]
+    """
+    if not path.is_file():
+        raise ReferenceError_(f"{path}: no such file")
+    try:
+        if path.suffix == ".mat":
+            from scipy.io import loadmat
+
+            raw = {k: _plain(v) for k, v in loadmat(path).items() if not k.startswith("__")}
+        elif path.suffix == ".npz":
+            with np.load(path) as archive:
+                raw = {k: _plain(archive[k]) for k in archive.files}
+        elif path.suffix == ".csv":
+            raw = _read_csv(path)
+        else:
+            raise ReferenceError_(f'{path}: ending "{path.suffix}" is unknown; expected .mat, .npz or .csv')
+    except (OSError, ValueError, NotImplementedError) as error:
+        if isinstance(error, ReferenceError_):
+            raise
+        raise ReferenceError_(f"{path}: cannot be read: {error}") from error
+    return _gather(path, raw)
+
+
+def _plain(value: Any) -> Any:
+    array = np.asarray(value)
+    if array.dtype.kind in "US":
+        return "" if array.size == 0 else str(array.ravel()[0])
+    return float(array.ravel()[0]) if array.size == 1 else array
+
+
+def _read_csv(path: Path) -> dict[str, Any]:
+    with path.open(newline="") as stream:
+        rows = list(csv.reader(line for line in stream if not line.startswith("#")))
+    if len(rows) < 2:
+        raise ReferenceError_(f"{path}: expected a row of names and at least one row of numbers")
+    table = np.array([[float(cell) for cell in row] for row in rows[1:] if row])
+    return {name.strip(): table[:, i] for i, name in enumerate(rows[0])}
+
+
+def _gather(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
+    """One array per quantity: q1, q2 … in the order of their numbers."""
+    found: dict[str, dict[int, Any]] = {}
+    out: dict[str, Any] = {}
+    for name, value in raw.items():
+        match = _NUMBERED.match(name)
+        if match:
+            found.setdefault(match[1], {})[int(match[2])] = np.ravel(value)
+        else:
+            out[name] = np.atleast_1d(value)[:, None] if name in ("q", "qd", "qdd", "tau") and np.ndim(value) < 2 else value
+    for quantity, columns in found.items():
+        wanted = list(range(1, len(columns) + 1))
+        if sorted(columns) != wanted:
+            raise ReferenceError_(f"{path}: columns {quantity}{sorted(columns)} are not numbered 1 to {len(columns)}")
+        out[quantity] = np.stack([columns[i] for i in wanted], axis=1)
+    return out

@@ -1,0 +1,192 @@
+"""What a generator of references is: its parameters with units and bounds, from which forms and options are built."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference.core import Array, Reference
+from zendsp.reference.machine import Machine
+
+# joints: one number, or one per joint. list: any count of numbers.
+ParameterType = Literal["float", "int", "bool", "choice", "joints", "list", "path"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One input of a generator.
+
+    Parameters
+    ----------
+    name : str
+        Keyword of the generator; ``--name`` on the command line.
+    type : str
+        "float", "int", "bool", "choice", "joints" (one number, or one per joint), "list" or "path".
+    unit : str
+        "" where none.
+    default : object
+        Used where ``by_machine`` has no entry.
+    description : str
+        One line for forms and ``--help``.
+    minimum, maximum : float
+        Bounds of every number.
+    choices : tuple of str
+        Of a "choice".
+    by_machine : mapping of str to object
+        Defaults of particular machines.
+
+    Examples
+    --------
+    >>> Parameter("radius", "float", "m", 0.1, "Radius.", minimum=0.0).describe_bounds()
+    '>= 0'
+    """
+
+    name: str
+    type: ParameterType
+    unit: str
+    default: Any
+    description: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+    by_machine: Mapping[str, Any] = field(default_factory=dict)
+
+    def default_for(self, machine: Machine) -> Any:
+        """Default on a machine; a "joints" default of None is the machine's home position."""
+        value = self.by_machine.get(machine.name, self.default)
+        if value is None and self.type == "joints":
+            return machine.home.tolist()
+        return value
+
+    def describe_bounds(self) -> str:
+        """Bounds in words, "" where there are none."""
+        if self.choices:
+            return " | ".join(self.choices)
+        low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
+        if low and high:
+            return f"{self.minimum:g} … {self.maximum:g}"
+        return f">= {self.minimum:g}" if low else f"<= {self.maximum:g}" if high else ""
+
+    def parse(self, value: Any, machine: Machine) -> Any:
+        """Value of the right Python type, from a number, a list or the text of a form.
+
+        Raises
+        ------
+        ReferenceError_
+            Not a number, outside the bounds, no such choice, wrong count of joints.
+        """
+        if self.type == "bool":
+            return _parse_bool(self.name, value)
+        if self.type == "path":
+            return str(value)
+        if self.type == "choice":
+            if value not in self.choices:
+                raise ReferenceError_(f'{self.name} is "{value}"; expected one of {", ".join(self.choices)}')
+            return value
+        numbers = self._numbers(value)
+        if self.type == "joints":
+            return spread(machine, self.name, numbers)
+        if self.type == "list":
+            return numbers
+        if len(numbers) != 1:
+            raise ReferenceError_(f"{self.name} takes one number, got {len(numbers)}")
+        if self.type == "int":
+            if numbers[0] != int(numbers[0]):
+                raise ReferenceError_(f"{self.name} is {numbers[0]:g}; expected a whole number")
+            return int(numbers[0])
+        return float(numbers[0])
+
+    def _numbers(self, value: Any) -> Array:
+        try:
+            items = value.replace(",", " ").split() if isinstance(value, str) else np.ravel(value)
+            numbers = np.array([float(item) for item in items])
+        except (TypeError, ValueError) as error:
+            raise ReferenceError_(f'{self.name} is "{value}"; expected a number or a list like 0.1,0.2') from error
+        unit = f" {self.unit}" if self.unit else ""
+        for number in numbers:
+            if not (self.minimum <= number <= self.maximum):
+                raise ReferenceError_(f"{self.name} is {number:g}{unit}; expected {self.describe_bounds() or 'a number'}")
+        if len(numbers) == 0:
+            raise ReferenceError_(f"{self.name} is empty; expected a number")
+        return numbers
+
+
+def _parse_bool(name: str, value: Any) -> bool:
+    text = str(value).lower()
+    if text in ("true", "yes", "1", "on"):
+        return True
+    if text in ("false", "no", "0", "off"):
+        return False
+    raise ReferenceError_(f'{name} is "{value}"; expected yes or no')
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One generator of references.
+
+    Parameters
+    ----------
+    name, title, description : str
+        Identifier, heading of the form, one or two sentences.
+    parameters : tuple of Parameter
+        Everything that ``make`` takes beside the machine and sample_time.
+    make : callable
+        ``make(machine, *, sample_time, **parameters) -> Reference``.
+    machine_kinds : tuple of str
+        Kinds of machine it can be planned for; empty for all.
+
+    Examples
+    --------
+    >>> from zendsp.reference import KINDS
+    >>> [p.name for p in KINDS["lspb"].parameters]
+    ['start', 'goal', 'duration', 'blend_time', 'hold', 'back']
+    """
+
+    name: str
+    title: str
+    description: str
+    parameters: tuple[Parameter, ...]
+    make: Callable[..., Reference]
+    machine_kinds: tuple[str, ...] = ()
+
+    def fits(self, machine: Machine) -> bool:
+        """Whether this kind can be planned for a machine."""
+        return not self.machine_kinds or machine.kind in self.machine_kinds
+
+
+def spread(machine: Machine, name: str, value: Any) -> Array:
+    """One number for all joints, or one per joint, as an array of shape (joints,).
+
+    Examples
+    --------
+    >>> from zendsp.reference import load_machine
+    >>> spread(load_machine("imi_planar"), "start", 0.5).tolist()
+    [0.5, 0.5]
+    """
+    x = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if x.size == 1:
+        x = np.repeat(x, machine.joints)
+    if x.shape != (machine.joints,):
+        raise ReferenceError_(f"{name} has {x.size} numbers; {machine.name} has {machine.joints} joint(s): give 1 or {machine.joints}")
+    return x
+
+
+def move_one_joint(machine: Machine, start: Array, joint: int, motion: Array) -> Array:
+    """All joints, shape (N, joints): ``start`` plus ``motion`` (N,) on one joint (1-based), or on every joint for 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from zendsp.reference import load_machine
+    >>> move_one_joint(load_machine("imi_planar"), np.zeros(2), 2, np.ones(1)).tolist()
+    [[0.0, 1.0]]
+    """
+    if not 0 <= joint <= machine.joints:
+        raise ReferenceError_(f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of them)")
+    moving = np.ones(machine.joints) if joint == 0 else np.eye(machine.joints)[joint - 1]
+    return np.asarray(start + motion[:, None] * moving)

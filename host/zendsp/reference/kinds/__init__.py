@@ -1,0 +1,1 @@
+"""One generator per file; ``zendsp.reference.registry`` lists them."""

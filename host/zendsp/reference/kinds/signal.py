@@ -1,0 +1,99 @@
+"""What step, chirp, multisine and PRBS share: a test signal as a position to follow or a torque to play."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference.core import Array, Reference
+from zendsp.reference.dynamics import predict_motion
+from zendsp.reference.kind import Parameter, spread
+from zendsp.reference.machine import Machine
+
+Quantity = Literal["position", "torque"]
+
+START = Parameter("start", "joints", "rad", None, "Middle (position) or start (torque) of every joint.",
+                  by_machine={"wam7": [0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0]})  # fmt: skip
+QUANTITY = Parameter("quantity", "choice", "", "position", "A position to follow, or a torque to play open loop.",
+                     choices=("position", "torque"))  # fmt: skip
+
+
+def make_signal(
+    machine: Machine,
+    kind: str,
+    quantity: Quantity,
+    start: npt.ArrayLike,
+    signal: tuple[Array, Array, Array],
+    sample_time: float,
+    parameters: Mapping[str, Any],
+    cyclic: bool = False,
+) -> Reference:
+    """A signal and its derivatives as a reference: added to ``start``, or as torque with the motion it should cause.
+
+    Parameters
+    ----------
+    machine : Machine
+        Its nominal model predicts the motion of a torque.
+    kind : str
+        Name of the generator.
+    quantity : {"position", "torque"}
+        What the signal is.
+    start : array_like, shape () or (joints,)
+        rad.
+    signal : tuple of ndarray, shape (N, joints)
+        Value and two derivatives; rad or N m.
+    sample_time : float
+        s.
+    parameters : mapping
+        Stored with the reference.
+    cyclic : bool
+        Whether it may repeat.
+
+    Returns
+    -------
+    Reference
+        Mode "position" or "torque".
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from zendsp.reference import load_machine
+    >>> zero = np.zeros((5, 1))
+    >>> make_signal(load_machine("pendulum"), "none", "torque", 0.0, (zero, zero, zero), 0.001, {}).mode
+    'torque'
+    """
+    base = spread(machine, "start", start)
+    used = {**parameters, "quantity": quantity, "start": base.tolist()}
+    x, xd, xdd = signal
+    if quantity == "position":
+        return Reference(base + x, sample_time, xd, xdd, kind=kind, parameters=used, machine=machine.name, cyclic=cyclic)
+    if quantity != "torque":
+        raise ReferenceError_(f'quantity is "{quantity}"; expected "position" or "torque"')
+    if machine.kind == "dh":
+        raise ReferenceError_(f"an open-loop torque lets {machine.name} fall under its own weight: plan a position instead")
+    q, qd, qdd = predict_motion(machine.dynamics, x, sample_time, base)
+    return Reference(q, sample_time, qd, qdd, x, kind=kind, parameters=used, machine=machine.name, mode="torque")
+
+
+def on_joints(machine: Machine, joint: int, x: Array) -> Array:
+    """A scalar signal (N,) on one joint (1-based) or on all (0), shape (N, joints).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from zendsp.reference import load_machine
+    >>> on_joints(load_machine("imi_planar"), 1, np.ones(1)).tolist()
+    [[1.0, 0.0]]
+    """
+    if not 0 <= joint <= machine.joints:
+        raise ReferenceError_(f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of them)")
+    out = np.zeros((len(x), machine.joints))
+    if joint == 0:
+        out[:] = x[:, None]
+    else:
+        out[:, joint - 1] = x
+    return out

@@ -1,0 +1,158 @@
+"""Checks a reference against what a machine may do, before anything is saved or moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference.core import Array, Reference
+
+
+def _per_joint(value: object) -> Array:
+    x = np.atleast_1d(np.array(value, dtype=np.float64))
+    x.setflags(write=False)
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What each joint may do; +inf where there is no limit.
+
+    Parameters
+    ----------
+    position_min, position_max : array_like, shape (joints,)
+        rad.
+    speed, acceleration, torque : array_like, shape (joints,)
+        Largest magnitudes: rad/s, rad/s^2, N m.
+
+    Examples
+    --------
+    >>> limits = Limits([-1.0], [1.0], [2.0], [10.0], [5.0])
+    >>> float(limits.speed[0])
+    2.0
+    """
+
+    position_min: Array
+    position_max: Array
+    speed: Array
+    acceleration: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        for name in ("position_min", "position_max", "speed", "acceleration", "torque"):
+            object.__setattr__(self, name, _per_joint(getattr(self, name)))
+        sizes = {len(getattr(self, name)) for name in ("position_min", "position_max", "speed", "acceleration", "torque")}
+        if len(sizes) != 1:
+            raise ReferenceError_(f"limits: lists of {sorted(sizes)} joints; every limit needs one value per joint")
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.speed)
+
+
+@dataclass(frozen=True)
+class Violation:
+    """The worst sample at which one joint breaks one limit."""
+
+    quantity: str  # "position" | "speed" | "acceleration" | "torque"
+    joint: int  # 1-based
+    t: float  # s
+    value: float
+    limit: float
+    unit: str
+
+    def __str__(self) -> str:
+        return (
+            f"joint {self.joint}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.t:.3f} s, "
+            f"limit {self.limit:.4g} {self.unit}"
+        )
+
+
+# A limit that is met exactly, as a trapezoid does at its cruise speed, must not fail by the last bit of a sum.
+ROUNDING = 1e-9
+
+
+def _worst(quantity: str, unit: str, x: Array, low: Array, high: Array, t: Array) -> list[Violation]:
+    found = []
+    for joint in range(x.shape[1]):
+        slack = ROUNDING * max(1.0, *(abs(v) for v in (low[joint], high[joint]) if np.isfinite(v)), 1.0)
+        above, below = x[:, joint] - high[joint], low[joint] - x[:, joint]
+        row = int(np.argmax(np.maximum(above, below)))
+        if max(above[row], below[row]) > slack:
+            limit = high[joint] if above[row] > below[row] else low[joint]
+            found.append(Violation(quantity, joint + 1, float(t[row]), float(x[row, joint]), float(limit), unit))
+    return found
+
+
+def find_violations(reference: Reference, limits: Limits, tau: Array | None = None) -> list[Violation]:
+    """Every limit that a reference breaks, at its worst sample.
+
+    Parameters
+    ----------
+    reference : Reference
+        The motion.
+    limits : Limits
+        What the machine may do, same number of joints.
+    tau : ndarray, shape (N, joints), optional
+        Torque that the motion needs, N m; the reference's own tau where not given.
+
+    Returns
+    -------
+    list of Violation
+        Empty when the reference may be played.
+
+    Raises
+    ------
+    ReferenceError_
+        The numbers of joints differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> limits = Limits([-1.0], [1.0], [2.0], [100.0], [5.0])
+    >>> print(find_violations(Reference(np.linspace(0.0, 1.5, 16), 0.1), limits)[0])
+    joint 1: position 1.5 rad at t = 1.500 s, limit 1 rad
+    """
+    if reference.joints != limits.joints:
+        raise ReferenceError_(
+            f"reference has {reference.joints} joint(s), the machine {limits.joints}: choose the machine it was planned for"
+        )
+    torque = reference.tau if tau is None else tau
+    u, t = reference.unit, reference.t
+    found = _worst("position", u, reference.q, limits.position_min, limits.position_max, t)
+    found += _worst("speed", f"{u}/s", reference.qd, -limits.speed, limits.speed, t)
+    found += _worst("acceleration", f"{u}/s^2", reference.qdd, -limits.acceleration, limits.acceleration, t)
+    if torque is not None:
+        found += _worst("torque", "N m" if u == "rad" else "N", torque, -limits.torque, limits.torque, t)
+    return found
+
+
+def raise_violations(found: Sequence[Violation], machine: str) -> None:
+    """Turn violations into one error whose message has a line for each.
+
+    Parameters
+    ----------
+    found : sequence of Violation
+        From :func:`find_violations`.
+    machine : str
+        Named in the message.
+
+    Raises
+    ------
+    ReferenceError_
+        There is at least one violation.
+
+    Examples
+    --------
+    >>> raise_violations([], "imi_planar")
+    """
+    if found:
+        lines = "\n".join(f"  {violation}" for violation in found)
+        raise ReferenceError_(
+            f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n"
+            "  slow it down, make it smaller or move its centre"
+        )

@@ -1,0 +1,155 @@
+"""The machines that references are planned for: their limits and their nominal rigid-body model, from package data."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference.core import Array, Reference
+from zendsp.reference.dynamics import Dynamics, make_dynamics
+from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
+
+MACHINES = ("imi_planar", "pendulum", "wam7")
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """Limits, geometry and nominal model of one machine.
+
+    Parameters
+    ----------
+    name, title : str
+        Identifier, and the words for a person.
+    kind : str
+        "planar2r", "pendulum" or "dh": which rigid-body model the parameters are for.
+    joints : int
+        Number of joints.
+    sample_time : float
+        Period of its control loop, s.
+    home : ndarray, shape (joints,)
+        Position after homing, rad.
+    limits : Limits
+        What a reference may ask.
+    parameters : mapping
+        Numbers of the model, SI units.
+
+    Examples
+    --------
+    >>> machine = load_machine("imi_planar")
+    >>> machine.joints, float(machine.limits.torque[0])
+    (2, 245.0)
+    """
+
+    name: str
+    title: str
+    kind: str
+    joints: int
+    sample_time: float
+    home: Array
+    limits: Limits
+    parameters: Mapping[str, Any]
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Inverse and forward dynamics of the nominal model, friction included."""
+        return make_dynamics(self.kind, self.parameters)
+
+    def torque(self, reference: Reference) -> Array:
+        """Torque that the reference needs, N m, shape (N, joints): its own in mode "torque", else inverse dynamics.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> machine = load_machine("pendulum")
+        >>> bool(abs(machine.torque(Reference(np.zeros((5, 1)), 0.001))).max() < 1e-12)
+        True
+        """
+        if reference.mode == "torque" and reference.tau is not None:
+            return reference.tau
+        return self.dynamics.inverse(reference.q, reference.qd, reference.qdd)
+
+    def find_violations(self, reference: Reference) -> list[Violation]:
+        """Limits of this machine that a reference breaks, torque included.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> load_machine("pendulum").find_violations(Reference(np.zeros((5, 1)), 0.001))
+        []
+        """
+        if reference.joints != self.joints:
+            raise ReferenceError_(
+                f"reference has {reference.joints} joint(s), {self.name} has {self.joints}: "
+                "choose the machine that it was planned for"
+            )
+        return find_violations(reference, self.limits, self.torque(reference))
+
+    def check(self, reference: Reference) -> None:
+        """Raise ReferenceError_ naming limit, value, time and joint unless this machine may play the reference.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> load_machine("pendulum").check(Reference(np.zeros((5, 1)), 0.001))
+        """
+        raise_violations(self.find_violations(reference), self.name)
+
+
+def _parse(data: Mapping[str, Any], origin: str) -> Machine:
+    try:
+        return Machine(
+            name=data["name"],
+            title=data.get("title", data["name"]),
+            kind=data["kind"],
+            joints=data["joints"],
+            sample_time=data["sample_time"],
+            home=np.array(data["home"], dtype=np.float64),
+            limits=Limits(**data["limits"]),
+            parameters=data["parameters"],
+        )
+    except (KeyError, TypeError) as error:
+        raise ReferenceError_(f"{origin}: machine description lacks or misnames {error}; compare with a shipped one") from error
+
+
+@cache
+def load_machine(name: str) -> Machine:
+    """One of the shipped machines by name, or any other from a TOML file of the same form.
+
+    Parameters
+    ----------
+    name : str
+        "imi_planar", "pendulum", "wam7", or the path of a ``.toml`` file.
+
+    Returns
+    -------
+    Machine
+        Limits and nominal model.
+
+    Raises
+    ------
+    ReferenceError_
+        No such machine or file, or a key is missing.
+
+    Examples
+    --------
+    >>> load_machine("wam7").joints
+    7
+    """
+    if name in MACHINES:
+        text = resources.files("zendsp.reference").joinpath("machines", f"{name}.toml").read_text()
+        return _parse(tomllib.loads(text), name)
+    path = Path(name)
+    if path.suffix != ".toml" or not path.is_file():
+        raise ReferenceError_(f'no machine "{name}": expected {", ".join(MACHINES)} or the path of a .toml description')
+    try:
+        return _parse(tomllib.loads(path.read_text()), str(path))
+    except tomllib.TOMLDecodeError as error:
+        raise ReferenceError_(f"{path}: not TOML: {error}") from error

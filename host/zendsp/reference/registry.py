@@ -1,0 +1,78 @@
+"""Every kind of reference by name, and the one call that the terminal, the forms and scripts make."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference.core import Reference
+from zendsp.reference.kind import Kind
+from zendsp.reference.kinds import (
+    chirp,
+    circle,
+    from_file,
+    line,
+    lspb,
+    multisine,
+    point_to_point,
+    prbs,
+    step,
+    swing,
+    torque_law,
+    trapezoid,
+    triangle,
+)
+from zendsp.reference.machine import Machine, load_machine
+
+KINDS: dict[str, Kind] = {
+    module.KIND.name: module.KIND
+    for module in (
+        point_to_point, line, circle, lspb, trapezoid, triangle, step, chirp, multisine, prbs, torque_law, swing, from_file,
+    )
+}  # fmt: skip
+
+
+def make_reference(kind: str, machine: Machine | str, sample_time: float | None = None, **parameters: Any) -> Reference:
+    """Plan a reference of any kind; parameters left out take the kind's defaults for the machine.
+
+    Parameters
+    ----------
+    kind : str
+        A key of ``KINDS``.
+    machine : Machine or str
+        The machine, or its name.
+    sample_time : float, optional
+        s; the machine's where not given.
+    **parameters
+        Numbers, lists, or the text of a form ("0.1, 0.2"); checked against type, bounds and choices.
+
+    Returns
+    -------
+    Reference
+        Not yet checked against the machine's limits: :meth:`Machine.check` or :func:`save_reference` does that.
+
+    Raises
+    ------
+    ReferenceError_
+        Unknown kind or parameter, a value outside its bounds, or a motion that cannot be.
+
+    Examples
+    --------
+    >>> make_reference("circle", "imi_planar", radius="0.1").duration
+    4.5
+    """
+    if isinstance(machine, str):
+        machine = load_machine(machine)
+    if kind not in KINDS:
+        raise ReferenceError_(f'no reference of kind "{kind}"; expected one of {", ".join(KINDS)}')
+    chosen = KINDS[kind]
+    if not chosen.fits(machine):
+        raise ReferenceError_(
+            f"{kind} is planned for machines of kind {', '.join(chosen.machine_kinds)}; {machine.name} is of kind {machine.kind}"
+        )
+    unknown = set(parameters) - {p.name for p in chosen.parameters}
+    if unknown:
+        expected = ", ".join(p.name for p in chosen.parameters)
+        raise ReferenceError_(f"{kind} has no parameter {', '.join(sorted(unknown))}; expected {expected}")
+    values = {p.name: p.parse(parameters.get(p.name, p.default_for(machine)), machine) for p in chosen.parameters}
+    return chosen.make(machine, sample_time=sample_time, **values)

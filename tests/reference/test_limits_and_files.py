@@ -1,0 +1,165 @@
+"""Limits are checked before anything is saved; files come back as they were; forms and options come from one registry."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from zendsp.cli.reference import command
+from zendsp.errors import ReferenceError_
+from zendsp.reference import (
+    KINDS,
+    MACHINES,
+    Reference,
+    inverse_kinematics,
+    load_machine,
+    load_reference,
+    make_circle,
+    make_from_file,
+    make_pinocchio_model,
+    make_reference,
+    plot_reference,
+    save_reference,
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": 2.3}, r"joint 2: position 2.3 rad at t = 0.005 s, limit 2.15 rad"),
+        ({"speed": -10.0}, r"joint 2: speed -10 rad/s at t = 0.005 s, limit -9.42 rad/s"),
+        ({"acceleration": 150.0}, r"joint 2: acceleration 150 rad/s\^2 at t = 0.005 s, limit 140 rad/s\^2"),
+        ({"torque": 40.0}, r"joint 2: torque 40 N m at t = 0.005 s, limit 39.2 N m"),
+    ],
+)
+def test_nothing_is_saved_beyond_a_limit_and_the_error_names_it(tmp_path: Path, change: dict[str, float], message: str) -> None:
+    x = {name: np.zeros((10, 2)) for name in ("position", "speed", "acceleration", "torque")}
+    for name, value in change.items():
+        x[name][5, 1] = value
+    mode = "torque" if "torque" in change else "position"
+    tau = x["torque"] if mode == "torque" else None
+    reference = Reference(x["position"], 0.001, x["speed"], x["acceleration"], tau, machine="imi_planar", mode=mode)
+    with pytest.raises(ReferenceError_, match=message):
+        save_reference(reference, tmp_path / "no.mat")
+    assert not list(tmp_path.iterdir())
+
+
+def test_torque_of_a_motion_is_limited_though_it_has_no_feed_forward() -> None:
+    fast = np.zeros((10, 2))
+    fast[5, 0] = 54.0  # rad/s^2, below the limit of acceleration; 3.957 kg m^2 · 54 + nothing = 213.7 N m on joint 1
+    torque = load_machine("imi_planar").torque(Reference(np.zeros((10, 2)), 0.001, np.zeros((10, 2)), fast))
+    assert torque[5] == pytest.approx([(3.473 + 2 * 0.242) * 54.0, (0.196 + 0.242) * 54.0])
+
+
+@pytest.mark.parametrize("kind", ["circle", "multisine", "torque_law"])
+def test_a_saved_reference_comes_back_equal(tmp_path: Path, kind: str) -> None:
+    made = make_reference(kind, "imi_planar")
+    back = load_reference(save_reference(made, tmp_path / "a"))
+    for name in ("q", "qd", "qdd", "tau"):
+        x, y = getattr(made, name), getattr(back, name)
+        assert (x is None and y is None) or np.array_equal(x, y)
+    for name in ("sample_time", "kind", "machine", "mode", "cyclic", "unit"):
+        assert getattr(made, name) == getattr(back, name)
+    assert json.loads(json.dumps(made.parameters)) == back.parameters
+    assert np.array_equal(make_reference(kind, "imi_planar", **_given(back)).q, made.q)
+
+
+def _given(reference: Reference) -> dict[str, object]:
+    """The stored parameters that the kind takes: enough to plan the motion again."""
+    names = {p.name for p in KINDS[reference.kind].parameters}
+    return {k: v for k, v in reference.parameters.items() if k in names}
+
+
+def test_a_table_of_another_rate_is_resampled_without_loss_of_shape(tmp_path: Path) -> None:
+    t = np.arange(0, 2.0001, 0.01)
+    lines = ["t,q1,q2"] + [f"{x!r},{float(np.sin(x))!r},{float(np.cos(x))!r}" for x in t.tolist()]
+    (tmp_path / "way.csv").write_text("\n".join(lines))
+    reference = make_from_file(load_machine("imi_planar"), path=str(tmp_path / "way.csv"))
+    assert reference.samples == 2001
+    # cubic splines err by h^4/384 of the fourth derivative inside, more at the ends
+    assert reference.q[:, 0] == pytest.approx(np.sin(reference.t), abs=1e-8)
+    assert reference.qd[100:-100, 1] == pytest.approx(-np.sin(reference.t[100:-100]), abs=1e-6)
+
+
+def test_bad_files_get_one_clear_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
+    (tmp_path / "b.csv").write_text("t,q1,q2\n0,1,1\n0,2,2\n")
+    (tmp_path / "c.mat").write_bytes(b"this is no MAT file at all" * 20)
+    arm = load_machine("imi_planar")
+    for name, words in (("a.csv", "no column q"), ("b.csv", "time does not increase at row 1"), ("c.mat", "cannot be read"), ("d.mat", "no such file")):
+        with pytest.raises(ReferenceError_, match=words):
+            make_from_file(arm, path=str(tmp_path / name))
+
+
+def test_out_of_reach_names_the_point_and_the_ring() -> None:
+    arm = load_machine("imi_planar")
+    with pytest.raises(ReferenceError_, match=r"\(0.8, 0\) m is 0.8 m from the base .* from 0.02 to 0.7 m"):
+        inverse_kinematics(arm, np.array([0.8, 0.0]), "positive")
+    with pytest.raises(ReferenceError_, match="outstretched or folded"):
+        make_circle(arm, radius=0.1, x=0.6, y=0.0)
+
+
+def test_two_elbow_solutions_reach_the_same_point_and_no_third_exists() -> None:
+    arm = load_machine("imi_planar")
+    a, b = (inverse_kinematics(arm, np.array([0.3, 0.4]), elbow) for elbow in ("positive", "negative"))  # type: ignore[arg-type]
+    assert a[1] == pytest.approx(-b[1]) and a[0] != pytest.approx(b[0])
+
+
+def test_values_from_a_form_are_checked_against_type_bounds_and_choices() -> None:
+    for given, words in (
+        ({"radius": "x"}, 'radius is "x"; expected a number'),
+        ({"radius": 0.5}, "radius is 0.5 m; expected 0.0001 … 0.35"),
+        ({"elbow": "up"}, 'elbow is "up"; expected one of positive, negative'),
+        ({"turns": 1.5}, "turns is 1.5; expected a whole number"),
+        ({"speed": 1}, "circle has no parameter speed"),
+    ):
+        with pytest.raises(ReferenceError_, match=words):
+            make_reference("circle", "imi_planar", **given)
+    with pytest.raises(ReferenceError_, match="goal has 3 numbers; imi_planar has 2"):
+        make_reference("lspb", "imi_planar", goal="1,2,3")
+    with pytest.raises(ReferenceError_, match="circle is planned for machines of kind planar2r"):
+        make_reference("circle", "wam7")
+
+
+def test_every_parameter_of_every_kind_is_ready_for_a_form() -> None:
+    for kind in KINDS.values():
+        for parameter in kind.parameters:
+            assert parameter.description.endswith(".") and parameter.name.isidentifier()
+            for machine in (load_machine(name) for name in MACHINES):
+                if kind.fits(machine) and parameter.type != "path":
+                    parameter.parse(parameter.default_for(machine), machine)
+
+
+def test_command_line_plans_saves_draws_and_refuses(tmp_path: Path) -> None:
+    runner = CliRunner()
+    out, picture = tmp_path / "c.mat", tmp_path / "c.png"
+    args = ["circle", "--machine", "imi_planar", "--radius", "0.1", "--out", str(out), "--plot", str(picture), "--json"]
+    result = runner.invoke(command, args, catch_exceptions=False)
+    told = json.loads(result.output)
+    assert told["samples"] == 4501 and load_reference(out).parameters["radius"] == 0.1
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert runner.invoke(command, ["show", str(out)], catch_exceptions=False).exit_code == 0
+    refused = runner.invoke(command, ["circle", "--x", "0.4", "--out", str(tmp_path / "no.mat")])
+    assert isinstance(refused.exception, ReferenceError_) and not (tmp_path / "no.mat").exists()
+
+
+def test_plot_has_one_axis_per_quantity_and_the_path_of_a_planar_tip() -> None:
+    arm, pendulum = load_machine("imi_planar"), load_machine("pendulum")
+    assert len(plot_reference(make_reference("circle", arm), arm).axes) == 5
+    assert len(plot_reference(make_reference("lspb", pendulum), pendulum).axes) == 4
+
+
+def test_pinocchio_model_of_the_wam_carries_all_of_its_mass() -> None:
+    import pinocchio as pin
+
+    parameters = load_machine("wam7").parameters
+    model = make_pinocchio_model(parameters)
+    assert pin.computeTotalMass(model) == pytest.approx(sum(link["mass"] for link in parameters["link"]))
+    data = model.createData()
+    # stretched straight up (all joints at zero) the last joint lies 0.55 + 0.3 m above the shoulder
+    pin.forwardKinematics(model, data, np.zeros(7))
+    assert data.oMi[7].translation == pytest.approx([0.0, 0.0, 0.85], abs=1e-12)
