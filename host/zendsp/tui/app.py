@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future
 from pathlib import Path
-from typing import ClassVar, cast
 
 from textual.app import App, SystemCommand
-from textual.binding import Binding
 from textual.screen import ModalScreen, Screen
 
 from zendsp.errors import ZendspError
@@ -15,6 +14,7 @@ from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.port import Port
+from zendsp.tui.runs import Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.workspace import Workspace
@@ -63,6 +63,7 @@ class ZendspApp(App[None]):
         self.source = source
         self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)
         self._target, self._first, self._theme_name = target, first, theme
+        self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._screens: dict[str, LabScreen] = {}
 
     # -- life ---------------------------------------------------------------------------------------------------------
@@ -170,20 +171,44 @@ class ZendspApp(App[None]):
     def drive(self, label: str, verb: str, **values: object) -> None:
         """Ask something of the drives; a refusal is shown with its reason."""
 
-        def job(port: Port) -> str:
-            return port.drive(verb, **values)
-
-        def done(future: object) -> None:
-            from concurrent.futures import Future
-
-            error = cast("Future[str]", future).exception()
+        def done(future: Future[str]) -> None:
+            error = future.exception()
             if error is not None:
                 self.call_later(self.toast, f"{label}: {error}", "error")
             else:
-                said = cast("Future[str]", future).result()
-                self.session.events.add(said or f"{label}: done", "good")
+                self.session.events.add(future.result() or f"{label}: done", "good")
 
-        self.session.do(label, job).add_done_callback(done)
+        self.session.do(label, lambda port: port.drive(verb, **values)).add_done_callback(done)
+
+    def play(self, path: Path) -> None:
+        """Open a planned reference on Execute."""
+        self.chosen = (path,)
+        self.call_later(self.action_show, "execute")
+
+    def source_texts(self) -> dict[str, str]:
+        """Return the source being worked on, by file name; empty where there is none."""
+        if self.source is None or not self.source.is_file():
+            return {}
+        return {self.source.name: self.source.read_text()}
+
+    def examples(self) -> list[Path]:
+        """Return the programs that come with zendsp."""
+        from importlib import resources
+
+        folder = Path(str(resources.files("zendsp_isr"))) / "programs"
+        return sorted(folder.glob("*.c"))
+
+    def diagnose_command(self, run: Run) -> list[str]:
+        """Return the arguments of ``zendsp`` that diagnose a run."""
+        return ["diagnose", str(run.folder / "recording.mat")]
+
+    def simulate_command(self, run: Run) -> list[str]:
+        """Return the arguments of ``zendsp`` that simulate a run; ValueError where it cannot be simulated."""
+        sources = sorted(run.folder.glob("*.c"))
+        if not sources:
+            raise ValueError(f"{run.name} carries no source: it cannot be simulated")
+        reference = run.folder / "reference.mat"
+        return ["simulate", str(sources[0]), "--model", run.machine, *(["--reference", str(reference)] if reference.is_file() else [])]
 
     def toast(self, text: str, level: str = "information") -> None:
         """Show a short message over the screen; brackets of units survive."""
@@ -201,6 +226,3 @@ class ZendspApp(App[None]):
                     self.call_later(self.run_action, name, node)
 
                 yield SystemCommand(f"{a.label} ({a.shown_key})", a.help, run)
-
-
-STOP_BINDING: Binding = next(b for b in ZendspApp.BINDINGS if isinstance(b, Binding) and b.action == "stop")

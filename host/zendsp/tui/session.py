@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -92,6 +92,13 @@ class Session:
         future: Future[T] = Future()
         self._jobs.put((future, label, job))
         return future
+
+    def require(self) -> Port:
+        """Return the open port; raises LinkError where there is none."""
+        port = self._port
+        if port is None:
+            raise LinkError("there is no link to a target; connect with Ctrl+O")
+        return port
 
     def stop(self) -> Future[None]:
         """STOP: at once, on a thread of its own, past everything that waits."""
@@ -254,5 +261,3 @@ def _close_quietly(port: Port) -> None:
     except Exception:  # the link is gone anyway; nothing is left to be told
         return
 
-
-Values = Mapping[str, Any]

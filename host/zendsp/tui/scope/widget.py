@@ -49,6 +49,7 @@ class Scope(Widget, can_focus=True):
         self.paused = False
         self.limits: dict[str, list[float]] = {}  # unit -> values drawn as broken lines
         self.past = 0.0  # s that a paused picture is moved into the past
+        self._single_after = float("nan")  # s; crossings before do not count
         self.single = False  # armed for one trigger, then pause
         self.picture: Picture | None = None
         self.empty_text = "no channels: press c, or mark variables with space"
@@ -86,6 +87,13 @@ class Scope(Widget, can_focus=True):
         self.past = 0.0
         self._frozen = self.history.newest() if paused else None
         self.redraw()
+
+    def arm_single(self) -> None:
+        """Wait for the next crossing from now on, then freeze."""
+        self._last_trigger = None
+        self._single_after = self.history.latest
+        self.single = True
+        self.set(replace(self.settings, mode="trigger"))
 
     def pan(self, share: float) -> None:
         """Move a frozen picture by a share of the window; positive is into the past."""
@@ -156,7 +164,7 @@ class Scope(Widget, can_focus=True):
                 hit = last_crossing(t, y[:, s.source], s.level, s.edge, fits)
                 if hit is not None:
                     self._last_trigger = hit
-                    if self.single:
+                    if self.single and not hit <= self._single_after:
                         self.single = False
                         self.paused, self._frozen = True, self.history.newest()
             if self._last_trigger is not None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -15,7 +17,9 @@ from zendsp.tui.statusbar import StatusBar
 
 if TYPE_CHECKING:
     from zendsp.tui.app import ZendspApp
+    from zendsp.tui.port import Port
 
+T = TypeVar("T")
 PULL_S = 1.0 / 30.0
 WIDE = 116  # columns from which panels stand side by side
 
@@ -68,6 +72,20 @@ class LabScreen(Screen[None]):
         self.lab.session.events.add(text, level)
         if level in ("warning", "error"):
             self.lab.toast(text, level)
+
+    def ask(self, label: str, job: Callable[[Port], T], then: Callable[[T], Any] | None = None) -> Future[T]:
+        """Run a job against the target, off this thread; then show its result, or why it failed."""
+
+        def done(future: Future[T]) -> None:
+            error = future.exception()
+            if error is not None:
+                self.app.call_later(self.lab.toast, f"{label}: {error}", "error")
+            elif then is not None:
+                self.app.call_later(then, future.result())
+
+        future = self.lab.session.do(label, job)
+        future.add_done_callback(done)
+        return future
 
     def help_text(self) -> Text:
         """Return every key of this screen and those that work everywhere."""

@@ -1,7 +1,93 @@
-from textual.widgets import Static
+"""Console: tune, watch and drive the machine."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.containers import Container, Vertical
+
 from zendsp.tui.actions import bindings
-from zendsp.tui.screens.base import LabScreen
-class ConsoleScreen(LabScreen):
-    NAME="console"
-    BINDINGS=bindings("console")
-    def body(self): yield Static("x")
+from zendsp.tui.panels.drive import DrivePanel
+from zendsp.tui.panels.events import EventsPanel
+from zendsp.tui.panels.variables import VariablesPanel
+from zendsp.tui.scope import Scope
+from zendsp.tui.screens.analysis import AnalysisActions
+from zendsp.tui.screens.console_program import ProgramActions
+from zendsp.tui.screens.console_scope import ScopeActions
+from zendsp.tui.screens.console_variables import VariableActions
+from zendsp.tui.snapshot import Snapshot
+
+FIRST_CURVES = ("q", "qd", "tau", "aout", "u", "e")  # shown first if the program has them
+
+
+class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActions):
+    """Scope and events on the left, drives and variables on the right; on a small terminal one above the other."""
+
+    NAME: ClassVar[str] = "console"
+    BINDINGS = bindings("console")  # noqa: RUF012
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._program = ""
+
+    def body(self) -> ComposeResult:
+        with Container(id="console-body"):
+            with Vertical(id="left"):
+                with Vertical(id="scope-box", classes="panel") as box:
+                    box.border_title = "Scope"
+                    yield Scope(id="scope")
+                events = EventsPanel(id="events-box")
+                events.add_class("panel")
+                yield events
+            with Vertical(id="right"):
+                drive = DrivePanel(id="drive-box")
+                drive.add_class("panel")
+                yield drive
+                variables = VariablesPanel(id="variables-box")
+                variables.add_class("panel")
+                yield variables
+
+    def on_mount(self) -> None:
+        super().on_mount()
+        self.variables.table.focus()
+
+    def pull(self, snapshot: Snapshot, fresh: bool) -> None:
+        """Show a snapshot."""
+        self.query_one(EventsPanel).show(self.lab.session.events)
+        if not fresh:
+            return
+        self.query_one(DrivePanel).show(snapshot)
+        plotted = [c.name for c in self.scope.channels]
+        self.variables.show(snapshot, self.staged, plotted)
+        if snapshot.program != self._program and snapshot.variables:
+            self._program = snapshot.program
+            self._new_program(plotted)
+        if self.scope.history is not self.lab.session.history and self.lab.session.channels == self.scope.channels:
+            self.scope.show_channels(self.scope.channels, self.lab.session.history)
+
+    def _new_program(self, plotted: list[str]) -> None:
+        """Keep the curves that the new program still has; begin with the usual ones where there were none."""
+        names = [name for name, _, _ in self.element_names()]
+        keep = [name for name in plotted if name in names]
+        if not keep:
+            keep = [n for first in FIRST_CURVES for n in names if n == first or n.startswith(f"{first}[")][:8]
+        self.plot_names(keep)
+
+    def curve_names(self) -> list[str]:
+        return [c.name for c in self.scope.channels]
+
+    def action_plot(self) -> None:
+        """Show the marked variable, or remove it."""
+        name = self.variables.marked
+        if name:
+            self.toggle_plot(name)
+            self._pulled = None
+
+    def action_filter(self) -> None:
+        """Filter the table."""
+        self.variables.open_filter()
+
+    def action_events(self) -> None:
+        """Show events in the place of variables on a small terminal."""
+        self.toggle_class("-events")

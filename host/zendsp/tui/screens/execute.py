@@ -1,7 +1,282 @@
-from textual.widgets import Static
+"""Execute: play planned references, keep each run with everything needed to repeat it, compare runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rich.style import Style
+from rich.text import Text
+from textual import on
+from textual.app import ComposeResult
+from textual.containers import Container, Horizontal, Vertical
+from textual.widgets import Button, DataTable, Static
+
+from zendsp.errors import ZendspError
+from zendsp.reference import Reference, load_reference
 from zendsp.tui.actions import bindings
-from zendsp.tui.screens.base import LabScreen
-class ExecuteScreen(LabScreen):
-    NAME="execute"
-    BINDINGS=bindings("execute")
-    def body(self): yield Static("x")
+from zendsp.tui.dialogs import Choose, Field, Form, Option
+from zendsp.tui.play_job import PlayJob, usual_channels
+from zendsp.tui.playing import Setup
+from zendsp.tui.preflight import Condition, machine_of, preflight
+from zendsp.tui.preview import curves_of, limits_of
+from zendsp.tui.scope import Channel, Scope
+from zendsp.tui.screens.console_program import positive, whole
+from zendsp.tui.screens.console_scope import percent, real
+from zendsp.tui.screens.execute_runs import RunActions
+from zendsp.tui.snapshot import Snapshot
+
+
+class ExecuteScreen(RunActions):
+    """Plan and runs on the left, curves on the right."""
+
+    NAME: ClassVar[str] = "execute"
+    BINDINGS = bindings("execute")  # noqa: RUF012
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setup = Setup()
+        self.files: tuple[Path, ...] = ()
+        self.references: tuple[Reference, ...] = ()
+        self.conditions: list[Condition] = []
+        self.job: PlayJob | None = None
+        self._looked = 0
+        self._checked: object = None
+
+    # -- layout -------------------------------------------------------------------------------------------------------
+
+    def body(self) -> ComposeResult:
+        with Container(id="execute-body"):
+            with Vertical(id="plan"):
+                with Vertical(id="plan-box", classes="panel") as box:
+                    box.border_title = "Next run"
+                    yield Static("", id="setup", markup=False)
+                    yield Static("", id="preflight", markup=False)
+                    with Horizontal(classes="line"):
+                        yield Button("Start s", id="run-start", variant="success", compact=True, disabled=True)
+                        yield Button("Abort b", id="run-abort", variant="warning", compact=True, disabled=True)
+                        yield Static("", id="progress", markup=False)
+                with Vertical(id="runs-box", classes="panel") as box:
+                    box.border_title = "Runs"
+                    yield DataTable(id="runs", cursor_type="row")
+            with Vertical(id="show", classes="panel"):
+                yield Scope(id="run-preview", live=False)
+                yield Scope(id="run-live")
+
+    def on_mount(self) -> None:
+        super().on_mount()
+        self.query_one("#run-preview", Scope).empty_text = "o chooses a planned reference; space lays a run over it"
+        self.query_one("#run-live", Scope).display = False
+        self.fill_runs()
+        self.query_one("#runs", DataTable).focus()
+
+    # -- what is shown ------------------------------------------------------------------------------------------------
+
+    def pull(self, snapshot: Snapshot, fresh: bool) -> None:
+        """Show a snapshot."""
+        if self.lab.chosen != self.files:
+            self.files = self.lab.chosen
+            self._load()
+        self._looked += 1
+        busy = self.job is not None and self.job.busy
+        key = (snapshot.link, snapshot.state, snapshot.drive, snapshot.program, snapshot.machine, snapshot.mine, snapshot.trip,
+               snapshot.commander, self.references, self.setup, busy, self.app.theme, self.size)  # fmt: skip
+        if key != self._checked or (self._looked % 30 == 0 and not busy):
+            self._checked = key
+            self.conditions = preflight(snapshot, self.references, self.files, self.setup, busy)
+            self._paint(busy)
+        if self.job is not None:
+            self._follow(self.job, busy)
+
+    def _paint(self, busy: bool) -> None:
+        c = self.app.theme_variables
+        s = self.setup
+        text = Text()
+        names = ", ".join(f.stem for f in self.files) or "none"
+        for label, value in (
+            ("reference", f"{names}{f' × {s.cycles}' if s.cycles > 1 else ''}"),
+            ("moves", f"{'pre-position' if s.preposition else 'from here'}, {'home after' if s.go_home else 'stay'}, {100 * s.share:g} % speed"),
+            ("acquire", self._acquire_words()),
+            ("note", s.note or "—"),
+        ):
+            text.append(f"{label:<11}", Style(dim=True))
+            text.append(f"{value}\n")
+        text.rstrip()
+        self.query_one("#setup", Static).update(text)
+        unmet = [x for x in self.conditions if not x.met]
+        room = 4 if self.has_class("-narrow") else 20
+        lines = Text()
+        for x in [*unmet, *(y for y in self.conditions if y.met)][:room]:
+            lines.append("✔ " if x.met else "✖ ", Style(color=c["success"] if x.met else c["error"], bold=True))
+            lines.append(x.text, Style() if x.met else Style(bold=True))
+            if not x.met and x.advice:
+                lines.append(f": {x.advice}", Style(color=c["warning"]))
+            lines.append("\n")
+        lines.rstrip()
+        self.query_one("#preflight", Static).update(lines)
+        self.query_one("#run-start", Button).disabled = bool(unmet)
+        self.query_one("#run-abort", Button).disabled = not busy
+
+    def _acquire_words(self) -> str:
+        s = self.setup
+        if not s.acquire:
+            return "off"
+        channels = ", ".join(s.channels or usual_channels(self.lab.session.snapshot)) or "the usual signals"
+        return f"{channels}{f', every {s.decimation}.' if s.decimation > 1 else ''}{f', on {s.trigger}' if s.trigger else ''}"
+
+    def _load(self) -> None:
+        """Read the chosen references and preview them over the limits."""
+        found = []
+        for path in self.files:
+            try:
+                found.append(load_reference(path))
+            except (ZendspError, OSError) as error:
+                self.say(f"{path.name}: {error}", "error")
+        self.references = tuple(found)
+        self.marked_runs = []
+        self.preview()
+
+    def preview(self) -> None:
+        """Show the first chosen reference, or the overlaid runs."""
+        scope = self.query_one("#run-preview", Scope)
+        self.query_one("#run-live", Scope).display = False
+        scope.display = True
+        if self.marked_runs:
+            self.show_overlay(scope)
+        elif self.references:
+            reference = self.references[0]
+            machine = machine_of(self.lab.session.snapshot)
+            if machine is not None and machine.joints == reference.joints:
+                tau: Any = machine.torque(reference)
+                curves_of(scope, reference, tau, "all" if reference.joints <= 2 else "position")
+                scope.limits = limits_of(machine)
+            else:
+                curves_of(scope, reference, reference.qdd * 0.0, "position")
+                scope.limits = {}
+        scope.redraw()
+
+    # -- the run ------------------------------------------------------------------------------------------------------
+
+    @on(Button.Pressed, "#run-start")
+    def action_start(self) -> None:
+        """Start, if every condition is met."""
+        snapshot = self.lab.session.snapshot
+        busy = self.job is not None and self.job.busy
+        self.conditions = preflight(snapshot, self.references, self.files, self.setup, busy)
+        unmet = [x for x in self.conditions if not x.met]
+        machine = machine_of(snapshot)
+        if unmet or machine is None:
+            self.say(f"cannot start: {unmet[0].text}: {unmet[0].advice}" if unmet else "cannot start: unknown machine", "warning")
+            return
+        self._live(snapshot)
+        self.job = PlayJob(
+            self.lab.session, self.references, self.files, machine, self.setup, self.lab.workspace.runs, self.lab.source_texts()
+        )
+        self.job.start()
+
+    def _live(self, snapshot: Snapshot) -> None:
+        """Follow the run's channels live."""
+        units = {v.name: (v.unit, v.length) for v in snapshot.variables}
+        channels: list[Channel] = []
+        for name in self.setup.channels or usual_channels(snapshot):
+            unit, length = units.get(name.split("[")[0], ("", 1))
+            one = length == 1 or "[" in name
+            channels += [Channel(name, unit)] if one else [Channel(f"{name}[{k}]", unit) for k in range(length)]
+        live, still = self.query_one("#run-live", Scope), self.query_one("#run-preview", Scope)
+        live.show_channels(channels[:8], self.lab.session.watch(channels[:8]))
+        live.set(replace(live.settings, window=10.0))
+        live.display, still.display = True, False
+
+    @on(Button.Pressed, "#run-abort")
+    def action_abort(self) -> None:
+        """Bring the run to rest."""
+        if self.job is not None and self.job.busy:
+            self.job.abort()
+            self.say("aborting the run: soft stop", "warning")
+        else:
+            self.say("no run is in progress")
+
+    def _follow(self, job: PlayJob, busy: bool) -> None:
+        p = job.progress
+        width = max(self.query_one("#progress").size.width - 34, 6)
+        done = round(p.share * width)
+        c = self.app.theme_variables
+        text = Text("  ", no_wrap=True, overflow="ellipsis")
+        text.append("━" * done, Style(color=c["success"]))
+        text.append("─" * (width - done), Style(dim=True))
+        text.append(f" {100 * p.share:3.0f} % {p.phase}", Style(bold=True))
+        self.query_one("#progress", Static).update(text)
+        if not busy:
+            self._finished(job)
+
+    def _finished(self, job: PlayJob) -> None:
+        self.job = None
+        error = job.result.exception()
+        if error is not None:
+            self.say(f"run failed: {error}", "error")
+            return
+        run = job.result.result()
+        if run is None:
+            self.say("run complete, nothing acquired", "good")
+            return
+        figures = ", ".join(f"rms {n} {v:.3g}" for n, v in list(run.errors.items())[:2])
+        self.say(f"run {run.outcome}: {run.rows} rows, {run.lost} lost{f', {figures}' if figures else ''}", "good" if run.outcome == "complete" else "warning")
+        self.fill_runs(run.folder)
+
+    # -- choosing -----------------------------------------------------------------------------------------------------
+
+    def action_choose(self) -> None:
+        """Choose references."""
+        files = self.lab.workspace.saved_references()
+        if not files:
+            self.say(f"no planned reference in {self.lab.workspace.references}: plan one on Reference (F4)", "warning")
+            return
+        options = [Option(str(p), p.stem) for p in files]
+        marked = [str(p) for p in self.files]
+        self.app.push_screen(Choose("References, played in the order of marking", options, several=True, marked=marked), self._chosen)
+
+    def _chosen(self, keys: Sequence[str] | None) -> None:
+        if keys is not None:
+            self.lab.chosen = tuple(Path(k) for k in keys)
+
+    def action_cyclic(self) -> None:
+        """Ask how often."""
+        if self.setup.cycles > 1:
+            self.setup = replace(self.setup, cycles=1)
+            return
+        form = Form("Cyclic", [Field("cycles", "Cycles", "3", check=whole)], "Again and again, joined by smooth moves where the ends differ.")
+        self.app.push_screen(form, lambda r: self._set(cycles=r["cycles"]) if r else None)
+
+    def _set(self, **values: Any) -> None:
+        self.setup = replace(self.setup, **values)
+
+    def action_note(self) -> None:
+        """Ask for name and note."""
+        fields = [Field("name", "Name", self.setup.name, hint="name of the reference"), Field("note", "Note", self.setup.note)]
+        self.app.push_screen(Form("Name and note of the run", fields), lambda r: self._set(**r) if r else None)
+
+    def action_settings(self) -> None:
+        """Ask for everything else."""
+        s = self.setup
+        sources = ["none", *(v.name for v in self.lab.session.snapshot.variables if v.kind == "signal" and v.length == 1)]
+        fields = [
+            Field("preposition", "Pre-position first", s.preposition),
+            Field("go_home", "Go home after", s.go_home),
+            Field("share", "Speed of these", f"{100 * s.share:g}", "% of limit", percent),
+            Field("acquire", "Acquire", s.acquire),
+            Field("channels", "Channels", " ".join(s.channels), check=lambda t: tuple(t.replace(",", " ").split()), hint="the usual ones"),
+            Field("decimation", "Every … sample", str(s.decimation), "", whole),
+            Field("trigger", "Trigger on", s.trigger or "none", choices=sources),
+            Field("level", "Level", f"{s.level:g}", "", real),
+            Field("edge", "Edge", s.edge, choices=("rising", "falling", "both")),
+            Field("pre_s", "Before the trigger", f"{s.pre_s:g}", "s", lambda t: 0.0 if real(t) == 0.0 else positive(t)),
+        ]
+
+        def take(r: Any) -> None:
+            if r:
+                share = max(r["share"], 1.0) / 100.0
+                self._set(**{**r, "share": share, "trigger": "" if r["trigger"] == "none" else r["trigger"]})
+
+        self.app.push_screen(Form("Moves and acquisition", fields), take)

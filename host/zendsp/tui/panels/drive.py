@@ -1,0 +1,92 @@
+"""Where the drives are in the safe sequence, what the next step needs, and the signals of the machine."""
+
+from __future__ import annotations
+
+from rich.style import Style
+from rich.text import Text
+from textual import on
+from textual.app import ComposeResult
+from textual.containers import Horizontal, Vertical
+from textual.widgets import Button, Static
+
+from zendsp.tui.scope.ticks import number
+from zendsp.tui.snapshot import Snapshot
+
+LADDER = ("off", "ready", "homed", "enabled", "running")
+STEPS = (("power", "Power o"), ("home", "Home h"), ("enable", "Enable e"), ("start", "Start s"), ("pause", "Pause p"))
+
+
+class DrivePanel(Vertical):
+    """The ladder, five buttons, flags."""
+
+    DEFAULT_CSS = """
+    DrivePanel Static { height: auto; }
+    DrivePanel #drive-buttons { height: 1; }
+    DrivePanel #drive-buttons Button { min-width: 8; margin-right: 1; }
+    """
+
+    def __init__(self, *, id: str | None = None) -> None:
+        super().__init__(id=id)
+        self.border_title = "Drives"
+        self._ladder = Static("", markup=False)
+        self._flags = Static("", id="drive-flags", markup=False)
+
+    def compose(self) -> ComposeResult:
+        yield self._ladder
+        with Horizontal(id="drive-buttons"):
+            for name, text in STEPS:
+                yield Button(text, id=f"step-{name}", compact=True)
+        yield self._flags
+
+    @on(Button.Pressed)
+    def _step(self, event: Button.Pressed) -> None:
+        event.stop()
+        name = str(event.button.id).removeprefix("step-")
+        self.app.call_later(self.app.run_action, name, self.screen)
+
+    def show(self, s: Snapshot) -> None:
+        """Paint a snapshot."""
+        self._ladder.update(self.ladder(s))
+        self._flags.update(self.flags(s))
+
+    def ladder(self, s: Snapshot) -> Text:
+        """Return the safe sequence with the present step marked."""
+        c = self.app.theme_variables
+        text = Text(no_wrap=True, overflow="ellipsis")
+        reached = LADDER.index(s.drive) if s.drive in LADDER else -1
+        for k, name in enumerate(LADDER):
+            if k:
+                text.append(" ─ ", Style(dim=True))
+            if k == reached:
+                text.append(f" {name} ", Style(bold=True, reverse=True, color=c["success" if k > 2 else "primary"]))
+            else:
+                text.append(name, Style(color=c["success"]) if k < reached else Style(dim=True))
+        if s.drive in ("stopped", "tripped"):
+            text.append("  ")
+            colour = c["error"] if s.drive == "tripped" else c["warning"]
+            text.append(f" {s.drive}: ^k acknowledges ", Style(bold=True, reverse=True, color=colour))
+        return text
+
+    def flags(self, s: Snapshot) -> Text:
+        """Return unmet conditions, the host-lost setting, and the inputs and outputs of each joint."""
+        c = self.app.theme_variables
+        text = Text(no_wrap=True, overflow="ellipsis")
+        for name, met, advice in s.conditions:
+            text.append("✔ " if met else "✖ ", Style(color=c["success" if met else "error"]))
+            text.append(f"{name}  " if met else f"{name}: {advice}  ", Style() if met else Style(bold=True))
+        if s.conditions:
+            text.append("\n")
+        if s.host_lost:
+            text.append("if the host is lost: ", Style(dim=True))
+            text.append(f"{s.host_lost}\n")
+        for name, unit in (("enc", "counts"), ("aout", "mV"), ("adc", ""), ("din", ""), ("dout", "")):
+            values = s.io.get(name)
+            if values is None or len(values) == 0:
+                continue
+            text.append(f"{name:<5}", Style(dim=True))
+            text.append(" ".join(f"{number(float(v)):>9}" for v in list(values)[: max(s.joints, 1)]))
+            text.append(f" {unit}\n", Style(dim=True))
+        if s.scheduling:
+            text.append(s.scheduling, Style(dim=True))
+        text.rstrip()
+        return text

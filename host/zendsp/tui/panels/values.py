@@ -1,0 +1,92 @@
+"""Values of variables as text, and text as values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from zendsp.tui.scope.ticks import number
+from zendsp.tui.snapshot import Variable
+
+
+def show_value(value: Any, most: int = 4) -> str:
+    """Return a value for a table cell; a long array shows its first elements and its length."""
+    if value is None:
+        return "—"
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if isinstance(value, float | np.floating):
+        return number(float(value))
+    items = np.ravel(np.asarray(value))
+    text = " ".join(show_value(v.item()) for v in items[:most])
+    return f"{text} … ({len(items)})" if len(items) > most else text
+
+
+def show_exact(value: Any) -> str:
+    """Return a value so that reading it back gives the same: for edit fields and diffs."""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int | np.integer):
+        return str(int(value))
+    if isinstance(value, float | np.floating):
+        return repr(float(value)).removesuffix(".0")
+    return " ".join(show_exact(v.item()) for v in np.ravel(np.asarray(value)))
+
+
+def show_limits(variable: Variable) -> str:
+    """Return ``0 … 5000``, ``≥ 0``, or nothing."""
+    low, high = math.isfinite(variable.minimum), math.isfinite(variable.maximum)
+    if low and high:
+        return f"{variable.minimum:g} … {variable.maximum:g}"
+    return f"≥ {variable.minimum:g}" if low else f"≤ {variable.maximum:g}" if high else ""
+
+
+def differs(a: Any, b: Any) -> bool:
+    """Return whether two values are not the same."""
+    return not np.array_equal(np.asarray(a), np.asarray(b), equal_nan=False)
+
+
+def _scalar(variable: Variable, text: str) -> Any:
+    word = text.strip().lower()
+    if variable.type == "bool":
+        if word in ("true", "1", "on", "yes"):
+            return True
+        if word in ("false", "0", "off", "no"):
+            return False
+        raise ValueError(f"{text!r} is neither true nor false")
+    if variable.type == "int32":
+        try:
+            value: float = int(word, 0)
+        except ValueError:
+            raise ValueError(f"{text!r} is not a whole number") from None
+    else:
+        try:
+            value = float(word)
+        except ValueError:
+            raise ValueError(f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    if not variable.minimum <= value <= variable.maximum:
+        raise ValueError(f"{value:g} is outside {show_limits(variable)} {variable.unit}".rstrip())
+    return value
+
+
+def reader(variable: Variable) -> Callable[[str], Any]:
+    """Return the check of an edit field: text to a value within the limits, or ValueError with the reason."""
+
+    def read(text: str) -> Any:
+        if variable.length == 1:
+            return _scalar(variable, text)
+        items = [_scalar(variable, word) for word in text.replace(",", " ").split()]
+        if len(items) == 1:
+            items *= variable.length
+        if len(items) != variable.length:
+            raise ValueError(f"{len(items)} numbers; {variable.name} has {variable.length} elements: give 1 or {variable.length}")
+        return items
+
+    return read

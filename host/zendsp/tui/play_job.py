@@ -1,0 +1,178 @@
+"""One run from Start to its folder on disk, on a thread of its own; the screen looks at ``progress``."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from zendsp.errors import Refused, ZendspError
+from zendsp.recording import Recording
+from zendsp.reference import Machine, Reference
+from zendsp.tui.playing import Player, Setup, find_player, lead_time, make_playlist, player_values, present_position
+from zendsp.tui.port import Port, Shot
+from zendsp.tui.runs import Run, store_run
+from zendsp.tui.snapshot import Snapshot
+
+LOOK_S = 0.05
+USUAL = ("r", "q", "qd", "e", "tau")  # recorded where the user chose no channels
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run is."""
+
+    phase: str
+    share: float  # 0 … 1
+    t: float = 0.0  # s since the first row
+    duration: float = 0.0  # s
+
+
+def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
+    """Return reference, position, velocity, error and command signals that the program declares, arrays first."""
+    names = [v.name for v in snapshot.variables if v.kind == "signal"]
+    chosen = [n for n in USUAL if n in names]
+    for stem in USUAL:
+        if stem not in chosen:
+            chosen += [n for n in names if n.startswith(stem) and n[len(stem) :].isdigit()]
+    return tuple(chosen) or tuple(names[:8])
+
+
+class PlayJob:
+    """Pre-position, play, acquire, return, store."""
+
+    def __init__(
+        self,
+        session: Any,
+        references: Sequence[Reference],
+        files: Sequence[Path],
+        machine: Machine,
+        setup: Setup,
+        runs: Path,
+        sources: dict[str, str],
+    ) -> None:
+        self.progress = Progress("starting", 0.0)
+        self.result: Future[Run | None] = Future()
+        self._session, self._references, self._files = session, tuple(references), tuple(files)
+        self._machine, self._setup, self._runs, self._sources = machine, setup, runs, sources
+        self._abort = threading.Event()
+
+    def start(self) -> None:
+        """Begin."""
+        threading.Thread(target=self._run, name="tui-play", daemon=True).start()
+
+    def abort(self) -> None:
+        """End softly: what was acquired so far is kept."""
+        self._abort.set()
+
+    @property
+    def busy(self) -> bool:
+        """Whether it still goes on."""
+        return not self.result.done()
+
+    # -- on the thread ------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            run = self._play(self._session.require())
+        except Exception as error:
+            word = str(error) if isinstance(error, ZendspError) else f"{type(error).__name__}: {error}"
+            self._session.events.add(f"run: {word}", "error")
+            self.result.set_exception(error)
+            return
+        self.result.set_result(run)
+
+    def _play(self, port: Port) -> Run | None:
+        snapshot = port.snapshot()
+        player = find_player(snapshot.variables)
+        here = present_position(snapshot, self._machine.joints)
+        if player is None or here is None:
+            raise Refused("the loaded program cannot play a table: see the preflight list")
+        playlist = make_playlist(self._references, self._machine, here, self._setup, player.capacity)
+        if snapshot.state == "running":
+            port.pause()
+        port.fill(player.table, playlist.rows)
+        values = player_values(player, playlist)
+        if values:
+            port.update(values)
+        before = port.snapshot()
+        begins, ends = playlist.play
+        lead = lead_time(player)
+        total = lead + playlist.duration + 0.1
+        if self._setup.acquire:
+            port.arm(self._shot(snapshot, total))
+        ticks = round(total * before.rate_hz) if before.clock == "fast" else None
+        self._session.events.add(f"run: {playlist.duration:.2f} s, {len(playlist.rows)} rows")
+        port.start(ticks)
+        outcome = self._follow(port, before.tick, lead, total, playlist)
+        if not self._setup.acquire:
+            return None
+        return self._keep(port, player, before, outcome, (begins + lead, ends + lead))
+
+    def _shot(self, snapshot: Snapshot, total: float) -> Shot:
+        s = self._setup
+        channels = s.channels or usual_channels(snapshot)
+        return Shot(channels, total, s.decimation, s.trigger, s.level, s.edge, s.pre_s)
+
+    def _follow(self, port: Port, first: int, lead: float, total: float, playlist: Any) -> str:
+        """Watch until the end; returns the outcome in words."""
+        while True:
+            s = port.snapshot()
+            t = (s.tick - first) / s.rate_hz - lead
+            self.progress = Progress(playlist.phase(max(t, 0.0)), min(max(t / playlist.duration, 0.0), 1.0), t, playlist.duration)
+            if s.trip is not None or s.drive in ("stopped", "tripped"):
+                return f"tripped: {s.trip.text}" if s.trip is not None else "stopped"
+            if s.crash or s.state == "crashed":
+                return f"crashed: {s.crash}"
+            if t >= total - lead or (s.state == "paused" and t > 0.0):
+                return "complete"
+            if s.state == "paused":
+                return "paused by somebody"
+            if self._abort.wait(LOOK_S):
+                port.soft_stop()
+                return "aborted"
+
+    def _keep(self, port: Port, player: Player, before: Snapshot, outcome: str, play: tuple[float, float]) -> Run:
+        self.progress = replace(self.progress, phase="loading")
+        if outcome != "complete":
+            port.end_acquisition()
+        else:
+            self._wait_acquired(port)
+        recording = port.load(self._setup.note)
+        if outcome == "complete" and not self._setup.trigger:
+            recording = cut(recording, before.tick, before.rate_hz, play)
+        recording = replace(recording, sources=recording.sources or self._sources)
+        name = self._setup.name or "+".join(p.stem for p in self._files) or "run"
+        run = store_run(self._runs, name, recording, references=self._files, outcome=outcome)
+        self.progress = replace(self.progress, phase=outcome, share=1.0)
+        return run
+
+    def _wait_acquired(self, port: Port) -> None:
+        deadline = time.monotonic() + 5.0
+        while time.monotonic() < deadline:
+            state, _ = port.progress()
+            if state in ("done", "idle"):
+                return
+            time.sleep(LOOK_S)
+        port.end_acquisition()
+
+
+def cut(recording: Recording, first_tick: int, rate_hz: float, play: tuple[float, float]) -> Recording:
+    """Return the rows of the motion itself, without the way there and back."""
+    start = (recording.start_tick - first_tick) / rate_hz
+    step = recording.decimation / rate_hz
+    a = max(round((play[0] - start) / step), 0)
+    b = min(round((play[1] - start) / step), len(recording))
+    if b - a < 2:
+        return recording
+    return replace(
+        recording,
+        t=recording.t[a:b],
+        data=recording.data[a:b],
+        start_tick=recording.start_tick + a * recording.decimation,
+        extra={**recording.extra, "cut": {"first_row": a, "rows": b - a, "of": len(recording)}},
+    )

@@ -1,0 +1,193 @@
+"""Playing a planned reference: one table of rows from where the arm stands, through the motion, back home; and who takes it.
+
+A program can play references if it declares ``TABLE(ref, …)`` with one column for each joint. Where it declares them, these
+parameters are set as well: ``use_table`` (1), ``row_rate`` (rows a second), ``approach_time`` (kept short: the table begins
+where the arm stands).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ReferenceError_
+from zendsp.reference import Machine, Reference
+from zendsp.tui.snapshot import Snapshot, Variable
+
+Floats = npt.NDArray[np.float64]
+TABLES = ("ref", "reference", "q_ref", "qref")
+APPROACH_S = 0.2  # of a program that blends into the table by itself
+SETTLE_S = 0.5  # at rest before and after the motion
+FALLBACK_ROWS = 60_000
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the user has chosen for the next run."""
+
+    cycles: int = 1
+    preposition: bool = True
+    go_home: bool = True
+    share: float = 0.25  # of the speed limits, on the way there and back
+    acquire: bool = True
+    channels: tuple[str, ...] = ()  # empty: the usual ones of the program
+    decimation: int = 1
+    trigger: str = ""  # "" acquires the motion itself
+    level: float = 0.0
+    edge: str = "rising"
+    pre_s: float = 0.0
+    name: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Player:
+    """How the loaded program takes references."""
+
+    table: str
+    capacity: int  # numbers it holds
+    parameters: tuple[str, ...]  # those of use_table, row_rate, approach_time that it has
+
+
+@dataclass(frozen=True)
+class Playlist:
+    """Rows for the table, and what happens when."""
+
+    rows: Floats  # (N, joints), rad
+    rate: float  # rows a second
+    phases: tuple[tuple[str, float, float], ...]  # name, begin, end in s from the first row
+
+    @property
+    def duration(self) -> float:
+        """From the first row to the last, s."""
+        return (len(self.rows) - 1) / self.rate
+
+    def phase(self, t: float) -> str:
+        """Return the name of what happens at a time."""
+        return next((name for name, begin, end in self.phases if begin <= t < end), "holding")
+
+    @property
+    def play(self) -> tuple[float, float]:
+        """Begin and end of the motion itself, s from the first row."""
+        begins = [b for name, b, _ in self.phases if name.startswith("play")]
+        ends = [e for name, _, e in self.phases if name.startswith("play")]
+        return min(begins), max(ends)
+
+
+def find_player(variables: Sequence[Variable]) -> Player | None:
+    """Return how the program takes references, or None if it cannot."""
+    tables = [v for v in variables if v.kind == "table"]
+    chosen = next((v for name in TABLES for v in tables if v.name == name), None)
+    if chosen is None:
+        return None
+    names = {v.name for v in variables if v.kind == "parameter"}
+    known = tuple(n for n in ("use_table", "row_rate", "approach_time") if n in names)
+    return Player(chosen.name, chosen.length, known)
+
+
+def present_position(snapshot: Snapshot, joints: int) -> Floats | None:
+    """Return where the arm stands, by the program's signals ``q``, or ``q1``, ``q2`` …; None where it has none."""
+    q = snapshot.values.get("q")
+    if q is not None and np.size(q) == joints:
+        return np.asarray(q, dtype=np.float64).reshape(joints)
+    found = [snapshot.values.get(f"q{j + 1}") for j in range(joints)]
+    if all(v is not None for v in found):
+        return np.array([float(v) for v in found])  # type: ignore[arg-type]
+    return None
+
+
+def smooth_move(start: Floats, goal: Floats, machine: Machine, share: float, period: float) -> Floats:
+    """Return rows from one position to another at rest at both ends, by the fifth-order polynomial.
+
+    Its peak speed is 15/8 · distance/T and its peak acceleration 10/√3 · distance/T²; T is the time at which the slowest joint
+    reaches the given share of its limits.
+    """
+    way = np.abs(goal - start)
+    if not np.any(way > 1e-9):
+        return start[None, :].copy()
+    speed = np.where(np.isfinite(machine.limits.speed), machine.limits.speed, 1.0) * share
+    acceleration = np.where(np.isfinite(machine.limits.acceleration), machine.limits.acceleration, 10.0) * share
+    time = float(max((1.875 * way / speed).max(), np.sqrt(5.7735 * way / acceleration).max(), 20.0 * period))
+    s = np.linspace(0.0, 1.0, round(time / period) + 1)[:, None]
+    return np.asarray(start + (goal - start) * s**3 * (10.0 + s * (6.0 * s - 15.0)))
+
+
+def make_playlist(references: Sequence[Reference], machine: Machine, start: Floats, setup: Setup, capacity: int) -> Playlist:
+    """Join everything into one table.
+
+    Parameters
+    ----------
+    references : sequence of Reference
+        Played one after the other; each is joined to the one before by a smooth move.
+    machine : Machine
+        Gives home and the limits of the moves between.
+    start : ndarray, shape (joints,)
+        Where the arm stands, rad.
+    setup : Setup
+    capacity : int
+        Numbers that the program's table holds; where the rows do not fit, every second, third … row is left out, since the
+        program interpolates between rows.
+
+    Raises
+    ------
+    ReferenceError_
+        No reference, wrong number of joints, or the arm is not at its start and pre-positioning is off.
+    """
+    if not references:
+        raise ReferenceError_("choose a reference first (o)")
+    period = references[0].sample_time
+    parts: list[Floats] = []
+    phases: list[tuple[str, float, float]] = []
+    here = np.asarray(start, dtype=np.float64)
+
+    def add(name: str, rows: Floats) -> None:
+        nonlocal here
+        begin = sum(len(p) for p in parts) * period
+        parts.append(rows)
+        phases.append((name, begin, begin + len(rows) * period))
+        here = rows[-1]
+
+    still = round(SETTLE_S / period)
+    for k, reference in enumerate(references):
+        if reference.joints != machine.joints:
+            raise ReferenceError_(f"the reference has {reference.joints} joints, {machine.name} has {machine.joints}")
+        if reference.mode != "position":
+            raise ReferenceError_("this reference is a torque law; the program follows positions: choose a motion of the joints")
+        if abs(reference.sample_time - period) > 1e-12:
+            raise ReferenceError_("the chosen references have different sample times: play them one by one")
+        away = float(np.abs(reference.q[0] - here).max())
+        if away > 1e-3 and not setup.preposition:
+            raise ReferenceError_(f"the arm is {away:.3g} rad away from the start: switch pre-positioning on (a)")
+        move = smooth_move(here, reference.q[0], machine, setup.share, period)
+        add("pre-position", np.vstack((move, np.repeat(move[-1:], still, axis=0))))
+        for cycle in range(setup.cycles):
+            name = f"play {cycle + 1}/{setup.cycles}" if setup.cycles > 1 else "play"
+            if cycle and float(np.abs(reference.q[0] - here).max()) > 1e-3:
+                add("return to start", smooth_move(here, reference.q[0], machine, setup.share, period))
+            add(name if len(references) == 1 else f"{name} of {k + 1}", np.asarray(reference.q))
+    if setup.go_home:
+        back = smooth_move(here, machine.home, machine, setup.share, period)
+        add("go home", np.vstack((np.repeat(here[None, :], still, axis=0), back)))
+    rows = np.vstack(parts)
+    thin = max(1, -(-rows.size // max(capacity, 1)))
+    if thin > 1:
+        last = rows[-1:]
+        rows = np.vstack((rows[::thin], last))
+    if rows.size > capacity:
+        rows = rows[: capacity // machine.joints]
+    return Playlist(rows, 1.0 / (period * thin), tuple(phases))
+
+
+def player_values(player: Player, playlist: Playlist) -> dict[str, Any]:
+    """Return the parameters to set before the table is played."""
+    wanted: Mapping[str, Any] = {"use_table": True, "row_rate": round(playlist.rate), "approach_time": APPROACH_S}
+    return {name: wanted[name] for name in player.parameters}
+
+
+def lead_time(player: Player) -> float:
+    """Return the time from the start of the program to the first row, s."""
+    return APPROACH_S if "approach_time" in player.parameters else 0.0

@@ -1,0 +1,199 @@
+"""Runs on disk: one folder each, with everything needed to repeat it.
+
+    20261120-061502-circle/
+        run.json          name, note, reference, phases, errors
+        recording.mat     data, parameters, sources, flags, log, timing (zendsp.recording)
+        reference.mat     what was played, where something was
+        pd.c …            the sources, to be opened without any tool
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.recording import Recording
+from zendsp.tui.workspace import file_name
+
+DATA, CARD = "recording.mat", "run.json"
+
+
+@dataclass(frozen=True)
+class Run:
+    """The card of a run; its data are loaded when asked for."""
+
+    folder: Path
+    name: str
+    created: float  # Unix s
+    machine: str = ""
+    target: str = ""
+    note: str = ""
+    references: tuple[str, ...] = ()
+    rows: int = 0
+    seconds: float = 0.0
+    lost: int = 0
+    outcome: str = "complete"  # "complete" | "aborted" | the words of a trip
+    errors: Mapping[str, float] = field(default_factory=dict)  # rms of each error signal
+
+    def recording(self) -> Recording:
+        """Load the data."""
+        return Recording.load(self.folder / DATA)
+
+
+def error_figures(recording: Recording) -> dict[str, float]:
+    """Return the root mean square of every column whose name begins with ``e``: e, e1, e[0], error …"""
+    figures = {}
+    for k, name in enumerate(recording.columns):
+        stem = name.split("[")[0].rstrip("0123456789")
+        if stem in ("e", "err", "error"):
+            column = recording.data[:, k]
+            figures[name] = float(np.sqrt(np.mean(column * column))) if len(column) else float("nan")
+    return figures
+
+
+def store_run(
+    runs: Path,
+    name: str,
+    recording: Recording,
+    *,
+    references: Sequence[Path] = (),
+    sources: Mapping[str, str] | None = None,
+    outcome: str = "complete",
+) -> Run:
+    """Keep a run; the folder appears complete or not at all."""
+    created = time.time()
+    stem = f"{time.strftime('%Y%m%d-%H%M%S', time.localtime(created))}-{file_name(name)}"
+    folder = runs / stem
+    n = 2
+    while folder.exists():
+        folder = runs / f"{stem}-{n}"
+        n += 1
+    beside = runs / f".{folder.name}.part"
+    shutil.rmtree(beside, ignore_errors=True)
+    beside.mkdir(parents=True)
+    recording.save(beside / DATA)
+    for text_name, text in (recording.sources or sources or {}).items():
+        (beside / file_name(Path(text_name).name)).write_text(text)
+    kept = []
+    for path in references:
+        target = beside / ("reference.mat" if len(references) == 1 else file_name(path.name))
+        shutil.copyfile(path, target)
+        kept.append(path.name)
+    run = Run(
+        folder,
+        name,
+        created,
+        recording.machine,
+        recording.target,
+        recording.note,
+        tuple(kept),
+        len(recording),
+        float(len(recording) * recording.sample_time),
+        recording.lost,
+        outcome,
+        error_figures(recording),
+    )
+    _write_card(beside, run)
+    os.replace(beside, folder)
+    return run
+
+
+def _write_card(folder: Path, run: Run) -> None:
+    card = {key: value for key, value in asdict(run).items() if key != "folder"}
+    beside = folder / f"{CARD}.part"
+    beside.write_text(json.dumps(card, indent=1) + "\n")
+    os.replace(beside, folder / CARD)
+
+
+def load_card(folder: Path) -> Run:
+    """Read the card of one run; raises ValueError where it is none."""
+    try:
+        card = json.loads((folder / CARD).read_text())
+        card["references"] = tuple(card.get("references", ()))
+        return Run(folder=folder, **card)
+    except (OSError, TypeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{folder.name} is not a run: {error}") from error
+
+
+def list_runs(runs: Path) -> list[Run]:
+    """Return the runs, newest first; folders that are none are passed over."""
+    found = []
+    if runs.is_dir():
+        for folder in runs.iterdir():
+            if folder.name.startswith(".") or not (folder / CARD).is_file():
+                continue
+            try:
+                found.append(load_card(folder))
+            except ValueError:
+                continue
+    return sorted(found, key=lambda run: run.created, reverse=True)
+
+
+def rename_run(run: Run, name: str) -> Run:
+    """Give a run another name; its folder keeps its own, so that links to it stay whole."""
+    renamed = replace(run, name=name)
+    _write_card(run.folder, renamed)
+    return renamed
+
+
+def discard_run(run: Run) -> Path:
+    """Move a run to the trash folder beside it; nothing is deleted."""
+    trash = run.folder.parent / ".trash"
+    trash.mkdir(exist_ok=True)
+    place = trash / run.folder.name
+    n = 2
+    while place.exists():
+        place = trash / f"{run.folder.name}-{n}"
+        n += 1
+    os.replace(run.folder, place)
+    return place
+
+
+def compare(runs: Sequence[Run]) -> str:
+    """Return what sets runs apart: errors, parameters, source."""
+    import difflib
+
+    recordings: list[Recording] = [run.recording() for run in runs]
+    lines = [f"{'':14}" + "".join(f"{run.name[:18]:>20}" for run in runs)]
+    for label, values in (
+        ("seconds", [f"{r.seconds:.3f}" for r in runs]),
+        ("rows lost", [str(r.lost) for r in runs]),
+        ("outcome", [r.outcome[:18] for r in runs]),
+    ):
+        lines.append(f"{label:14}" + "".join(f"{v:>20}" for v in values))
+    for name in dict.fromkeys(n for run in runs for n in run.errors):
+        cells = [f"{run.errors[name]:.4g}" if name in run.errors else "—" for run in runs]
+        lines.append(f"{'rms ' + name:14}" + "".join(f"{c:>20}" for c in cells))
+    lines.append("")
+    different = _different_parameters(recordings)
+    lines.append("parameters that differ:" if different else "parameters: the same")
+    lines += [f"{name:14}" + "".join(f"{v:>20}" for v in values) for name, values in different]
+    first = recordings[0]
+    for run, other in zip(runs[1:], recordings[1:], strict=True):
+        if other.source_hash == first.source_hash:
+            lines.append(f"source of {run.name}: the same as {runs[0].name}")
+            continue
+        lines.append(f"source of {run.name} against {runs[0].name}:")
+        for name in sorted(set(first.sources) | set(other.sources)):
+            a, b = first.sources.get(name, "").splitlines(), other.sources.get(name, "").splitlines()
+            lines += list(difflib.unified_diff(a, b, f"{runs[0].name}/{name}", f"{run.name}/{name}", lineterm="", n=1))
+    return "\n".join(lines)
+
+
+def _different_parameters(recordings: Sequence[Recording]) -> list[tuple[str, list[str]]]:
+    from zendsp.tui.panels.values import differs, show_value
+
+    rows = []
+    for name in dict.fromkeys(n for r in recordings for n in r.parameters):
+        values: list[Any] = [r.parameters.get(name) for r in recordings]
+        if any(differs(values[0], v) for v in values[1:]):
+            rows.append((name, ["—" if v is None else show_value(v, 2) for v in values]))
+    return rows

@@ -1,0 +1,167 @@
+"""Console: the drive sequence, building the program, recording, and what it opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from zendsp.tui.dialogs import Choose, Field, Form, Option
+from zendsp.tui.panels.source import SourceView
+from zendsp.tui.port import Build, Port, Remark, Shot
+from zendsp.tui.runs import store_run
+from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.screens.console_scope import real
+
+
+def positive(text: str) -> float:
+    """Return a number above zero or refuse."""
+    value = real(text)
+    if value <= 0.0:
+        raise ValueError(f"{value:g} must be above 0")
+    return value
+
+
+def whole(text: str) -> int:
+    """Return a whole number from 1 or refuse."""
+    value = int(text)
+    if value < 1:
+        raise ValueError(f"{value} must be 1 or more")
+    return value
+
+
+class ProgramActions(LabScreen):
+    """What the keys do to drives and program."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.remarks: tuple[Remark, ...] = ()
+
+    # -- the sequence ---------------------------------------------------------------------------------------------------
+
+    def action_power(self) -> None:
+        """Power on or off."""
+        on = self.lab.session.snapshot.drive in ("off", "")
+        self.lab.drive("power on" if on else "power off", "power_on" if on else "power_off")
+
+    def action_home(self) -> None:
+        """Find the zero position."""
+        self.lab.drive("home", "home")
+
+    def action_enable(self) -> None:
+        """Enable or disable."""
+        enabled = self.lab.session.snapshot.drive in ("enabled", "running")
+        self.lab.drive("disable" if enabled else "enable", "disable" if enabled else "enable")
+
+    def action_start(self) -> None:
+        """Start the program."""
+        self.ask("start", lambda port: port.start())
+
+    def action_pause(self) -> None:
+        """Pause the program."""
+        self.ask("pause", lambda port: port.pause())
+
+    def action_host_lost(self) -> None:
+        """Choose the policy."""
+        options = [
+            Option("stop", "stop", "soft stop, then safe state (the default)"),
+            Option("hold", "hold", "keep the program running, hold the reference where it is"),
+            Option("finish", "finish", "let the motion end, then stop"),
+        ]
+
+        def chosen(keys: list[str] | None) -> None:
+            if keys:
+                self.lab.drive("host-lost policy", "host_lost", policy=keys[0])
+
+        self.app.push_screen(Choose("If this host disappears", options), chosen)
+
+    # -- the program ----------------------------------------------------------------------------------------------------
+
+    def action_open_source(self) -> None:
+        """Choose a C file."""
+        files = self.lab.workspace.sources() + self.lab.examples()
+        if not files:
+            self.say(f"no C file in {self.lab.workspace.root} or one folder below", "warning")
+            return
+        options = [Option(str(p), p.name, str(p.parent)) for p in files]
+        self.app.push_screen(Choose("Source", options), lambda keys: self._take_source(Path(keys[0])) if keys else None)
+
+    def _take_source(self, path: Path) -> None:
+        self.lab.source = path
+        self.remarks = ()
+        self.say(f"source: {path}")
+        self._pulled = None
+
+    def action_build(self) -> None:
+        """Compile and download."""
+        path = self.lab.source
+        if path is None:
+            self.action_open_source()
+            return
+        try:
+            sources = {path.name: path.read_text()}
+        except OSError as error:
+            self.say(f"{path}: {error}", "error")
+            return
+        self.say(f"building {path.name} …")
+        self.ask(f"build {path.name}", lambda port: port.build(sources), self._built)
+
+    def _built(self, build: Build) -> None:
+        self.remarks = build.remarks
+        for r in build.remarks:
+            level = "error" if r.severity == "error" else "warning"
+            self.lab.session.events.add(f"{r.file}:{r.line}:{r.column}: {r.severity}: {r.message}", level)
+        errors = sum(r.severity == "error" for r in build.remarks)
+        if build.ok:
+            warnings = f", {len(build.remarks)} remarks (g)" if build.remarks else ""
+            self.say(f"built in {build.seconds:.2f} s{' (cached)' if build.cached else ''} and downloaded{warnings}", "good")
+            self.built()
+        else:
+            first = next((r for r in build.remarks if r.severity == "error"), None)
+            where = f": {first.file}:{first.line}: {first.message}" if first else ""
+            self.say(f"{errors} errors{where}; g opens the source there", "error")
+
+    def built(self) -> None:
+        """Do what follows a successful build."""
+
+    def action_source(self) -> None:
+        """Show the source."""
+        path = self.lab.source
+        if path is None or not path.is_file():
+            self.action_open_source()
+            return
+        view = SourceView(path, self.remarks, lambda text: self.say(text))
+        self.app.push_screen(view, lambda build: self.action_build() if build else None)
+
+    # -- recording --------------------------------------------------------------------------------------------------------
+
+    def curve_names(self) -> list[str]:
+        """Return the names of the curves on the scope."""
+        return []
+
+    def action_record(self) -> None:
+        """Record the curves for some seconds."""
+        names = self.curve_names()
+        if not names:
+            self.say("choose curves first (c): what the scope shows is recorded", "warning")
+            return
+        fields = [
+            Field("seconds", "Duration", "2", "s", positive),
+            Field("decimation", "Every … sample", "1", "", whole),
+            Field("name", "Name", "recording"),
+            Field("note", "Note", ""),
+        ]
+        dialog = Form("Record", fields, f"Channels: {', '.join(names)}", "Record")
+        self.app.push_screen(dialog, lambda r: self._record(names, r) if r else None)
+
+    def _record(self, names: list[str], answer: Any) -> None:
+        shot = Shot(tuple(names), answer["seconds"], answer["decimation"])
+        folder = self.lab.workspace.runs
+        sources = self.lab.source_texts()
+
+        def job(port: Port) -> str:
+            recording = port.acquire(shot, str(answer["note"]))
+            run = store_run(folder, str(answer["name"]), recording, sources=sources)
+            return f"{len(recording)} rows, {recording.lost} lost, kept as {run.folder.name}"
+
+        self.say(f"recording {shot.seconds:g} s of {len(names)} curves …")
+        self.ask("record", job, lambda text: self.say(str(text), "good"))

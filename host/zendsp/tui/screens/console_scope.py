@@ -1,0 +1,173 @@
+"""Console: what its keys do to the scope."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from textual import events
+
+from zendsp.tui.dialogs import Choose, Field, Form, Option
+from zendsp.tui.scope import Channel, Scope
+from zendsp.tui.scope.settings import MOST_CHANNELS
+from zendsp.tui.screens.base import LabScreen
+
+
+def real(text: str) -> float:
+    """Return a finite number or refuse."""
+    value = float(text)
+    if value != value or abs(value) == float("inf"):
+        raise ValueError("must be finite")
+    return value
+
+
+def percent(text: str) -> float:
+    """Return a share from per cent, 0 … 100."""
+    value = real(text)
+    if not 0.0 <= value <= 100.0:
+        raise ValueError(f"{value:g} is outside 0 … 100")
+    return value
+
+
+class ScopeActions(LabScreen):
+    """Channels, modes, cursors, time."""
+
+    @property
+    def scope(self) -> Scope:
+        """The scope of this screen."""
+        return self.query_one("#scope", Scope)
+
+    def element_names(self) -> list[tuple[str, str, str]]:
+        """Return every curve there could be: name, unit, description."""
+        found = []
+        for v in self.lab.session.snapshot.variables:
+            if v.kind == "table":
+                continue
+            if v.length == 1:
+                found.append((v.name, v.unit, v.description))
+            else:
+                found += [(f"{v.name}[{k}]", v.unit, v.description) for k in range(v.length)]
+        return found
+
+    def plot_names(self, names: Sequence[str]) -> None:
+        """Show these curves, at most eight; those that the program lacks are left out."""
+        units = {name: unit for name, unit, _ in self.element_names()}
+        channels = [Channel(name, units[name]) for name in names if name in units][:MOST_CHANNELS]
+        self.scope.show_channels(channels, self.lab.session.watch(channels))
+
+    def action_channels(self) -> None:
+        """Choose curves."""
+        options = [Option(name, name, f"{unit:<8} {text}") for name, unit, text in self.element_names()]
+        if not options:
+            self.say("no signals yet: build a program first (b)", "warning")
+            return
+        marked = [c.name for c in self.scope.channels]
+        dialog = Choose("Curves of the scope", options, several=True, marked=marked, most=MOST_CHANNELS)
+        self.app.push_screen(dialog, lambda keys: self.plot_names(keys) if keys is not None else None)
+
+    def toggle_plot(self, name: str) -> None:
+        """Add a variable (all its elements) to the scope, or take it away."""
+        mine = [n for n, _, _ in self.element_names() if n == name or n.startswith(f"{name}[")]
+        have = [c.name for c in self.scope.channels]
+        if any(n in have for n in mine):
+            self.plot_names([n for n in have if n not in mine])
+        elif len(have) + 1 > MOST_CHANNELS:
+            self.say(f"the scope shows {MOST_CHANNELS} curves already: take one away first", "warning")
+        else:
+            self.plot_names([*have, *mine])
+
+    def action_mode(self) -> None:
+        """Roll or trigger."""
+        s = self.scope.settings
+        self.scope.single = False
+        self.scope.set(replace(s, mode="trigger" if s.mode == "roll" else "roll"))
+        if self.scope.paused:
+            self.scope.pause(False)
+
+    def action_trigger(self) -> None:
+        """Ask for the trigger."""
+        names = [c.name for c in self.scope.channels]
+        if not names:
+            self.say("choose curves first (c): the trigger watches one of them", "warning")
+            return
+        s = self.scope.settings
+        fields = [
+            Field("source", "Source", names[s.source], choices=names),
+            Field("level", "Level", f"{s.level:g}", unit=self.scope.channels[s.source].unit, check=real),
+            Field("edge", "Edge", s.edge, choices=("rising", "falling", "both")),
+            Field("pre", "Before the trigger", f"{100.0 * s.pre:g}", unit="%", check=percent),
+        ]
+
+        def take(result: Any) -> None:
+            if result:
+                source = names.index(result["source"])
+                self.scope.set(
+                    replace(
+                        s, mode="trigger", source=source, level=result["level"], edge=result["edge"], pre=result["pre"] / 100.0
+                    )
+                )
+
+        self.app.push_screen(Form("Trigger", fields), take)
+
+    def action_single(self) -> None:
+        """Wait for one trigger, then freeze."""
+        self.scope.pause(False)
+        self.scope.arm_single()
+
+    def action_freeze(self) -> None:
+        """Freeze or let live."""
+        self.scope.pause(not self.scope.paused)
+
+    def action_autoscale(self) -> None:
+        """Fit the axes; a second time keeps them fixed."""
+        s = self.scope.settings
+        self.scope.set(replace(s, auto=not s.auto))
+        self.scope.autoscale()
+
+    def action_lanes(self) -> None:
+        """Lanes or overlay."""
+        self.scope.set(replace(self.scope.settings, lanes=not self.scope.settings.lanes))
+
+    def action_cursors(self) -> None:
+        """Show or hide the cursors."""
+        self.scope.set(replace(self.scope.settings, cursors=not self.scope.settings.cursors))
+        self.scope.focus()
+
+    def action_swap_cursor(self) -> None:
+        """Let the arrows move the other cursor."""
+        s = self.scope.settings
+        self.scope.set(replace(s, cursors=True, active="b" if s.active == "a" else "a"))
+        self.scope.focus()
+
+    def action_next_curve(self) -> None:
+        """Select the next curve."""
+        if self.scope.channels:
+            s = self.scope.settings
+            self.scope.set(replace(s, selected=(s.selected + 1) % len(self.scope.channels)))
+
+    def action_zoom(self, steps: int) -> None:
+        """Change the time across the picture."""
+        self.scope.zoom(steps)
+
+    def action_pan(self, share: float) -> None:
+        """Move through the history."""
+        self.scope.pan(share)
+
+    def on_key(self, event: events.Key) -> None:
+        """Arrows, while the scope has the focus: cursors if they are shown, else history and trigger level."""
+        scope = self.scope
+        if not scope.has_focus or event.key not in ("left", "right", "up", "down"):
+            return
+        event.stop()
+        s = scope.settings
+        sign = 1.0 if event.key in ("right", "up") else -1.0
+        if event.key in ("left", "right"):
+            if s.cursors:
+                scope.move_cursor(sign * 0.01)
+            else:
+                scope.pan(-0.1 * sign)
+        elif s.mode == "trigger" and scope.picture is not None:
+            for lane in scope.picture.lanes:
+                if s.source in lane.channels:
+                    scope.set(replace(s, level=s.level + sign * (lane.top - lane.bottom) / 40.0))
