@@ -158,6 +158,12 @@ def decode_reply(data: bytes, kind: Any) -> Any:
         raise LinkError(f"malformed result: {error}") from error
 
 
+def check_version(version: object) -> None:
+    """Raise VersionMismatch, in words for the host, unless ``version`` is this one."""
+    if version != PROTOCOL:
+        raise VersionMismatch(mismatch(version, "host"))
+
+
 def make_error(body: ErrorBody) -> ZendspError:
     """Turn an error reply into the exception that it names; unknown kinds become :class:`Refused`."""
     found = getattr(errors, body.kind, None)

@@ -41,10 +41,5 @@ def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: 
 def _send(query: zenoh.Query, first: int, rows: np.ndarray[Any, np.dtype[np.float64]]) -> None:
     data = rows.astype("<f8", copy=False).tobytes()
     header = m.ChunkHeader(v=PROTOCOL, first=first, rows=rows.shape[0], columns=rows.shape[1], crc=crc(data))
-    query.reply(
-        query.key_expr,
-        data,
-        attachment=encode(header),
-        congestion_control=zenoh.CongestionControl.BLOCK,
-        priority=zenoh.Priority.DATA_LOW,
-    )
+    # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
+    query.reply(query.key_expr, data, attachment=encode(header))

@@ -1,1 +1,10 @@
-"""link of zendsp."""
+"""The link to a target: find it, connect, command it, watch it, record it."""
+
+from zendsp.link.acquire import Trigger
+from zendsp.link.connect import connect, local
+from zendsp.link.find import Found, discover
+from zendsp.link.live import LiveView
+from zendsp.link.parameters import ParameterSet
+from zendsp.link.target import Target
+
+__all__ = ["Found", "LiveView", "ParameterSet", "Target", "Trigger", "connect", "discover", "local"]

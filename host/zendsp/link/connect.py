@@ -1,0 +1,164 @@
+"""``connect`` to a target that runs, or start one here with ``local``."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from typing import IO, Any
+
+from zendsp.errors import LinkError
+from zendsp.link.find import CONNECT, local_entries, remote_endpoints
+from zendsp.link.link import Link
+from zendsp.link.settings import Credentials
+from zendsp.link.target import Target
+
+START_S = 30.0  # for a target to come up, on a machine that is busy with everything else
+END_S = 5.0
+
+
+def connect(
+    name: str = "",
+    connect: str | Sequence[str] | None = None,
+    credentials: Credentials | None = None,
+    timeout: float = 3.0,
+) -> Target:
+    """Connect to a running target.
+
+    Parameters
+    ----------
+    name : str
+        Name of the target; may be left out where only one runs on this machine.
+    connect : str or sequence of str, optional
+        Zenoh endpoints, for example ``"tls/robot.lab:7447"``. Default: ``$ZENDSP_CONNECT``, else the entry that a target
+        on this machine leaves in the user's runtime directory.
+    credentials : Credentials, optional
+        Default: from the environment (``ZENDSP_TLS_CA``, ``ZENDSP_USER``, …).
+    timeout : float, s
+
+    Raises
+    ------
+    LinkError
+        No such target, or nothing answers.
+    VersionMismatch
+        It speaks another version of the protocol.
+
+    Examples
+    --------
+    >>> import zendsp
+    >>> with zendsp.connect("imi") as target:    # doctest: +SKIP
+    ...     target["Kp1"] = 400.0
+    """
+    name, endpoints = locate(name, connect)
+    return Target(Link(name, endpoints, credentials or Credentials.from_environment(), timeout))
+
+
+def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, list[str]]:
+    """Find name and endpoints of the target meant."""
+    entries = {entry.name: entry for entry in local_entries()}
+    endpoints = remote_endpoints(connect)
+    if not name and endpoints:
+        from zendsp.link.find import discover
+
+        names = [found.name for found in discover("*", endpoints) if found.endpoints[0] in endpoints]
+        if len(names) != 1:
+            raise LinkError(
+                f"name the target: at {', '.join(endpoints)} there is {', '.join(names) or 'none'}"
+            )
+        return names[0], endpoints
+    if endpoints and not (connect is None and name in entries):
+        return name, endpoints
+    running = ", ".join(entries) or "none"
+    if not name:
+        if len(entries) != 1:
+            raise LinkError(f"name the target: on this machine there runs {running}")
+        name = next(iter(entries))
+    if name not in entries:
+        raise LinkError(
+            f"no target named {name!r} runs on this machine (there runs {running}). Start one with "
+            f"'zendsp target --name {name}', or say where it is with connect= or {CONNECT}"
+        )
+    return name, entries[name].endpoints
+
+
+def local(
+    machine: str = "imi_planar",
+    clock: str = "real",
+    rate: float = 1000.0,
+    name: str = "",
+    options: Sequence[str] = (),
+    timeout: float = START_S,
+) -> Target:
+    """Start a target process here, on a free port of the loopback, and connect to it.
+
+    It ends when the returned target is closed, and also when this process dies in any way.
+
+    Parameters
+    ----------
+    machine : str
+        For example ``"imi_planar"``.
+    clock : str
+        ``"real"``, or ``"fast"``: as fast as the CPU allows, with identical results.
+    rate : float, Hz
+    name : str
+        Default: machine and process number.
+    options : sequence of str
+        Further arguments of ``python -m zendsp_target``.
+
+    Raises
+    ------
+    LinkError
+        The target did not come up; with what it said.
+
+    Examples
+    --------
+    >>> import zendsp
+    >>> with zendsp.local("imi_planar", clock="fast") as target:    # doctest: +SKIP
+    ...     target.download("pd.c")
+    """
+    name = name or f"{machine}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
+    command = [
+        sys.executable, "-m", "zendsp_target", "--machine", machine, "--name", name, "--rate", repr(float(rate)),
+        "--clock", clock, "--parent", str(os.getpid()), "--json", *options,
+    ]  # fmt: skip
+    said = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the target ends)
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
+    try:
+        endpoints = _wait_ready(process, said, timeout)
+        link = Link(name, endpoints, Credentials(), timeout)
+        return Target(link, on_close=lambda: _end(process, said))
+    except BaseException:
+        _end(process, said)
+        raise
+
+
+def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: float) -> list[str]:
+    assert process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], timeout)
+    line = process.stdout.readline() if ready else b""
+    try:
+        where: dict[str, Any] = json.loads(line)
+    except ValueError:
+        process.terminate()
+        said.seek(0)
+        words = said.read().decode(errors="replace").strip()
+        why = words or (f"nothing was heard of it within {timeout:g} s" if not ready else "it said nothing")
+        raise LinkError(f"the target did not start: {why}") from None
+    return list(where["endpoints"])
+
+
+def _end(process: subprocess.Popen[bytes], said: IO[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+    said.close()

@@ -1,0 +1,125 @@
+"""Find targets: those of this machine through their registry entries, others through the endpoints one names."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from zendsp.errors import LinkError, VersionMismatch
+from zendsp.link.link import open_session
+from zendsp.link.settings import Credentials
+from zendsp_protocol import codec, keys, registry
+from zendsp_protocol import messages as m
+
+CONNECT = "ZENDSP_CONNECT"
+
+
+@dataclass(frozen=True)
+class Found:
+    """A target that answered.
+
+    Attributes
+    ----------
+    name, endpoints
+        To connect to.
+    info : Info or None
+        What it says of itself; None where it speaks another version of the protocol.
+    problem : str
+        Why it cannot be used, empty where it can.
+    """
+
+    name: str
+    endpoints: tuple[str, ...]
+    info: m.Info | None
+    problem: str = ""
+
+
+def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
+    """Endpoints given by the caller, or else by ``ZENDSP_CONNECT`` (separated by commas)."""
+    if connect is None:
+        connect = os.environ.get(CONNECT, "")
+    return (
+        [part.strip() for part in connect.split(",") if part.strip()]
+        if isinstance(connect, str)
+        else list(connect)
+    )
+
+
+def local_entries() -> list[registry.Entry]:
+    """Targets of this user on this machine whose process lives."""
+    entries = []
+    for path in sorted(Path(registry.folder()).glob("*.json")):
+        try:
+            entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
+        except (OSError, msgspec.MsgspecError):
+            continue
+        if entry.born and registry.born(entry.pid) == entry.born:
+            entries.append(entry)
+    return entries
+
+
+def discover(
+    pattern: str = "*", connect: str | Sequence[str] | None = None, timeout: float = 1.0
+) -> list[Found]:
+    """List the targets that answer.
+
+    Parameters
+    ----------
+    pattern : str
+        Shell wildcard on the name, for example ``"imi*"``.
+    connect : str or sequence of str, optional
+        Endpoints of targets or routers elsewhere; default ``$ZENDSP_CONNECT``.
+    timeout : float, s
+        For those elsewhere to answer.
+
+    Returns
+    -------
+    list of Found
+        By name.
+
+    Examples
+    --------
+    >>> [found.name for found in discover("no-such-*")]
+    []
+    """
+    found: dict[str, Found] = {}
+    for entry in local_entries():
+        if fnmatch.fnmatchcase(entry.name, pattern):
+            for one in _ask(entry.endpoints, timeout):
+                if one.name == entry.name:
+                    found[entry.name] = one
+    for endpoint in remote_endpoints(connect):
+        for one in _ask([endpoint], timeout):
+            if fnmatch.fnmatchcase(one.name, pattern):
+                found.setdefault(one.name, one)
+    return [found[name] for name in sorted(found)]
+
+
+def _ask(endpoints: Sequence[str], timeout: float) -> list[Found]:
+    try:
+        session = open_session(endpoints, Credentials.from_environment(), timeout)
+    except LinkError:
+        return []
+    found = []
+    try:
+        answers = session.get(keys.info(), timeout=timeout)
+        for reply in answers:
+            if reply.ok is None:
+                continue
+            name = keys.target_of(str(reply.ok.key_expr))
+            try:
+                info = codec.decode(reply.ok.payload.to_bytes(), m.Info)
+                codec.check_version(info.v)
+                found.append(Found(name, tuple(endpoints), info))
+            except VersionMismatch as error:
+                found.append(Found(name, tuple(endpoints), None, str(error)))
+            except LinkError as error:
+                found.append(Found(name, tuple(endpoints), None, f"its description cannot be read: {error}"))
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+    return found

@@ -1,0 +1,290 @@
+"""One connection to one target: requests that always end in an answer or a clear error."""
+
+from __future__ import annotations
+
+import atexit
+import getpass
+import itertools
+import os
+import platform
+import re
+import threading
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import zenoh
+
+from zendsp.errors import LinkError, NoAnswer, Refused
+from zendsp.link.settings import Credentials, zenoh_config
+from zendsp_protocol import codec, keys
+from zendsp_protocol.verbs import VERBS, Verb
+
+_numbers = itertools.count(1)
+_open_links: weakref.WeakSet[Link] = weakref.WeakSet()
+STEP_S = 0.2  # between looks at the clock and at Ctrl-C while waiting
+
+
+class Link:
+    """A session with one target.
+
+    Parameters
+    ----------
+    target : str
+        Its name.
+    endpoints : sequence of str
+        Where to reach it.
+    timeout : float, s
+        For connecting.
+
+    Raises
+    ------
+    LinkError
+        Nothing answers there, or no target of that name.
+    """
+
+    def __init__(
+        self, target: str, endpoints: Sequence[str], credentials: Credentials, timeout: float = 3.0
+    ) -> None:
+        self.target = target
+        self.endpoints = tuple(endpoints)
+        self.author = _author()
+        self._alive = threading.Event()
+        self._lost = threading.Event()
+        self._returned: list[Callable[[], None]] = []
+        self.closed = False
+        self._session = open_session(endpoints, credentials, timeout)
+        try:
+            self._watch = self._session.liveliness().declare_subscriber(
+                keys.alive(target), self._liveliness, history=True
+            )
+            if not self._alive.wait(timeout):
+                raise LinkError(_not_there(self._session, target, endpoints))
+            self._token = self._session.liveliness().declare_token(keys.host(target, self.author))
+            self._queriers = {lane: self._querier(lane) for lane in ("quick", "sync", "stop")}
+        except BaseException:
+            self._session.close()  # type: ignore[no-untyped-call]
+            raise
+        # A process with a live callback never ends unless its session is closed.
+        _open_links.add(self)
+
+    @property
+    def session(self) -> zenoh.Session:
+        """The Zenoh session, for subscriptions."""
+        return self._session
+
+    @property
+    def alive(self) -> bool:
+        """Whether the target is reachable, as the link itself knows it."""
+        return self._alive.is_set() and not self.closed
+
+    def wait_alive(self, timeout: float) -> bool:
+        """Wait until the target is reachable (again); False when ``timeout`` s have passed."""
+        return self._alive.wait(timeout)
+
+    def on_return(self, callback: Callable[[], None]) -> None:
+        """Have ``callback`` called, in a thread of its own, whenever the target comes back after an outage."""
+        self._returned.append(callback)
+
+    def request(self, verb: str, arguments: Any, timeout: float | None = None) -> Any:
+        """Send one request and return its result.
+
+        Raises
+        ------
+        LinkError, NoAnswer
+            The target is gone, or did not answer in time.
+        ZendspError
+            Whatever the target says.
+        """
+        row = self._row(verb)
+        payload = codec.encode_request(verb, arguments, self.author)
+        try:
+            querier = self._queriers.get(row.lane)
+            if querier is not None and timeout is None:
+                reply = querier.get(payload=payload).recv()
+            else:
+                reply = self._patient(row, payload, timeout or row.timeout)
+        except zenoh.ZError as error:
+            raise self.silence(verb, row.timeout) from error
+        return self._result(reply, row)
+
+    def stream(
+        self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None], timeout: float | None = None
+    ) -> None:
+        """Send a request that is answered in many parts, each with an attachment, and a last one without.
+
+        Parameters
+        ----------
+        on_part : callable
+            Called with ``(attachment, payload)`` of each part, in a thread of Zenoh's.
+
+        Raises
+        ------
+        LinkError, NoAnswer
+            The stream broke off; the parts that came are whole.
+        """
+        row = self._row(verb)
+        last: list[zenoh.Reply] = []
+        faults: list[BaseException] = []
+        done = threading.Event()
+
+        def take(reply: zenoh.Reply) -> None:
+            sample = reply.ok
+            try:
+                if sample is not None and sample.attachment is not None:
+                    on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
+                else:
+                    last.append(reply)
+            except BaseException as error:
+                faults.append(error)
+
+        self._session.get(
+            keys.rpc(self.target, row.lane),
+            zenoh.handlers.Callback(take, done.set),
+            payload=codec.encode_request(verb, arguments, self.author),
+            consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
+            timeout=timeout or row.timeout,
+            priority=zenoh.Priority.DATA_LOW,
+        )
+        self._until(done, timeout or row.timeout)
+        if faults:
+            raise faults[0]
+        if not last:
+            raise self.silence(verb, row.timeout)
+        self._result(last[0], row)
+
+    def silence(self, verb: str, timeout: float) -> LinkError:
+        """Say what an absent answer means: gone, or not answering."""
+        where = ", ".join(self.endpoints)
+        if self.closed:
+            return LinkError(f"the connection to {self.target!r} is closed")
+        if not self._alive.is_set() or not self._still_there():
+            return LinkError(
+                f"target {self.target!r} at {where} is gone: {verb!r} was not answered. It ended, was killed or is cut off; "
+                "the connection comes back by itself if it does"
+            )
+        return NoAnswer(f"target {self.target!r} at {where} did not answer {verb!r} within {timeout:g} s")
+
+    def close(self) -> None:
+        """End the session; the target goes on."""
+        if not self.closed:
+            self.closed = True
+            _open_links.discard(self)
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def _row(self, verb: str) -> Verb:
+        if self.closed:
+            raise LinkError(f"the connection to {self.target!r} is closed")
+        row = VERBS.get(verb)
+        if row is None:
+            raise Refused(f"no such request {verb!r}; there are {', '.join(VERBS)}")
+        return row
+
+    def _querier(self, lane: str) -> zenoh.Querier:
+        stop = lane == "stop"
+        return self._session.declare_querier(
+            keys.rpc(self.target, lane),
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=VERBS["status"].timeout,
+            priority=zenoh.Priority.REAL_TIME if stop else zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+        )
+
+    def _patient(self, row: Verb, payload: bytes, timeout: float) -> zenoh.Reply:
+        """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
+        replies: list[zenoh.Reply] = []
+        done = threading.Event()
+        self._session.get(
+            keys.rpc(self.target, row.lane),
+            zenoh.handlers.Callback(replies.append, done.set),
+            payload=payload,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout,
+        )
+        self._until(done, timeout)
+        if not replies:
+            raise self.silence(row.name, timeout)
+        return replies[0]
+
+    def _until(self, done: threading.Event, timeout: float) -> None:
+        deadline = time.monotonic() + timeout + 1.0
+        while not done.wait(STEP_S):
+            if not self._alive.is_set() or time.monotonic() > deadline:
+                done.wait(STEP_S)  # what is on its way may still arrive
+                return
+
+    def _result(self, reply: zenoh.Reply, row: Verb) -> Any:
+        sample = reply.ok
+        if sample is None:
+            failed = reply.err
+            text = failed.payload.to_string() if failed is not None else "no reason"
+            raise NoAnswer(f"{row.name!r} was not answered by {self.target!r}: {text}")
+        return codec.decode_reply(sample.payload.to_bytes(), row.result)
+
+    def _still_there(self) -> bool:
+        """Ask the link once more: the news of a death may be a moment behind the end of its last request."""
+        self._lost.wait(STEP_S)
+        return self._alive.is_set()
+
+    def _liveliness(self, sample: zenoh.Sample) -> None:
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._alive.clear()
+            self._lost.set()
+            return
+        again = self._lost.is_set()
+        self._lost.clear()
+        self._alive.set()
+        if again:
+            for callback in self._returned:
+                threading.Thread(target=callback, name="returned", daemon=True).start()
+
+
+def open_session(endpoints: Sequence[str], credentials: Credentials, timeout: float) -> zenoh.Session:
+    """Open a Zenoh session with at least one of ``endpoints``.
+
+    Raises
+    ------
+    LinkError
+        None answers; or, indistinguishable for Zenoh, the credentials are refused.
+    """
+    where = ", ".join(endpoints)
+    try:
+        session = zenoh.open(zenoh_config(endpoints, credentials, timeout))
+    except zenoh.ZError as error:
+        secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
+        doubt = ", or it refuses the certificate or password given" if secured or credentials.user else ""
+        raise LinkError(
+            f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
+        ) from error
+    if not session.info.peers_zid() and not session.info.routers_zid():
+        session.close()  # type: ignore[no-untyped-call]
+        raise LinkError(f"nothing answers at {where}, or it refuses the certificate or password given")
+    return session
+
+
+def _not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> str:
+    names = [
+        keys.target_of(str(reply.ok.key_expr))
+        for reply in session.liveliness().get(keys.alive(), timeout=0.5)
+        if reply.ok is not None
+    ]
+    there = f"there is {', '.join(sorted(names))}" if names else "no target is there"
+    return f"no target named {target!r} at {', '.join(endpoints)}; {there}"
+
+
+def _author() -> str:
+    """Name this connection: user, machine, process, and a number from the second one on; fit for a key."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container without an entry for its user
+        user = str(os.getuid())
+    number = next(_numbers)
+    name = f"{user}@{platform.node() or 'host'}:{os.getpid()}" + (f".{number}" if number > 1 else "")
+    return re.sub(r"[^\w@:.-]", "_", name)
+
+
+@atexit.register
+def _close_all() -> None:
+    for link in list(_open_links):
+        link.close()

@@ -1,0 +1,223 @@
+"""Live views: the newest samples of chosen channels, as an iterator, a callback, or a snapshot to pull."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import zenoh
+
+from zendsp.errors import LinkError, ZendspError
+from zendsp.link.requests import Requests
+from zendsp_protocol import codec
+from zendsp_protocol import messages as m
+
+FloatArray = npt.NDArray[np.float64]
+BACKLOG = 256  # blocks that an iterator may lag behind before the oldest are dropped
+
+
+@dataclass(frozen=True)
+class LiveBlock:
+    """Rows that arrived together.
+
+    Attributes
+    ----------
+    t : ndarray, shape (rows,), s
+        Since the start of the program.
+    data : ndarray, shape (rows, columns)
+    tick : int
+        Of the first row.
+    gap : int
+        Rows missing between the block before and this one.
+    """
+
+    t: FloatArray
+    data: FloatArray
+    tick: int
+    gap: int
+
+
+class LiveView:
+    """A subscription to the newest samples; close it, or use it in a ``with``.
+
+    Three ways to read it: iterate over blocks, give a callback, or pull :meth:`latest` and :meth:`window` whenever the
+    screen is drawn (the cheapest).
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        arguments: dict[str, Any],
+        history: float,
+        callback: Callable[[LiveBlock], None] | None,
+    ) -> None:
+        self._requests = requests
+        self._arguments = arguments
+        self._callback = callback
+        self._history = history
+        self._lock = threading.Condition()
+        self._closed = False
+        self._subscriber: zenoh.Subscriber[None] | None = None
+        self._stream = -1
+        self._reset()
+        self._open()
+        requests.link.on_return(self._reopen)
+
+    def _reset(self) -> None:
+        self._blocks: deque[LiveBlock] = deque(maxlen=BACKLOG)
+        self._kept: deque[LiveBlock] = deque()
+        self._kept_rows = 0
+        self._session = -1
+        self._next_row = 0
+        self.lost = 0
+        self.received = 0
+
+    def _open(self) -> None:
+        opened: m.LiveOpened = self._requests.request("live_open", **self._arguments)
+        self.columns = opened.channels
+        self.units = opened.units
+        self.sample_time = opened.sample_time
+        self._rows_kept = max(1, round(self._history / opened.sample_time))
+        self._rate = self._arguments["decimation"] / opened.sample_time
+        self._stream = opened.stream
+        self._subscriber = self._requests.link.session.declare_subscriber(opened.key, self._take)
+
+    def _reopen(self) -> None:
+        """After an outage the target has forgotten this viewer: ask again."""
+        if self._closed:
+            return
+        try:
+            if self._subscriber is not None:
+                self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self._open()
+        except ZendspError:
+            return  # the target lives but has no such program now; the view stays silent
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        if sample.attachment is None:
+            return
+        try:
+            header: m.LiveHeader = codec.decode(sample.attachment.to_bytes(), m.LiveHeader)
+            data = np.frombuffer(sample.payload.to_bytes(), dtype="<f8").reshape(
+                header.rows, len(header.columns)
+            )
+        except (LinkError, ValueError):
+            return  # a message that is not ours, or damaged, is no reason to fall over
+        t = (header.tick + header.decimation * np.arange(header.rows)) / self._rate
+        with self._lock:
+            fresh = header.session != self._session
+            gap = 0 if fresh else max(0, header.first - self._next_row)
+            self._session, self._next_row = header.session, header.first + header.rows
+            self.lost += gap
+            self.received += header.rows
+            block = LiveBlock(t, data, header.tick, gap)
+            if fresh:
+                self._kept.clear()
+                self._kept_rows = 0
+            self._blocks.append(block)
+            self._kept.append(block)
+            self._kept_rows += header.rows
+            while self._kept_rows - len(self._kept[0].t) >= self._rows_kept:
+                self._kept_rows -= len(self._kept.popleft().t)
+            self._lock.notify_all()
+        if self._callback is not None:
+            self._callback(block)
+
+    def __iter__(self) -> Iterator[LiveBlock]:
+        """Yield blocks as they arrive, until the view is closed."""
+        while (block := self.next_block()) is not None:
+            yield block
+
+    def next_block(self, timeout: float | None = None) -> LiveBlock | None:
+        """Wait for the next block; None when the view is closed or ``timeout`` s have passed."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        with self._lock:
+            while not self._blocks and not self._closed:
+                left = 0.2 if deadline is None else min(0.2, deadline - time.monotonic())
+                if left <= 0.0:
+                    return None
+                self._lock.wait(left)
+            return self._blocks.popleft() if self._blocks else None
+
+    def latest(self) -> dict[str, float]:
+        """Newest value of each column, with the time as ``t``; empty before the first sample."""
+        with self._lock:
+            if not self._kept:
+                return {}
+            block = self._kept[-1]
+        return {"t": float(block.t[-1]), **dict(zip(self.columns, block.data[-1].tolist(), strict=True))}
+
+    def window(self) -> tuple[FloatArray, FloatArray]:
+        """Return the last ``history`` s: times (N,) and data (N, columns); gaps are one row of NaN."""
+        with self._lock:
+            blocks = list(self._kept)
+        times: list[FloatArray] = []
+        rows: list[FloatArray] = []
+        for block in blocks:
+            if block.gap and rows:
+                times.append(block.t[:1])
+                rows.append(np.full((1, block.data.shape[1]), np.nan))
+            times.append(block.t)
+            rows.append(block.data)
+        if not rows:
+            return np.empty(0), np.empty((0, len(self.columns)))
+        return np.concatenate(times)[-self._rows_kept :], np.concatenate(rows)[-self._rows_kept :]
+
+    def close(self) -> None:
+        """End the subscription; the stream on the target ends with its last viewer."""
+        if self._closed:
+            return
+        self._closed = True
+        with self._lock:
+            self._lock.notify_all()
+        if self._requests.link.closed:
+            return
+        if self._subscriber is not None:
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        # Gone with the target, or noticed by it when this host's token vanishes.
+        with contextlib.suppress(ZendspError):
+            self._requests.request("live_close", stream=self._stream)
+
+    def __enter__(self) -> LiveView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class LiveViews(Requests):
+    """Methods of a target that concern live views."""
+
+    def live(
+        self,
+        channels: Sequence[str],
+        decimation: int = 1,
+        interval: float = 0.001,
+        history: float = 10.0,
+        callback: Callable[[LiveBlock], None] | None = None,
+    ) -> LiveView:
+        """Follow channels live.
+
+        Parameters
+        ----------
+        channels : sequence of str
+            Variables, elements ``"q[0]"``, or built-in signals.
+        decimation : int
+            Every how many samples a row is taken.
+        interval : float, s
+            Between messages at the least: 1 ms for the least lag, 20 ms for a screen at a fraction of the cost.
+        history : float, s
+            Kept for :meth:`LiveView.window`.
+        callback : callable, optional
+            Called with each :class:`LiveBlock` in a thread of Zenoh's; must be quick.
+        """
+        names = [channels] if isinstance(channels, str) else list(channels)
+        arguments = {"channels": names, "decimation": decimation, "interval": interval}
+        return LiveView(self, arguments, history, callback)

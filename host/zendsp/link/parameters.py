@@ -1,0 +1,131 @@
+"""Parameter sets: all that tunes a program, saved, compared, and put back in one sample."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import VariableError
+from zendsp.link.variables import Variables, plain
+
+FORM = 1
+LARGEST = 1024  # elements; longer arrays are data, not parameters
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter that differs; None where one side lacks it."""
+
+    name: str
+    mine: Any
+    other: Any
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Values of parameters by name, and the program that they tune.
+
+    Examples
+    --------
+    >>> a, b = ParameterSet({"Kp": 1.0, "Kd": 2.0}), ParameterSet({"Kp": 3.0})
+    >>> a.diff(b)
+    [Difference(name='Kp', mine=1.0, other=3.0), Difference(name='Kd', mine=2.0, other=None)]
+    """
+
+    values: Mapping[str, Any]  # bool, int, float, or a list of these
+    program: str = ""
+    target: str = ""
+    note: str = field(default="")
+
+    def diff(self, other: ParameterSet) -> list[Difference]:
+        """List the parameters that differ, in the order of this set."""
+        names = [*self.values, *(name for name in other.values if name not in self.values)]
+        pairs = [Difference(name, self.values.get(name), other.values.get(name)) for name in names]
+        return [pair for pair in pairs if not _same(pair.mine, pair.other)]
+
+    def save(self, path: str | Path) -> Path:
+        """Write the set as JSON that a person can read and edit."""
+        body = {"zendsp_parameters": FORM, "target": self.target, "program": self.program, "note": self.note}
+        path = Path(path)
+        path.write_text(json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n", encoding="utf-8")
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> ParameterSet:
+        """Read a set.
+
+        Raises
+        ------
+        VariableError
+            The file is missing or not a set of parameters.
+        """
+        try:
+            body = json.loads(Path(path).read_text(encoding="utf-8"))
+            if body["zendsp_parameters"] != FORM:
+                raise VariableError(
+                    f"{path}: is of layout {body['zendsp_parameters']}, this zendsp reads {FORM}"
+                )
+            return cls(
+                dict(body["values"]), body.get("program", ""), body.get("target", ""), body.get("note", "")
+            )
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            if isinstance(error, VariableError):
+                raise
+            raise VariableError(
+                f"{path}: is not a parameter set ({type(error).__name__}: {error})"
+            ) from error
+
+
+class ParameterSets(Variables):
+    """Methods of a target that concern sets of parameters."""
+
+    def parameters(self) -> ParameterSet:
+        """Read all parameters of the running code, from one sample."""
+        names = self._parameter_names()
+        values = (
+            {name: np.asarray(value).tolist() for name, value in self.read(names).values.items()}
+            if names
+            else {}
+        )
+        return ParameterSet(values, self.request("status").program, self.link.target)
+
+    def restore(self, parameters: ParameterSet | Mapping[str, Any] | str | Path) -> int:
+        """Put a set back, in one sample; returns the sample at which it took effect.
+
+        Parameters
+        ----------
+        parameters : ParameterSet, mapping, or path of a saved set
+
+        Raises
+        ------
+        VariableError
+            A name that the running code lacks, or a value outside its limits; nothing was applied.
+        """
+        if isinstance(parameters, str | Path):
+            parameters = ParameterSet.load(parameters)
+        values = parameters.values if isinstance(parameters, ParameterSet) else parameters
+        return self._apply(values)
+
+    def reset(self) -> int:
+        """Put every parameter back to its initial value, in one sample."""
+        infos = self.variables()
+        return self._apply({name: plain(infos[name].initial) for name in self._parameter_names()})
+
+    def _apply(self, values: Mapping[str, Any]) -> int:
+        staged, self._staged = self._staged, {}
+        try:
+            return self.update(None, **values)
+        finally:
+            self._staged = staged
+
+    def _parameter_names(self) -> list[str]:
+        return [i.name for i in self.variables().values() if i.kind == "parameter" and i.length <= LARGEST]
+
+
+def _same(a: Any, b: Any) -> bool:
+    return a is not None and b is not None and np.array_equal(np.asarray(a), np.asarray(b))

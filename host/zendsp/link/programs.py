@@ -1,0 +1,175 @@
+"""Compile, download, start, pause, stop: the life of a program on the target."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+
+from zendsp.errors import CompileFailed, LinkError, RunnerDied
+from zendsp.link.requests import Requests
+from zendsp_protocol import messages as m
+
+_INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
+POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
+Source = str | Path | Mapping[str, str]
+
+
+class Programs(Requests):
+    """Methods of a target that concern its program."""
+
+    def compile(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
+        """Compile C code on the target; the running program is not touched.
+
+        Parameters
+        ----------
+        source : path, or mapping of file name to text
+            A path brings the headers beside it that it includes. The bare name of an example of this package will do too.
+        flags : sequence of str
+            Further flags for the compiler.
+
+        Returns
+        -------
+        CompileResult
+            With the warnings.
+
+        Raises
+        ------
+        CompileFailed
+            With file, line and column of each message; the attribute ``result`` holds them.
+        """
+        result: m.CompileResult = self.request("compile", sources=gather(source), flags=list(flags))
+        if not result.ok:
+            error = CompileFailed(
+                "\n".join(describe(message) for message in result.diagnostics) or "no reason given"
+            )
+            error.result = result  # type: ignore[attr-defined]
+            raise error
+        return result
+
+    def load(self, key: str) -> None:
+        """Load a compiled program by its key; a fresh runner starts and ``UserInit`` runs."""
+        self.request("load", key=key)
+
+    def download(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
+        """Compile and load; afterwards the state is ``loaded`` and :meth:`start` runs it."""
+        result = self.compile(source, flags)
+        self.load(result.key)
+        return result
+
+    def start(self, ticks: int | None = None) -> None:
+        """Start or continue the program; with ``ticks`` it pauses by itself after so many samples."""
+        self.request("start", ticks=ticks)
+
+    def pause(self) -> None:
+        """Pause the program: outputs are safe, variables keep their values."""
+        self.request("pause")
+
+    def stop(self) -> None:
+        """STOP: outputs are safe from the next sample on, and stay so until acknowledged on the target."""
+        self.request("stop")
+
+    def unload(self) -> None:
+        """Remove the program."""
+        self.request("unload")
+
+    def status(self) -> m.Status:
+        """State, time, timing, drive and raw inputs and outputs, now."""
+        result: m.Status = self.request("status")
+        return result
+
+    def program(self) -> m.Program:
+        """Sources, flags and compiler of the loaded program."""
+        result: m.Program = self.request("program")
+        return result
+
+    def run_for(self, seconds: float, timeout: float | None = None) -> m.Status:
+        """Run for exactly ``seconds`` of the target's time, then pause; on the fast clock this is deterministic.
+
+        Parameters
+        ----------
+        seconds : float, s
+            Rounded to whole samples.
+        timeout : float, s, optional
+            Of real time. Default: twice the time plus 10 s.
+
+        Returns
+        -------
+        Status
+            After the last sample.
+
+        Raises
+        ------
+        RunnerDied
+            The program crashed or hung meanwhile.
+        """
+        ticks = max(1, round(seconds * self.status().rate_hz))
+        self.start(ticks)
+        return self.wait(timeout if timeout is not None else 2.0 * seconds + 10.0)
+
+    def wait(self, timeout: float = 60.0) -> m.Status:
+        """Wait until the program no longer runs (paused by itself, stopped, tripped or crashed).
+
+        Raises
+        ------
+        RunnerDied
+            It crashed; the message says how.
+        LinkError
+            ``timeout`` s of real time have passed, or the target is gone.
+        """
+        deadline = time.monotonic() + timeout
+        pause = POLL_FIRST_S
+        while True:
+            status = self.status()
+            if status.state == "crashed":
+                raise RunnerDied(status.crash)
+            if status.state != "running":
+                return status
+            if time.monotonic() > deadline:
+                raise LinkError(
+                    f"the program still runs after {timeout:g} s (tick {status.tick}); pause or stop it"
+                )
+            time.sleep(pause)
+            pause = min(POLL_LAST_S, pause * 1.5)
+
+
+def gather(source: Source) -> dict[str, str]:
+    """Read a program and the headers beside it into a mapping of file name to text.
+
+    Raises
+    ------
+    CompileFailed
+        The file does not exist or is no text.
+    """
+    if isinstance(source, Mapping):
+        return dict(source)
+    path = Path(source)
+    if not path.exists() and path.name == str(path):
+        example = resources.files("zendsp_isr").joinpath("programs", path.name)
+        if example.is_file():
+            return {path.name: example.read_text(encoding="utf-8")}
+    sources: dict[str, str] = {}
+    waiting = [path]
+    while waiting:
+        file = waiting.pop()
+        try:
+            text = file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise CompileFailed(
+                f"{file}: cannot be read ({error}); give a C file or {{name: text}}"
+            ) from error
+        sources[file.relative_to(path.parent).as_posix()] = text
+        for name in _INCLUDE.findall(text):
+            header = file.parent / name
+            known = header.relative_to(path.parent).as_posix() if header.is_relative_to(path.parent) else ""
+            if known and known not in sources and header.is_file():
+                waiting.append(header)
+    return sources
+
+
+def describe(message: m.Diagnostic) -> str:
+    """Write a compiler's message the way compilers do: ``pd.c:12:5: error: …``."""
+    place = f"{message.file}:{message.line}:{message.column}: " if message.line else ""
+    return f"{place}{message.severity}: {message.message}"

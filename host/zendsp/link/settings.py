@@ -1,0 +1,78 @@
+"""Zenoh settings of a host, and what it needs to be let in beyond loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import zenoh
+
+LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 s would hide it
+
+
+@dataclass(frozen=True)
+class Credentials:
+    """What proves who this host is.
+
+    Attributes
+    ----------
+    authority : str
+        Certificate (PEM) of the authority that signed the target's certificate.
+    certificate, key : str
+        This host's certificate and private key (PEM), where the target asks for one.
+    user, password : str
+        Where the target asks for these.
+    """
+
+    authority: str = ""
+    certificate: str = ""
+    key: str = ""
+    user: str = ""
+    password: str = ""
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Credentials:
+        """Read ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``, ``ZENDSP_USER`` and ``ZENDSP_PASSWORD``."""
+        names = ("ZENDSP_TLS_CA", "ZENDSP_TLS_CERT", "ZENDSP_TLS_KEY", "ZENDSP_USER", "ZENDSP_PASSWORD")
+        return cls(*(environment.get(name, "") for name in names))
+
+
+def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: float) -> zenoh.Config:
+    """Settings of a host's session: it listens nowhere, connects to ``endpoints`` only, and comes back after an outage.
+
+    Parameters
+    ----------
+    endpoints : sequence of str
+        For example ``tcp/127.0.0.1:7447``; any one that answers will do.
+    timeout : float, s
+        For the first connection.
+    """
+    settings: dict[str, object] = {
+        "mode": "peer",
+        "listen/endpoints": [],
+        "connect/endpoints": list(endpoints),
+        "connect/timeout_ms": int(timeout * 1000),
+        # Otherwise a peer opens "successfully" although nobody answered.
+        "connect/exit_on_failure": True,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,
+        "open/return_conditions/connect_scouted": False,
+        "transport/link/tx/lease": LEASE_MS,
+    }
+    if credentials.authority:
+        settings["transport/link/tls/root_ca_certificate"] = credentials.authority
+    if credentials.certificate:
+        settings["transport/link/tls/connect_certificate"] = credentials.certificate
+        settings["transport/link/tls/connect_private_key"] = credentials.key
+        settings["transport/link/tls/enable_mtls"] = True
+    if credentials.user:
+        settings["transport/auth/usrpwd/user"] = credentials.user
+        settings["transport/auth/usrpwd/password"] = credentials.password
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

@@ -1,0 +1,80 @@
+"""Large arrays to the target: in chunks with checksums, switched over in one sample when complete."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import LinkError, VariableError
+from zendsp.link.requests import Requests
+from zendsp_protocol import messages as m
+from zendsp_protocol.chunks import CHUNK, crc, spans
+
+_DTYPES = {"double": "<f8", "float": "<f4", "int32": "<i4", "bool": "|b1"}
+PATIENCE_S = 30.0  # for a broken link to come back
+
+
+class Tables(Requests):
+    """Methods of a target that concern large arrays."""
+
+    def upload(
+        self,
+        name: str,
+        values: npt.ArrayLike,
+        at_tick: int | None = None,
+        progress: Callable[[float], None] | None = None,
+        patience: float = PATIENCE_S,
+    ) -> int:
+        """Send a large array, for example a reference of minutes, while the loop runs.
+
+        Parameters
+        ----------
+        name : str
+            A variable of the running code, declared as a table or an array.
+        values : array
+            Any shape; sent row by row.
+        at_tick : int, optional
+            The sample at which to switch over; default: the next one.
+        progress : callable, optional
+            Called with the fraction sent.
+        patience : float, s
+            How long to wait for a broken link to come back; the upload resumes where it stopped.
+
+        Returns
+        -------
+        int
+            The sample from which the program sees the new values.
+
+        Raises
+        ------
+        VariableError
+            No such variable, or the array does not fit.
+        """
+        infos = {info.name: info for info in self.request("variables")}
+        if name not in infos:
+            raise VariableError(f"{name}: no such variable in the running code")
+        dtype = _DTYPES[infos[name].type]
+        array = np.ascontiguousarray(values, dtype=dtype).reshape(-1)
+        data = array.tobytes()
+        begun = self.request("table_begin", name=name, dtype=dtype, length=array.size, crc=crc(data))
+        for offset, size in spans(0, len(data), CHUNK):
+            part = data[offset : offset + size]
+            self._insist(
+                "table_chunk", patience, upload=begun.upload, offset=offset, data=part, crc=crc(part)
+            )
+            if progress is not None:
+                progress((offset + size) / len(data))
+        applied: m.Applied = self.request("table_commit", upload=begun.upload, at_tick=at_tick)
+        return applied.tick
+
+    def _insist(self, verb: str, patience: float, **arguments: Any) -> Any:
+        """Send a request that does no harm when repeated, again after each outage."""
+        while True:
+            try:
+                return self.request(verb, **arguments)
+            except LinkError:
+                if self.link.closed or not self.link.wait_alive(patience):
+                    raise

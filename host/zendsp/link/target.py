@@ -1,0 +1,73 @@
+"""A target as its user sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from zendsp.link.acquire import Acquisition
+from zendsp.link.link import Link
+from zendsp.link.live import LiveViews
+from zendsp.link.programs import Programs
+from zendsp.link.tables import Tables
+from zendsp_protocol import messages as m
+
+
+class Target(Programs, Acquisition, LiveViews, Tables):
+    """A target that runs somewhere: load programs, tune variables, record, watch.
+
+    Made by :func:`zendsp.connect` and :func:`zendsp.local`. Safe to use from several threads.
+
+    Attributes
+    ----------
+    info : Info
+        Name, machine, joints, rate, clock, versions.
+
+    Examples
+    --------
+    >>> import zendsp
+    >>> with zendsp.local("imi_planar") as target:    # doctest: +SKIP
+    ...     target.download("pd.c")
+    ...     target.start()
+    ...     target["Kp1"] = 400.0
+    ...     tick = target.update(Kp1=450.0, Kd1=40.0)
+    ...     rec = target.acquire(["q", "tau"], seconds=2.0)
+    """
+
+    def __init__(self, link: Link, on_close: Callable[[], None] | None = None) -> None:
+        super().__init__(link)
+        self._staged = {}
+        self._on_close = on_close
+        try:
+            self.info: m.Info = self.request("info")
+        except BaseException:
+            link.close()
+            raise
+
+    @property
+    def name(self) -> str:
+        """Name of the target."""
+        return self.link.target
+
+    @property
+    def alive(self) -> bool:
+        """Whether the target is reachable now, as the link itself knows it."""
+        return self.link.alive
+
+    def close(self) -> None:
+        """End the connection; a target started by :func:`zendsp.local` ends with it, others go on."""
+        self.link.close()
+        if self._on_close is not None:
+            on_close, self._on_close = self._on_close, None
+            on_close()
+
+    def __enter__(self) -> Target:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        state = "" if self.alive else ", not reachable"
+        return (
+            f"<Target {self.name}: {self.info.machine}, {self.info.rate_hz:g} Hz, {self.info.clock}{state}>"
+        )

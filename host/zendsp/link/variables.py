@@ -1,0 +1,164 @@
+"""Variables of the running code: asynchronous reads and writes, synchronous updates, the dictionary, the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import VariableError
+from zendsp.link.requests import Requests
+from zendsp.recording.names import split_element
+from zendsp_protocol import messages as m
+from zendsp_protocol.values import Packed, Value, from_wire, to_wire
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Values of several variables, all from sample ``tick``."""
+
+    tick: int
+    values: Mapping[str, Value]
+
+    def __getitem__(self, name: str) -> Value:
+        return self.values[name]
+
+
+class Variables(Requests):
+    """Methods of a target that concern its variables."""
+
+    _staged: dict[str, Any]
+
+    def __getitem__(self, name: str) -> Value:
+        """Read one variable, or one element ``"q[1]"`` of an array, now.
+
+        Raises
+        ------
+        VariableError
+            No such variable.
+        """
+        return self.read([name]).values[name]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Write one variable: it takes effect at the start of the next sample.
+
+        Raises
+        ------
+        VariableError
+            Unknown, read only, of another type, outside its limits or NaN; nothing was changed.
+        """
+        self.write(**{name: value})
+
+    def read(self, names: Sequence[str]) -> Reading:
+        """Read several variables, all from one sample.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Variables, or elements ``"q[1]"``.
+        """
+        if isinstance(names, str):
+            names = [names]
+        elements = {name: split_element(name) for name in names}
+        asked = list(dict.fromkeys(element[0] if element else name for name, element in elements.items()))
+        found: m.Reading = self.request("read", names=asked)
+        values = {name: from_wire(value) for name, value in found.values.items()}
+        return Reading(
+            found.tick,
+            {n: values[n] if e is None else _element(values[e[0]], *e) for n, e in elements.items()},
+        )
+
+    def write(self, **values: Any) -> int:
+        """Write variables asynchronously; the reply does not wait for the sample. Returns the sequence number."""
+        written: m.Written = self.request("write", values=_wire(values))
+        return written.sequence
+
+    def stage(self, **values: Any) -> dict[str, Any]:
+        """Note values for the next :meth:`update` without sending them; returns all that is staged."""
+        self._staged |= values
+        return dict(self._staged)
+
+    @property
+    def staged(self) -> dict[str, Any]:
+        """What is staged."""
+        return dict(self._staged)
+
+    def discard(self) -> None:
+        """Forget what is staged."""
+        self._staged.clear()
+
+    def update(self, at_tick: int | None = None, **values: Any) -> int:
+        """Apply everything staged, and ``values``, at the start of one sample: all or nothing.
+
+        Parameters
+        ----------
+        at_tick : int, optional
+            The sample at which to apply them; then the call does not wait for it. Default: the next one.
+
+        Returns
+        -------
+        int
+            The sample at which they took (or will take) effect.
+
+        Raises
+        ------
+        VariableError
+            One line per variable that is wrong; nothing was applied, what was staged stays staged.
+        """
+        batch = {**self._staged, **values}
+        if not batch:
+            raise VariableError("nothing to update: stage values first, or give them as arguments")
+        if at_tick is None:
+            applied: m.Applied = self.request("update", values=_wire(batch))
+            tick = applied.tick
+        else:
+            self.request("write", values=_wire(batch), at_tick=at_tick)
+            tick = at_tick
+        self._staged.clear()
+        return tick
+
+    def variables(self) -> dict[str, m.VariableInfo]:
+        """The dictionary of the running code: name to type, length, kind, unit, limits, initial value, description."""
+        return {info.name: info for info in self.request("variables")}
+
+    def log(self, since: int = 0) -> tuple[m.Change, ...]:
+        """Changes of parameters: sample, time, old and new value, and who made them.
+
+        Parameters
+        ----------
+        since : int
+            Leave out this many of the oldest entries.
+        """
+        changes: tuple[m.Change, ...] = self.request("log", since=since)
+        return changes
+
+
+def plain(value: Any) -> Any:
+    """Turn a value as it came over the wire into bool, int, float or a list."""
+    return from_wire(value).tolist() if isinstance(value, Packed) else value  # type: ignore[union-attr]
+
+
+def _element(value: Value, name: str, index: int) -> Value:
+    array = np.asarray(value).reshape(-1)
+    if index >= array.size:
+        raise VariableError(f"{name}[{index}]: {name} has {array.size} elements, counted from 0")
+    return array[index].item()  # type: ignore[no-any-return]
+
+
+def _wire(values: Mapping[str, Any]) -> dict[str, Any]:
+    ready, wrong = {}, []
+    for name, value in values.items():
+        if split_element(name):
+            wrong.append(
+                f"{name}: arrays are written whole, so that no sample sees half of them; read, change, write"
+            )
+            continue
+        try:
+            ready[name] = to_wire(value)
+        except TypeError as error:
+            wrong.append(f"{name}: {error}")
+    if wrong:
+        raise VariableError("\n".join(wrong))
+    return ready
