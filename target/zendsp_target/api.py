@@ -53,6 +53,55 @@ class VariableInfo:
     initial: Value
     description: str
     address: int  # offset within the program's image, bytes
+    columns: int = 1  # of a table: values a row; `length` counts all values, rows × columns
+
+
+@dataclass(frozen=True)
+class JointInfo:
+    """One joint of the machine."""
+
+    name: str
+    unit: str  # "rad" | "m"
+    command: str  # what the analog output means in torque mode: "torque" | "force" | "voltage"
+    counts_per_unit: float  # encoder counts per rad (m)
+    zero_counts: float  # encoder reading at position zero
+    mv_per_torque: float  # mV per N m (N); 0 where the command is a voltage
+    mv_per_speed: float  # mV per rad/s (m/s), velocity mode
+    command_max: float  # mV
+    position_min: float
+    position_max: float
+    speed_max: float
+    torque_max: float
+    home: float  # position where homing ends
+    length: float  # link length, m; 0 where it has no meaning
+
+
+@dataclass(frozen=True)
+class MachineInfo:
+    """What the machine says of itself."""
+
+    name: str
+    text: str
+    simulated: bool
+    joints: tuple[JointInfo, ...]
+    adc_names: tuple[str, ...]
+    adc_units: tuple[str, ...]
+    dins: int
+    douts: int
+    stop_input: int  # digital input that stops, -1: none
+    needs_homing: bool
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Checked every sample, below the user's code. One entry per joint."""
+
+    position_min: tuple[float, ...]
+    position_max: tuple[float, ...]
+    speed_max: tuple[float, ...]
+    torque_max: tuple[float, ...]
+    command_max: tuple[float, ...]  # mV
+    torque_clamp: bool  # True: clamp a command at its limit; False: trip
 
 
 @dataclass(frozen=True)
@@ -97,6 +146,8 @@ class Status:
     trip: Trip | None
     crash: str  # "" or a sentence: signal, last sample
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)  # enc, aout, adc, din, dout
+    homed: bool = True
+    drive_mode: str = "off"  # what the drives are told: "off" | "torque" | "velocity"
 
 
 @dataclass(frozen=True)
@@ -150,13 +201,24 @@ class RuntimeApi(Protocol):
     def start(self, ticks: int | None = None) -> None: ...  # ticks: run so many samples, then pause
     def pause(self) -> None: ...
     def stop(self) -> None: ...  # STOP: outputs safe at the next sample, latched until acknowledged
+    def acknowledge(self) -> None: ...  # end a STOP or a trip; nothing moves before the next start
     def unload(self) -> None: ...
     def status(self) -> Status: ...
     def variables(self) -> tuple[VariableInfo, ...]: ...
+    def builtins(self) -> tuple[VariableInfo, ...]: ...  # signals that exist undeclared: tick, t, exec_us, enc, aout, …
+    def machine(self) -> MachineInfo: ...
+    def limits(self) -> Limits: ...
+    def set_limits(self, author: str, **changes: Any) -> int: ...  # fields of Limits; -> sequence, as of write
+    def set_drive(self, mode: str) -> None: ...  # "off" | "torque" | "velocity" | "auto" (on at start, off at pause)
+    def home(self) -> None: ...  # starts the machine's homing; status().homed tells
+    def set_ramp(self, seconds: float) -> None: ...  # soft start and soft stop
+    def set_overrun(self, policy: str, limit: int = 10) -> None: ...  # "count" | "skip" | "trip" after `limit` in a row
+    def set_inputs(self, bits: int) -> None: ...  # digital inputs of a simulated machine
+    def trip(self, reason: str) -> None: ...  # stop with a reason of the monitor's: "stop" | "host lost"
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]: ...  # all from one sample; its tick
     def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int: ...  # -> sequence
     def wait_applied(self, sequence: int, timeout: float) -> int: ...  # -> tick at which it took effect
-    def log(self, since: int = 0) -> tuple[Change, ...]: ...
+    def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live
     def acquire_start(self, stream: int, force: bool = False) -> None: ...
     def acquire_stop(self, stream: int) -> None: ...

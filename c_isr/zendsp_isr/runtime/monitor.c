@@ -1,5 +1,8 @@
 /* monitor.c: what the monitor does on shared memory that needs ordering: Python has no acquire and release. Loaded by cffi. */
-#include <string.h> /* memcpy */
+#define _GNU_SOURCE
+#include <string.h>    /* memcpy */
+#include <sys/prctl.h> /* PR_SET_TIMERSLACK */
+#include <time.h>      /* clock_gettime, nanosleep */
 
 #include "layout.h"
 
@@ -42,8 +45,22 @@ void monitor_run(control *c, uint32_t run) {
     }
 }
 
-/* Wait (asleep, at most timeout_ns) until a batch has been applied. Returns 1 when it has. */
-int monitor_applied(const batch *b) { return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED; }
+/* Wait, mostly asleep, until a batch has been applied; returns 1 when it has, 0 after timeout_ns. */
+int monitor_wait_applied(const batch *b, uint64_t timeout_ns) {
+    const struct timespec nap = {.tv_sec = 0, .tv_nsec = 20000};
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    const uint64_t end = (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec + timeout_ns;
+    prctl(PR_SET_TIMERSLACK, 1ul); /* of this thread: naps of 20 us, not of 70 */
+    for (;;) {
+        if (__atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED)
+            return 1;
+        clock_gettime(CLOCK_MONOTONIC, &t);
+        if ((uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec >= end)
+            return 0;
+        nanosleep(&nap, 0);
+    }
+}
 
 /* Copy rows [first, first + count) of a stream. Returns how many leading rows may have been overwritten while copying. */
 uint64_t monitor_rows(const stream_head *h, uint64_t first, uint64_t count, double *to) {

@@ -1,0 +1,279 @@
+"""Compile C into shared objects and programs, cached by content.
+
+A result is named by a hash of everything that went into it: sources, headers, flags and the compiler's version. The same
+content is never compiled twice, and changed content never meets an old name (``dlopen`` of one path twice gives the old code).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.resources
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from zendsp_isr.compiler import Compiler, Message, find_compiler, run_compiler
+from zendsp_protocol.errors import CompileFailed
+
+BASE_FLAGS = ("-std=gnu11", "-O2", "-g", "-ffp-contract=off", "-Wall", "-Wextra")
+_SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now")
+
+
+@dataclass(frozen=True)
+class Built:
+    """What a build gave: the file (None if it failed), its key, messages, duration in s, and whether it came from the cache."""
+
+    path: Path | None
+    key: str
+    messages: tuple[Message, ...]
+    seconds: float
+    cached: bool
+    compiler: str
+    flags: tuple[str, ...]
+
+
+def source_root() -> Path:
+    """Folder of the C sources that ship with the package: include, runtime, machines, programs.
+
+    Returns
+    -------
+    Path
+
+    Examples
+    --------
+    >>> (source_root() / "include" / "isr.h").exists()
+    True
+    """
+    return Path(str(importlib.resources.files("zendsp_isr")))
+
+
+def cache_root() -> Path:
+    """Folder that keeps compiled code: ``$ZENDSP_CACHE``, else ``zendsp`` in the user's cache folder.
+
+    Returns
+    -------
+    Path
+        Exists.
+    """
+    base = os.environ.get("ZENDSP_CACHE")
+    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zendsp"
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        root = Path(tempfile.gettempdir()) / f"zendsp-{os.getuid()}"
+        root.mkdir(mode=0o700, exist_ok=True)
+    return root
+
+
+def _headers(folders: Sequence[Path]) -> dict[str, bytes]:
+    return {f"{folder.name}/{path.name}": path.read_bytes() for folder in folders for path in sorted(folder.glob("*.h"))}
+
+
+def content_key(kind: str, sources: Mapping[str, bytes], headers: Mapping[str, bytes], words: Sequence[str]) -> str:
+    """Hash that names a build.
+
+    Parameters
+    ----------
+    kind : str
+    sources, headers : mapping of name to content
+    words : sequence of str
+        Flags, compiler, and whatever else decides the result.
+
+    Returns
+    -------
+    str
+        32 hexadecimal digits.
+    """
+    digest = hashlib.sha256(kind.encode())
+    for part in (sources, headers):
+        for name in sorted(part):
+            digest.update(b"\0" + name.encode() + b"\0" + hashlib.sha256(part[name]).digest())
+    for word in words:
+        digest.update(b"\0" + word.encode())
+    return digest.hexdigest()[:32]
+
+
+def build(
+    kind: str,
+    sources: Mapping[str, bytes],
+    include: Sequence[Path],
+    *,
+    flags: Sequence[str] = (),
+    shared: bool = True,
+    libraries: Sequence[str] = ("-lm",),
+    timeout_s: float = 60.0,
+) -> Built:
+    """Compile sources into one shared object or program.
+
+    Parameters
+    ----------
+    kind : str
+        Folder of the cache, for example ``"program"``.
+    sources : mapping of file name to content
+        ``.c`` files are compiled; all are written where ``#include "name"`` finds them.
+    include : sequence of Path
+        Folders of headers.
+    flags : sequence of str
+        Added to `BASE_FLAGS`.
+    shared : bool
+        A shared object; otherwise an executable.
+    libraries : sequence of str
+    timeout_s : float
+        Limit on the compiler, s.
+
+    Returns
+    -------
+    Built
+        ``path`` is None where the compiler found errors.
+
+    Raises
+    ------
+    CompileFailed
+        There is no compiler.
+    """
+    began = time.monotonic()
+    compiler = find_compiler()
+    all_flags = (*BASE_FLAGS, *flags)
+    key = content_key(kind, sources, _headers(include), [*all_flags, *libraries, str(shared), str(compiler)])
+    folder = cache_root() / kind
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / (key + (".so" if shared else ""))
+    notes = folder / f"{key}.json"
+    if target.exists() and notes.exists():
+        messages = tuple(Message(**entry) for entry in json.loads(notes.read_text()))
+        return Built(target, key, messages, time.monotonic() - began, True, str(compiler), all_flags)
+    ok, messages = _compile(compiler, sources, include, all_flags, shared, libraries, timeout_s, target, notes)
+    return Built(target if ok else None, key, messages, time.monotonic() - began, False, str(compiler), all_flags)
+
+
+def _compile(
+    compiler: Compiler,
+    sources: Mapping[str, bytes],
+    include: Sequence[Path],
+    flags: Sequence[str],
+    shared: bool,
+    libraries: Sequence[str],
+    timeout_s: float,
+    target: Path,
+    notes: Path,
+) -> tuple[bool, tuple[Message, ...]]:
+    work = Path(tempfile.mkdtemp(prefix="build-", dir=target.parent))
+    try:
+        for name, content in sources.items():
+            (work / name).write_bytes(content)
+        units = [name for name in sources if name.endswith(".c")]
+        output = work / "result"
+        arguments = [*flags, *(_SHARED if shared else ()), "-I.", *(f"-I{folder}" for folder in include)]
+        outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s)
+        if outcome.ok:
+            # notes first: a target without notes would be compiled again, notes without a target do no harm
+            scratch = work / "notes"
+            scratch.write_text(json.dumps([asdict(message) for message in outcome.messages]))
+            os.replace(scratch, notes)
+            os.replace(output, target)
+        return outcome.ok, outcome.messages
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _trusted(kind: str, built: Built) -> Path:
+    if built.path is None:
+        lines = [f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}" for m in built.messages if m.severity == "error"]
+        raise CompileFailed(f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines))
+    return built.path
+
+
+def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+RUNNER_SOURCES = ("main.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c", "stream.c", "safety.c")
+
+
+def build_runner() -> Path:
+    """The native runner for this machine.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CompileFailed
+        No compiler, or one that cannot compile it.
+    """
+    root = source_root()
+    sources = _read(root / "runtime", RUNNER_SOURCES)
+    built = build("runner", sources, [root / "runtime", root / "include"], shared=False, libraries=("-lm", "-ldl", "-lpthread"))
+    return _trusted("runner", built)
+
+
+def build_monitor() -> Path:
+    """The shared-memory helper that the monitor loads through cffi.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CompileFailed
+        No compiler, or one that cannot compile it.
+    """
+    root = source_root()
+    built = build("monitor", _read(root / "runtime", ("monitor.c",)), [root / "runtime", root / "include"])
+    return _trusted("monitor", built)
+
+
+def build_machine(machine: str) -> Path:
+    """A machine as a shared object: a shipped one by name, or a user's own by the path of its ``.c`` file.
+
+    Parameters
+    ----------
+    machine : str
+        For example ``"imi_planar"`` or ``"/home/me/my_arm.c"``.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CompileFailed
+        No such machine, or it does not compile.
+
+    Examples
+    --------
+    >>> build_machine("imi_planar").suffix
+    '.so'
+    """
+    root = source_root()
+    path = Path(machine) if machine.endswith(".c") else root / "machines" / f"{machine}.c"
+    if not path.is_file():
+        names = ", ".join(machine_names())
+        raise CompileFailed(f"no machine {machine!r}: choose one of {names}, or give the path of a .c file")
+    include = [root / "include", root / "machines"]
+    if path.parent.resolve() != (root / "machines").resolve():
+        include.append(path.parent.resolve())
+    return _trusted(f"machine {path.name}", build("machine", {path.name: path.read_bytes()}, include))
+
+
+def machine_names() -> tuple[str, ...]:
+    """Names of the machines that ship with zendsp.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> "imi_planar" in machine_names()
+    True
+    """
+    folder = source_root() / "machines"
+    return tuple(sorted(path.stem for path in folder.glob("*.c") if b"zendsp_machine" in path.read_bytes()))

@@ -1,0 +1,149 @@
+"""Compile what the host sends: in processes of its own, within limits, with messages in the user's file, line and column."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from zendsp_isr.build import Built, build, cache_root, source_root
+from zendsp_protocol.errors import Refused
+from zendsp_target.api import CompileResult, Diagnostic
+
+_NAME = re.compile(r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*\.[ch]$")
+_FLAG = re.compile(r"^-(O[0-3sg]?|O?fast|g\d?|W(?!l,|p,|a,)[A-Za-z0-9=_-]+|[DU][A-Za-z_]\w*(=.*)?|std=[a-z0-9]+|m[a-z0-9=.+-]+|f(?!plugin|dump|profile)[a-z0-9=-]+)$")
+_MAX_SOURCE_BYTES = 16_000_000
+
+# Run in a fresh interpreter: a constructor of the program may do anything, and cffi says what it exports.
+_CHECK = """
+import sys, cffi
+ffi = cffi.FFI()
+ffi.cdef("extern const int32_t zendsp_isr_abi; void UserInit(void); void UserISR_INT2(void);")
+program = ffi.dlopen(sys.argv[1], ffi.RTLD_NOW)
+missing = []
+for name in ("zendsp_isr_abi", "UserInit", "UserISR_INT2"):
+    try:
+        getattr(program, name)
+    except AttributeError:
+        missing.append(name)
+print(" ".join(missing))
+"""
+
+
+def check_sources(sources: Mapping[str, str], flags: Sequence[str]) -> None:
+    """Refuse names and flags that reach outside the program.
+
+    Parameters
+    ----------
+    sources : mapping of file name to text
+    flags : sequence of str
+
+    Raises
+    ------
+    Refused
+        No source, a name that is not a plain ``.c`` or ``.h``, a flag other than optimisation, warnings, definitions, ``-f…``, ``-m…``.
+    """
+    if not any(name.endswith(".c") for name in sources):
+        raise Refused("nothing to compile: send at least one .c file")
+    for name in sources:
+        if not _NAME.match(name):
+            raise Refused(f"source name {name!r}: use a plain file name that ends in .c or .h, without folders")
+    if sum(len(text) for text in sources.values()) > _MAX_SOURCE_BYTES:
+        raise Refused(f"the sources exceed {_MAX_SOURCE_BYTES} bytes: download data as a TABLE instead")
+    for flag in flags:
+        if not _FLAG.match(flag):
+            raise Refused(f"compiler flag {flag!r} is not accepted: use -O…, -g, -W…, -D…, -U…, -std=…, -f… or -m…")
+
+
+def _load_problem(path: Path, timeout_s: float) -> str:
+    """Load the program once in a process of its own; "" when all is well."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-c", _CHECK, str(path)],
+            capture_output=True, text=True, timeout=timeout_s, check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"the program does not return from being loaded within {timeout_s:g} s (a constructor that never ends?)"
+    if done.returncode < 0:
+        return f"the program crashes while being loaded (signal {-done.returncode}; a constructor?)"
+    if done.returncode != 0:
+        last = (done.stderr.strip() or "unknown reason").splitlines()[-1]
+        return f"the program cannot be loaded: {last}"
+    missing = done.stdout.split()
+    if "zendsp_isr_abi" in missing:
+        return 'the program does not include "isr.h": begin it with #include "isr.h"'
+    if missing:
+        return f"the program lacks {' and '.join(missing)}: see template.c for the sections of a program"
+    return ""
+
+
+def compile_program(sources: Mapping[str, str], flags: Sequence[str] = (), timeout_s: float = 30.0) -> CompileResult:
+    """Compile a program, or take it from the cache.
+
+    Parameters
+    ----------
+    sources : mapping of file name to text
+        All ``.c`` files are compiled together; ``.h`` files are found by ``#include "name"``.
+    flags : sequence of str
+    timeout_s : float
+        Limit on the compiler and on loading, s each.
+
+    Returns
+    -------
+    CompileResult
+        With ``ok`` False and the errors where the code does not compile: that is a result, not an exception.
+
+    Raises
+    ------
+    Refused
+        See `check_sources`.
+    CompileFailed
+        There is no C compiler.
+    """
+    check_sources(sources, flags)
+    encoded = {name: text.encode() for name, text in sources.items()}
+    built = build("program", encoded, [source_root() / "include"], flags=tuple(flags), timeout_s=timeout_s)
+    diagnostics = [Diagnostic(m.severity, _own(m.file), m.line, m.column, m.message) for m in built.messages]
+    ok = built.path is not None
+    if built.path is not None and not built.cached:
+        problem = _load_problem(built.path, timeout_s)
+        if problem:
+            ok = False
+            built.path.unlink(missing_ok=True)
+            first = next(name for name in sources if name.endswith(".c"))
+            diagnostics.append(Diagnostic("error", first, 0, 0, problem))
+    return _result(built, ok, diagnostics)
+
+
+def _own(file: str) -> str:
+    """The user's name of a file: the compiler runs where the sources stand, so theirs are plain names already."""
+    return file.removeprefix("./")
+
+
+def _result(built: Built, ok: bool, diagnostics: list[Diagnostic]) -> CompileResult:
+    return CompileResult(ok, built.key, tuple(diagnostics), built.seconds, built.cached, built.compiler, built.flags)
+
+
+def program_path(key: str) -> Path:
+    """File of a compiled program.
+
+    Parameters
+    ----------
+    key : str
+        From `compile_program`.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    Refused
+        Nothing was compiled under this key.
+    """
+    path = cache_root() / "program" / f"{key}.so"
+    if not re.fullmatch(r"[0-9a-f]{32}", key) or not path.is_file():
+        raise Refused(f"no program with key {key!r} on this target: compile it first")
+    return path
