@@ -67,6 +67,7 @@ class VariableInfo(Message, frozen=True, kw_only=True):
     initial: WireValue = 0.0
     description: str = ""
     address: int = 0
+    columns: int = 1  # of a table: values a row; length counts all values
 
 
 class Timing(Message, frozen=True, kw_only=True):
@@ -112,7 +113,54 @@ class Status(Message, frozen=True, kw_only=True):
     trip: Trip | None = None
     crash: str = ""
     io: dict[str, WireValue] = {}
+    homed: bool = True
+    drive_mode: str = "off"
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
+
+
+class JointInfo(Message, frozen=True, kw_only=True):
+    """One joint of the machine."""
+
+    name: str
+    unit: str = "rad"
+    command: str = "torque"
+    counts_per_unit: float = 1.0
+    zero_counts: float = 0.0
+    mv_per_torque: float = 0.0
+    mv_per_speed: float = 0.0
+    command_max: float = float("inf")
+    position_min: float = float("-inf")
+    position_max: float = float("inf")
+    speed_max: float = float("inf")
+    torque_max: float = float("inf")
+    home: float = 0.0
+    length: float = 0.0
+
+
+class MachineInfo(Message, frozen=True, kw_only=True):
+    """What the machine says of itself."""
+
+    name: str
+    text: str = ""
+    simulated: bool = False
+    joints: tuple[JointInfo, ...] = ()
+    adc_names: tuple[str, ...] = ()
+    adc_units: tuple[str, ...] = ()
+    dins: int = 0
+    douts: int = 0
+    stop_input: int = -1
+    needs_homing: bool = False
+
+
+class Limits(Message, frozen=True, kw_only=True):
+    """Checked every sample, below the user's code; one entry per joint."""
+
+    position_min: tuple[float, ...]
+    position_max: tuple[float, ...]
+    speed_max: tuple[float, ...]
+    torque_max: tuple[float, ...]
+    command_max: tuple[float, ...]
+    torque_clamp: bool = True
 
 
 class Change(Message, frozen=True, kw_only=True):

@@ -53,6 +53,32 @@ class Log(Arguments, frozen=True, kw_only=True):
     since: int = 0
 
 
+class SetLimits(Arguments, frozen=True, kw_only=True):
+    position_min: list[float] | None = None
+    position_max: list[float] | None = None
+    speed_max: list[float] | None = None
+    torque_max: list[float] | None = None
+    command_max: list[float] | None = None
+    torque_clamp: bool | None = None
+
+
+class SetDrive(Arguments, frozen=True, kw_only=True):
+    mode: str
+
+
+class SetRamp(Arguments, frozen=True, kw_only=True):
+    seconds: float
+
+
+class SetOverrun(Arguments, frozen=True, kw_only=True):
+    policy: str
+    limit: int = 10
+
+
+class SetInputs(Arguments, frozen=True, kw_only=True):
+    bits: int
+
+
 class AcquireConfigure(Arguments, frozen=True, kw_only=True):
     channels: list[str]
     decimation: int = 1
@@ -136,6 +162,16 @@ _ROWS = (
     Verb("write", Write, m.Written, "quick", repeatable=False),
     Verb("update", Write, m.Applied, "sync", repeatable=False),
     Verb("wait_applied", Wait, m.Applied, "slow", 60.0),
+    Verb("builtins", Nothing, tuple[m.VariableInfo, ...], "quick"),
+    Verb("machine", Nothing, m.MachineInfo, "quick"),
+    Verb("limits", Nothing, m.Limits, "quick"),
+    Verb("set_limits", SetLimits, m.Written, "quick", repeatable=False),
+    Verb("set_drive", SetDrive, m.Empty, "quick"),
+    Verb("set_ramp", SetRamp, m.Empty, "quick"),
+    Verb("set_overrun", SetOverrun, m.Empty, "quick"),
+    Verb("set_inputs", SetInputs, m.Empty, "quick"),
+    Verb("home", Nothing, m.Empty, "quick"),
+    Verb("acknowledge", Nothing, m.Empty, "quick"),
     Verb("log", Log, tuple[m.Change, ...], "quick"),
     Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False),
     Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False),

@@ -91,6 +91,43 @@ class Service:
         self.runtime.stop()
         return m.Empty()
 
+    # machine and drives ----------------------------------------------------------------------------------------------
+
+    def do_machine(self, args: verbs.Nothing, by: str) -> Any:
+        return self.runtime.machine()
+
+    def do_limits(self, args: verbs.Nothing, by: str) -> Any:
+        return self.runtime.limits()
+
+    def do_set_limits(self, args: verbs.SetLimits, by: str) -> dict[str, int]:
+        given = {name: getattr(args, name) for name in args.__struct_fields__}
+        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in given.items() if v is not None}
+        return {"sequence": self.runtime.set_limits(by, **changes)}
+
+    def do_set_drive(self, args: verbs.SetDrive, by: str) -> m.Empty:
+        self.runtime.set_drive(args.mode)
+        return m.Empty()
+
+    def do_set_ramp(self, args: verbs.SetRamp, by: str) -> m.Empty:
+        self.runtime.set_ramp(args.seconds)
+        return m.Empty()
+
+    def do_set_overrun(self, args: verbs.SetOverrun, by: str) -> m.Empty:
+        self.runtime.set_overrun(args.policy, args.limit)
+        return m.Empty()
+
+    def do_set_inputs(self, args: verbs.SetInputs, by: str) -> m.Empty:
+        self.runtime.set_inputs(args.bits)
+        return m.Empty()
+
+    def do_home(self, args: verbs.Nothing, by: str) -> m.Empty:
+        self.runtime.home()
+        return m.Empty()
+
+    def do_acknowledge(self, args: verbs.Nothing, by: str) -> m.Empty:
+        self.runtime.acknowledge()
+        return m.Empty()
+
     # programs --------------------------------------------------------------------------------------------------------
 
     def do_compile(self, args: verbs.Compile, by: str) -> CompileResult:
@@ -132,6 +169,9 @@ class Service:
 
     def do_variables(self, args: verbs.Nothing, by: str) -> tuple[VariableInfo, ...]:
         return tuple(_light(info) for info in self.runtime.variables())
+
+    def do_builtins(self, args: verbs.Nothing, by: str) -> tuple[VariableInfo, ...]:
+        return self.runtime.builtins()
 
     def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
         tick, found = self.runtime.read(args.names)

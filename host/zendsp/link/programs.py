@@ -71,6 +71,10 @@ class Programs(Requests):
         """STOP: outputs are safe from the next sample on, and stay so until acknowledged on the target."""
         self.request("stop")
 
+    def acknowledge(self) -> None:
+        """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""
+        self.request("acknowledge")
+
     def unload(self) -> None:
         """Remove the program."""
         self.request("unload")

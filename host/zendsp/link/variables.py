@@ -123,6 +123,10 @@ class Variables(Requests):
         """The dictionary of the running code: name to type, length, kind, unit, limits, initial value, description."""
         return {info.name: info for info in self.request("variables")}
 
+    def builtins(self) -> dict[str, m.VariableInfo]:
+        """Signals that exist undeclared and can be recorded: tick, t, exec_us, enc, aout, …"""
+        return {info.name: info for info in self.request("builtins")}
+
     def log(self, since: int = 0) -> tuple[m.Change, ...]:
         """Changes of parameters: sample, time, old and new value, and who made them.
 
