@@ -12,6 +12,20 @@ from zendsp.errors import ZendspError
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("zendsp.cli.demo:command", "Start a simulated arm, move it, tune it, record it, draw it."),
+    "target": ("zendsp.cli.target:command", "Run a target here."),
+    "ls": ("zendsp.cli.ls:command", "List the targets that answer."),
+    "info": ("zendsp.cli.info:command", "Show a target and its variables."),
+    "compile": ("zendsp.cli.compile:command", "Compile C code on a target."),
+    "run": ("zendsp.cli.run:command", "Compile, download and start a program."),
+    "pause": ("zendsp.cli.pause:command", "Pause the program."),
+    "stop": ("zendsp.cli.stop:command", "STOP: safe outputs at once."),
+    "get": ("zendsp.cli.get:command", "Read variables."),
+    "set": ("zendsp.cli.set:command", "Change variables, all in one sample."),
+    "watch": ("zendsp.cli.watch:command", "Follow channels live."),
+    "params": ("zendsp.cli.params:command", "Save, compare and restore parameters."),
+    "acquire": ("zendsp.cli.acquire:command", "Record channels into a file."),
+    "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
     "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),
     "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),
 }

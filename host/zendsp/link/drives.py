@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from zendsp_protocol import messages as m
-
 from zendsp.link.requests import Requests
+from zendsp_protocol import messages as m
 
 
 class Drives(Requests):

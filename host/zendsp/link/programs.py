@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -113,8 +113,15 @@ class Programs(Requests):
         self.start(ticks)
         return self.wait(timeout if timeout is not None else 2.0 * seconds + 10.0)
 
-    def wait(self, timeout: float = 60.0) -> m.Status:
+    def wait(self, timeout: float = 60.0, on_status: Callable[[m.Status], None] | None = None) -> m.Status:
         """Wait until the program no longer runs (paused by itself, stopped, tripped or crashed).
+
+        Parameters
+        ----------
+        timeout : float, s
+            Of real time.
+        on_status : callable, optional
+            Called with each :class:`Status` met while waiting.
 
         Raises
         ------
@@ -129,6 +136,8 @@ class Programs(Requests):
             status = self.status()
             if status.state == "crashed":
                 raise RunnerDied(status.crash)
+            if on_status is not None:
+                on_status(status)
             if status.state != "running":
                 return status
             if time.monotonic() > deadline:

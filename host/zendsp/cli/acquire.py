@@ -1,0 +1,73 @@
+"""``zendsp acquire``: record channels into a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from zendsp.cli.common import emit, open_target, progress, target_options
+
+
+@click.command("acquire")
+@click.argument("channels", nargs=-1, required=True)
+@click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help=".mat, .npz, .parquet or .csv."
+)
+@click.option("--decimation", type=int, default=1, show_default=True, help="Every how many samples a row.")
+@click.option("--trigger", metavar="SOURCE", help="Wait until this variable crosses --level.")
+@click.option("--level", type=float, default=0.0, show_default=True)
+@click.option("--edge", type=click.Choice(["rising", "falling", "both"]), default="rising", show_default=True)
+@click.option(
+    "--pre", type=float, default=0.0, show_default=True, help="Seconds to keep from before the trigger."
+)
+@click.option("--start", is_flag=True, help="Also start the program, and pause it afterwards.")
+@click.option("--take", is_flag=True, help="Also when another host is recording.")
+@click.option("--note", default="", help="Kept in the recording.")
+@click.option("--plot", type=click.Path(path_type=Path), help="Also draw it there (PNG, SVG, PDF).")
+@target_options
+def command(
+    channels: tuple[str, ...],
+    seconds: float,
+    out: Path,
+    decimation: int,
+    trigger: str | None,
+    level: float,
+    edge: str,
+    pre: float,
+    start: bool,
+    take: bool,
+    note: str,
+    plot: Path | None,
+    target: str,
+    connect: str | None,
+    as_json: bool,
+) -> None:
+    """Record CHANNELS (variables, elements, built-in signals) and save them with all circumstances.
+
+    Example:  zendsp acquire q tau -s 2 -o run.mat
+    """
+    from zendsp.link import Trigger
+
+    when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
+    with open_target(target, connect) as t, progress("recording", seconds, as_json) as set_fraction:
+        recording = t.acquire(
+            list(channels),
+            seconds,
+            decimation,
+            when,
+            start=start,
+            take=take,
+            note=note,
+            progress=set_fraction,
+        )
+    recording.save(out)
+    if plot is not None:
+        recording.plot(path=plot)
+    body = {"file": str(out), "rows": len(recording), "columns": recording.columns, "lost": recording.lost}
+    emit(
+        body,
+        as_json,
+        f"{len(recording)} rows of {len(recording.columns)} signals to {out}, {recording.lost} lost",
+    )

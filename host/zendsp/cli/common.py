@@ -1,0 +1,133 @@
+"""What the commands share: which target, how to print, how to show progress."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+import msgspec
+
+if TYPE_CHECKING:
+    from zendsp.link import Target
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def target_options(function: F) -> F:
+    """Add ``--target``, ``--connect`` and ``--json``."""
+    decorators = (
+        click.option("--json", "as_json", is_flag=True, help="Print JSON."),
+        click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447 (else $ZENDSP_CONNECT)."),
+        click.option("-t", "--target", default="", envvar="ZENDSP_TARGET", metavar="NAME",
+                     help="Which target (else $ZENDSP_TARGET, or the only one on this machine)."),
+    )  # fmt: skip
+    for decorate in decorators:
+        function = decorate(function)
+    return function
+
+
+def open_target(name: str, endpoint: str | None) -> Target:
+    """Connect to the target that the options name."""
+    from zendsp.link import connect
+
+    return connect(name, endpoint)
+
+
+def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
+    """Print ``value`` as JSON, or the text for people."""
+    if as_json:
+        click.echo(json.dumps(plain(value), allow_nan=False))
+    else:
+        shown = text() if callable(text) else text
+        if shown:
+            click.echo(shown)
+
+
+def plain(value: Any) -> Any:
+    """Turn messages, arrays and infinities into what JSON holds (an infinite limit becomes null)."""
+    if isinstance(value, msgspec.Struct):
+        value = msgspec.structs.asdict(value)
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not -1.8e308 < value < 1.8e308:
+        return None
+    return value
+
+
+def table(rows: list[list[str]], header: list[str]) -> str:
+    """Set rows in columns, numbers to the right."""
+    cells = [header, *rows]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
+    right = [bool(rows) and all(_looks_numeric(row[k]) for row in rows) for k in range(len(header))]
+    lines = []
+    for row in cells:
+        parts = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)]
+        lines.append("  ".join(parts).rstrip())
+    return "\n".join(lines)
+
+
+def _looks_numeric(text: str) -> bool:
+    return text[:1] in "0123456789-+." and text not in ("-", "")
+
+
+def show(value: Any) -> str:
+    """Write a variable's value shortly."""
+    value = plain(value)
+    if isinstance(value, list):
+        inner = ", ".join(show(item) for item in value[:8])
+        return f"[{inner}{', …' if len(value) > 8 else ''}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def parse_value(text: str) -> Any:
+    """Read a value as typed on a command line: ``3``, ``0.5``, ``true``, ``[1, 2]``.
+
+    Raises
+    ------
+    click.BadParameter
+        Anything else.
+    """
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = None
+    if isinstance(value, bool | int | float) or (
+        isinstance(value, list) and value and all(isinstance(item, bool | int | float) for item in value)
+    ):
+        return value
+    raise click.BadParameter(f"{text!r} is not a value; write 3, 0.5, true, false or [1, 2]")
+
+
+def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Any]:
+    """Read ``NAME=VALUE …``."""
+    values = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not equals or not name:
+            raise click.BadParameter(f"{pair!r}: expected NAME=VALUE")
+        values[name] = parse_value(text)
+    return values
+
+
+@contextmanager
+def progress(what: str, expected_s: float, as_json: bool) -> Iterator[Callable[[float], None]]:
+    """Show a bar on a terminal for what takes longer than a second; yields ``set_fraction``."""
+    if expected_s < 1.0 or as_json or not sys.stderr.isatty():
+        yield lambda fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)

@@ -1,0 +1,46 @@
+"""``zendsp compile``: compile C code on a target without running it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from zendsp.cli.common import emit, open_target, target_options
+
+
+@click.command("compile")
+@click.argument("file")
+@click.option("--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated.")
+@target_options
+def command(file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool) -> None:
+    """Compile FILE (with the headers beside it) on the target; the running program is not touched.
+
+    Warnings and errors name file, line and column. Exit status 1 where it does not compile.
+
+    Example:  zendsp compile pd.c
+    """
+    from zendsp.errors import CompileFailed
+
+    with open_target(target, connect) as t:
+        result: Any
+        try:
+            result = t.compile(file, flags)
+        except CompileFailed as error:
+            result = getattr(error, "result", None)
+            if result is None:  # the file itself is missing
+                raise
+        report(result, as_json)
+        if not result.ok:
+            raise click.exceptions.Exit(1)
+
+
+def report(result: Any, as_json: bool) -> None:
+    """Print what the compiler said: its messages to standard error, the outcome to standard output."""
+    from zendsp.link.programs import describe
+
+    if not as_json:
+        for message in result.diagnostics:
+            click.echo(describe(message), err=True)
+    how = "from the cache" if result.cached else f"in {result.seconds:.2f} s"
+    emit(result, as_json, f"compiled {how}: {result.key[:12]}" if result.ok else "not compiled")

@@ -1,0 +1,31 @@
+"""``zendsp get``: read variables."""
+
+from __future__ import annotations
+
+import click
+
+from zendsp.cli.common import emit, open_target, show, target_options
+
+
+@click.command("get")
+@click.argument("names", nargs=-1)
+@target_options
+def command(names: tuple[str, ...], target: str, connect: str | None, as_json: bool) -> None:
+    """Read variables, all from one sample; without NAMES, all of them.
+
+    Example:  zendsp get Kp1 Kd1 'q[0]'
+    """
+    with open_target(target, connect) as t:
+        infos = t.variables()
+        chosen = list(names) or [info.name for info in infos.values() if info.kind != "table"]
+        reading = t.read(chosen) if chosen else None
+        values = dict(reading.values) if reading else {}
+        units = {
+            name: infos[name.partition("[")[0]].unit for name in values if name.partition("[")[0] in infos
+        }
+        body = {"tick": reading.tick if reading else None, "values": values, "units": units}
+        emit(
+            body,
+            as_json,
+            "\n".join(f"{name} = {show(v)} {units.get(name, '')}".rstrip() for name, v in values.items()),
+        )

@@ -1,0 +1,45 @@
+"""``zendsp info``: who a target is, what it runs, which variables there are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from zendsp.cli.common import emit, open_target, show, table, target_options
+
+
+@click.command("info")
+@target_options
+def command(target: str, connect: str | None, as_json: bool) -> None:
+    """Show a target: machine, state, program, and the dictionary of its variables.
+
+    Example:  zendsp info -t imi
+    """
+    with open_target(target, connect) as t:
+        status, variables, machine = t.status(), t.variables(), t.machine()
+        body = {"info": t.info, "status": status, "machine": machine, "variables": list(variables.values())}
+        emit(body, as_json, lambda: _text(t.info, status, machine, variables))
+
+
+def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> str:
+    joints = ", ".join(f"{j.name} ({j.unit})" for j in machine.joints)
+    lines = [
+        f"target     {info.name} on {info.hostname}, process {info.pid}, zendsp {info.versions.get('zendsp', '?')}",
+        f"machine    {machine.name}: {machine.text}; {joints}",
+        f"loop       {status.rate_hz:g} Hz, {status.clock} clock; {status.scheduling}",
+        f"state      {status.state}, tick {status.tick}, drive {status.drive}",
+        f"program    {status.program or 'none'}",
+        f"hosts      {', '.join(status.hosts) or 'none'}",
+    ]
+    if status.crash:
+        lines.append(f"crash      {status.crash}")
+    if status.trip is not None:
+        lines.append(f"trip       {status.trip.text}")
+    rows = [
+        [v.name, v.type + (f"[{v.length}]" if v.length > 1 else ""), v.kind, v.unit, show(v.minimum), show(v.maximum),
+         v.description]
+        for v in variables.values()
+    ]  # fmt: skip
+    header = ["VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX", ""]
+    return "\n".join(lines) + ("\n\n" + table(rows, header) if rows else "")

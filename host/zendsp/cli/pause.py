@@ -1,0 +1,20 @@
+"""``zendsp pause``."""
+
+from __future__ import annotations
+
+import click
+
+from zendsp.cli.common import emit, open_target, target_options
+
+
+@click.command("pause")
+@target_options
+def command(target: str, connect: str | None, as_json: bool) -> None:
+    """Pause the program: outputs are safe, variables keep their values; 'zendsp run' goes on.
+
+    Example:  zendsp pause
+    """
+    with open_target(target, connect) as t:
+        t.pause()
+        status = t.status()
+        emit(status, as_json, f"{status.state} at sample {status.tick}")

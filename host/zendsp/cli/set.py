@@ -1,0 +1,27 @@
+"""``zendsp set``: change variables, all in one sample."""
+
+from __future__ import annotations
+
+import click
+
+from zendsp.cli.common import emit, open_target, parse_assignments, target_options
+
+
+@click.command("set")
+@click.argument("assignments", nargs=-1, required=True, metavar="NAME=VALUE...")
+@click.option("--no-wait", is_flag=True, help="Do not wait for the sample at which they take effect.")
+@target_options
+def command(
+    assignments: tuple[str, ...], no_wait: bool, target: str, connect: str | None, as_json: bool
+) -> None:
+    """Change variables, all at the start of one sample or none of them.
+
+    Example:  zendsp set Kp1=450 Kd1=40
+    """
+    values = parse_assignments(assignments)
+    with open_target(target, connect) as t:
+        if no_wait:
+            emit({"sequence": t.write(**values)}, as_json)
+            return
+        tick = t.update(None, **values)
+        emit({"tick": tick, "values": values}, as_json, f"{', '.join(values)} set at sample {tick}")

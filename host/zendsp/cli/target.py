@@ -1,0 +1,34 @@
+"""``zendsp target``: run a target here, in the foreground."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import click
+
+
+@click.command("target", context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+@click.option("--machine", default="imi_planar", show_default=True, help="Machine to drive.")
+@click.option("--name", help="Name of the target (default: that of the machine).")
+@click.option("--rate", type=float, default=1000.0, show_default=True, help="Sample rate, Hz.")
+@click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)
+@click.option(
+    "--listen", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint (default: a free port on loopback)."
+)
+@click.pass_context
+def command(
+    context: click.Context, machine: str, name: str | None, rate: float, clock: str, listen: tuple[str, ...]
+) -> None:
+    """Run a target until Ctrl-C; on a bare machine, 'python -m zendsp_target' does the same.
+
+    All options of that command are taken; see 'python -m zendsp_target --help' for TLS, passwords and routers.
+
+    Example:  zendsp target --machine imi_planar --name imi --rate 1000
+    """
+    arguments = ["--machine", machine, "--rate", str(rate), "--clock", clock]
+    arguments += ["--name", name] if name else []
+    for endpoint in listen:
+        arguments += ["--listen", endpoint]
+    sys.stdout.flush()
+    os.execv(sys.executable, [sys.executable, "-m", "zendsp_target", *arguments, *context.args])

@@ -1,0 +1,58 @@
+"""``zendsp watch``: follow channels live."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import click
+
+from zendsp.cli.common import emit, open_target, show, target_options
+
+
+@click.command("watch")
+@click.argument("channels", nargs=-1, required=True)
+@click.option("--interval", type=float, default=0.1, show_default=True, metavar="S", help="Between lines.")
+@click.option("--count", type=int, default=0, metavar="N", help="End after N lines (default: never).")
+@target_options
+def command(
+    channels: tuple[str, ...], interval: float, count: int, target: str, connect: str | None, as_json: bool
+) -> None:
+    """Follow channels until Ctrl-C: one line for each interval, or one changing line on a terminal.
+
+    Example:  zendsp watch q tau --interval 0.2
+    """
+    rewrite = sys.stdout.isatty() and not as_json
+    with (
+        open_target(target, connect) as t,
+        t.live(list(channels), interval=min(interval, 0.05), history=1.0) as view,
+    ):
+        shown = 0
+        due = time.monotonic()
+        while not count or shown < count:
+            time.sleep(max(0.0, due - time.monotonic()))
+            due += interval
+            newest = view.latest()
+            if not newest:
+                newest = _first(view)
+            line = "  ".join(f"{name} {show(value):>10}" for name, value in newest.items())
+            if rewrite:
+                click.echo(f"\r\x1b[K{line}", nl=False)
+            else:
+                emit(newest, as_json, line)
+            shown += 1
+        if rewrite:
+            click.echo()
+
+
+def _first(view: object) -> dict[str, float]:
+    """Wait for the first rows; say so when the program does not run."""
+    from zendsp.link import LiveView
+
+    assert isinstance(view, LiveView)
+    told = False
+    while view.next_block(1.0) is None:
+        if not told:
+            click.echo("waiting for samples: is the program running?", err=True)
+            told = True
+    return view.latest()
