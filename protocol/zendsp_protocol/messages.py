@@ -163,6 +163,33 @@ class Limits(Message, frozen=True, kw_only=True):
     torque_clamp: bool = True
 
 
+class Condition(Message, frozen=True, kw_only=True):
+    """One thing that enabling the drives needs."""
+
+    name: str
+    met: bool
+    advice: str = ""  # what to do where it is not met
+
+
+class DriveStatus(Message, frozen=True, kw_only=True):
+    """Where the drives are in the safe sequence."""
+
+    state: str  # off | ready | homed | enabled | running | stopped | tripped
+    mode: str = "off"  # what the drives are told: off | torque | velocity
+    managed: bool = False  # the sequence cannot be left (--managed)
+    explicit: bool = False  # the sequence is in use; else the drives go on at start and off at pause
+    homed: bool = True
+    commander: str = ""  # who has the exclusive right to command
+    host_lost: str = "stop"  # what happens when the commander disappears: stop | hold | finish
+    conditions: tuple[Condition, ...] = ()  # of enabling
+
+
+class Said(Message, frozen=True, kw_only=True):
+    """It was done; a sentence for people."""
+
+    text: str = ""
+
+
 class Change(Message, frozen=True, kw_only=True):
     """One line of the parameter log."""
 

@@ -79,6 +79,13 @@ class SetInputs(Arguments, frozen=True, kw_only=True):
     bits: int
 
 
+class Drive(Arguments, frozen=True, kw_only=True):
+    action: str  # take | release | power_on | power_off | home | enable | disable | acknowledge | auto | host_lost
+    mode: str = ""  # of enable: torque | velocity
+    force: bool = False  # of take
+    policy: str = ""  # of host_lost: stop | hold | finish
+
+
 class AcquireConfigure(Arguments, frozen=True, kw_only=True):
     channels: list[str]
     decimation: int = 1
@@ -172,6 +179,8 @@ _ROWS = (
     Verb("set_inputs", SetInputs, m.Empty, "quick"),
     Verb("home", Nothing, m.Empty, "quick"),
     Verb("acknowledge", Nothing, m.Empty, "quick"),
+    Verb("drive", Drive, m.Said, "quick", repeatable=False),
+    Verb("drive_status", Nothing, m.DriveStatus, "quick"),
     Verb("log", Log, tuple[m.Change, ...], "quick"),
     Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False),
     Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False),

@@ -36,6 +36,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--users", default="", metavar="FILE", help="lines user:password that hosts must know")
     p.add_argument("--parent", type=int, default=0, metavar="PID", help="end when this parent process ends")
     p.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="option of the runtime")
+    p.add_argument("--managed", action="store_true",
+                   help="enforce the safe sequence: power, home and enable before anything moves")  # fmt: skip
     p.add_argument(
         "--json", action="store_true", help="say where it listens as one line of JSON on standard output"
     )
@@ -67,7 +69,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     runtime = Runtime(machine=args.machine, rate_hz=args.rate, clock=args.clock, **options)
     try:
         monitor = Monitor(
-            runtime, Options(args.name or args.machine, args.machine, listen, args.connect, security)
+            runtime, Options(args.name or args.machine, args.machine, listen, args.connect, security, args.managed)
         )
     except BaseException:
         runtime.close()

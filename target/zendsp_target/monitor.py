@@ -32,6 +32,7 @@ class Options:
     listen: Sequence[str] = ("tcp/127.0.0.1:0",)
     connect: Sequence[str] = ()
     security: Security = field(default_factory=Security)
+    managed: bool = False  # the safe sequence of the drives cannot be left
 
 
 class Monitor:
@@ -51,7 +52,7 @@ class Monitor:
         check_free(who.name)
         self._runtime = runtime
         self._session, self.endpoints = _open(options)
-        self._server = Server(runtime, who, self._session)
+        self._server = Server(runtime, who, self._session, options.managed)
         self._entry = register(who.name, self.endpoints, options.machine)
         self._closed = False
 

@@ -33,13 +33,15 @@ PULSE_POLL_S = 0.1
 class Server:
     """Serves one runtime under one name on an open session, until closed."""
 
-    def __init__(self, runtime: RuntimeApi, identity: Identity, session: zenoh.Session) -> None:
+    def __init__(
+        self, runtime: RuntimeApi, identity: Identity, session: zenoh.Session, managed: bool = False
+    ) -> None:
         self.name = identity.name
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[int, zenoh.Publisher] = {}
         self.live = LiveStreams(runtime, self._send_live)
-        self.service = Service(runtime, identity, self.live)
+        self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self.service.host_gone)
         self.service.present = self._hosts.names
         self._waiters = ThreadPoolExecutor(8, "waiter")

@@ -19,6 +19,7 @@ from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused, VariableError
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import AcquireConfig, CompileResult, RuntimeApi, Trigger, VariableInfo
+from zendsp_target.drives import Drives
 from zendsp_target.live import LiveStreams
 from zendsp_target.uploads import Uploads
 
@@ -50,18 +51,22 @@ class Service:
     ``handlers`` maps each verb to ``function(arguments, author) -> result``; more may be added before the server starts.
     """
 
-    def __init__(self, runtime: RuntimeApi, identity: Identity, live: LiveStreams) -> None:
+    def __init__(
+        self, runtime: RuntimeApi, identity: Identity, live: LiveStreams, managed: bool = False
+    ) -> None:
         self.runtime = runtime
         self.identity = identity
         self.live = live
         self.uploads = Uploads()
         self.present: Callable[[], tuple[str, ...]] = tuple
+        self.drives = Drives(runtime, managed)
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._recorder_owner = ""
         self._lock = threading.Lock()
         self.handlers: dict[str, Callable[[Any, str], Any]] = {
             name: getattr(self, f"do_{name}") for name in verbs.VERBS if hasattr(self, f"do_{name}")
         }
+        self.drives.guard(self.handlers)
 
     # the target ------------------------------------------------------------------------------------------------------
 
@@ -85,7 +90,8 @@ class Service:
         )
 
     def do_status(self, args: verbs.Nothing, by: str) -> Any:
-        return _with_hosts(self.runtime.status(), self.present())
+        status = self.runtime.status()
+        return {**_with_hosts(status, self.present()), "drive": self.drives.state(status)}
 
     def do_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.stop()
@@ -273,7 +279,8 @@ class Service:
         return m.Empty()
 
     def host_gone(self, host: str) -> None:
-        """Give back what a vanished host held; the loop and its program go on."""
+        """Give back what a vanished host held; the program goes on, unless that host commanded (see ``drives``)."""
+        self.drives.host_gone(host)
         self.live.forget(host)
 
 

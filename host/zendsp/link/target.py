@@ -9,11 +9,12 @@ from zendsp.link.drives import Drives
 from zendsp.link.link import Link
 from zendsp.link.live import LiveViews
 from zendsp.link.programs import Programs
+from zendsp.link.sequence import Sequence
 from zendsp.link.tables import Tables
 from zendsp_protocol import messages as m
 
 
-class Target(Programs, Acquisition, LiveViews, Tables, Drives):
+class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence):
     """A target that runs somewhere: load programs, tune variables, record, watch.
 
     Made by :func:`zendsp.connect` and :func:`zendsp.local`. Safe to use from several threads.
