@@ -1,3 +1,69 @@
 """zendsp: rapid control prototyping over a network link."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+# name -> module that holds it; imported on first use, so that `import zendsp` costs milliseconds
+_LAZY = {
+    "connect": "zendsp.link",
+    "local": "zendsp.link",
+    "discover": "zendsp.link",
+    "Target": "zendsp.link",
+    "Trigger": "zendsp.link",
+    "ParameterSet": "zendsp.link",
+    "Recording": "zendsp.recording",
+    "read_table": "zendsp.recording",
+    "diagnose": "zendsp.diagnosis",
+    "simulate": "zendsp.physics",
+    "MatDSPconnect": "zendsp.matdsp",
+    "MatDSPclose": "zendsp.matdsp",
+    "MatDSPcompile": "zendsp.matdsp",
+    "MatDSPdownload": "zendsp.matdsp",
+    "MatDSPstart": "zendsp.matdsp",
+    "MatDSPpause": "zendsp.matdsp",
+    "MatDSPstop": "zendsp.matdsp",
+    "MatDSPvariable": "zendsp.matdsp",
+    "MatDSPupdate": "zendsp.matdsp",
+    "MatDSPAcquireConfig": "zendsp.matdsp",
+    "MatDSPAcquireLoad": "zendsp.matdsp",
+}
+
+if TYPE_CHECKING:
+    from zendsp.link import ParameterSet as ParameterSet
+    from zendsp.link import Target as Target
+    from zendsp.link import Trigger as Trigger
+    from zendsp.link import connect as connect
+    from zendsp.link import discover as discover
+    from zendsp.link import local as local
+    from zendsp.matdsp import MatDSPAcquireConfig as MatDSPAcquireConfig
+    from zendsp.matdsp import MatDSPAcquireLoad as MatDSPAcquireLoad
+    from zendsp.matdsp import MatDSPclose as MatDSPclose
+    from zendsp.matdsp import MatDSPcompile as MatDSPcompile
+    from zendsp.matdsp import MatDSPconnect as MatDSPconnect
+    from zendsp.matdsp import MatDSPdownload as MatDSPdownload
+    from zendsp.matdsp import MatDSPpause as MatDSPpause
+    from zendsp.matdsp import MatDSPstart as MatDSPstart
+    from zendsp.matdsp import MatDSPstop as MatDSPstop
+    from zendsp.matdsp import MatDSPupdate as MatDSPupdate
+    from zendsp.matdsp import MatDSPvariable as MatDSPvariable
+    from zendsp.recording import Recording as Recording
+    from zendsp.recording import read_table as read_table
+
+__all__ = ["__version__", *_LAZY]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module on first use."""
+    if name not in _LAZY:
+        raise AttributeError(f"module 'zendsp' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_LAZY[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})

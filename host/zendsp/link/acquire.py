@@ -130,8 +130,7 @@ class Acquisition(ParameterSets):
             self.request("start", ticks=max(1, round(seconds * status.rate_hz)))
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0
-        self._wait_done(timeout, patience, progress)
-        return self.acquire_load(note, None, patience)
+        return self.acquire_finish(timeout, note, progress, patience)
 
     def acquire_configure(
         self,
@@ -187,6 +186,33 @@ class Acquisition(ParameterSets):
             status.first, status.count - status.first, len(status.channels), progress, patience
         )
         return self._recording(status, status.first, data, note, patience)
+
+    def acquire_finish(
+        self,
+        timeout: float | None = 60.0,
+        note: str = "",
+        progress: Callable[[float], None] | None = None,
+        patience: float = PATIENCE_S,
+    ) -> Recording:
+        """Wait until the recorder has all it wants and load it; a continuous ring is stopped as it is.
+
+        Parameters
+        ----------
+        timeout : float, s, optional
+            Of real time; None waits for ever.
+
+        Raises
+        ------
+        AcquisitionError
+            Not complete within ``timeout``, or the program no longer runs.
+        RunnerDied
+            The program crashed; :meth:`acquire_load` brings home what there is.
+        """
+        status: m.AcquireStatus = self._insist("acquire_status", patience)
+        if status.wanted == 0 and status.state == "running":
+            self.acquire_stop()
+        self._wait_done(timeout, patience, progress)
+        return self.acquire_load(note, None, patience)
 
     def load_rows(
         self,

@@ -1,0 +1,136 @@
+"""The MatDSP verbs: a control engineer's handful of functions, each one call, on one target at a time.
+
+    MatDSPconnect("imi")
+    MatDSPdownload("pd.c"); MatDSPstart()
+    MatDSPvariable("Kp1")                      # reads, now
+    MatDSPvariable("Kp1", 450.0)               # notes the new value …
+    MatDSPvariable("Kd1", 40.0)
+    MatDSPupdate()                             # … and both take effect at the start of one sample
+    MatDSPAcquireConfig({"channels": ["q", "tau"], "seconds": 2.0})
+    rec = MatDSPAcquireLoad()
+
+A value written with ``now=True`` does not wait for ``MatDSPupdate``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from zendsp.errors import AcquisitionError, LinkError
+from zendsp.link import Target, Trigger, connect
+from zendsp.link.programs import Source
+from zendsp.recording import Recording
+from zendsp_protocol import messages as m
+
+
+class _Desk:
+    """The one target that the verbs speak to."""
+
+    target: Target | None = None
+
+    def get(self) -> Target:
+        if self.target is None or self.target.link.closed:
+            raise LinkError("no target is connected: call MatDSPconnect(name) first")
+        return self.target
+
+
+_desk = _Desk()
+_ACQUIRE = ("channels", "seconds", "decimation", "trigger", "continuous", "take")
+
+
+def MatDSPconnect(name: str | Target = "", endpoint: str | None = None) -> Target:
+    """Choose the target for all other verbs: by name, or one that is open already."""
+    _desk.target = name if isinstance(name, Target) else connect(name, endpoint)
+    return _desk.target
+
+
+def MatDSPclose() -> None:
+    """End the connection; the target goes on."""
+    if _desk.target is not None:
+        _desk.target.close()
+    _desk.target = None
+
+
+def MatDSPcompile(source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
+    """Compile C code on the target; raises ``CompileFailed`` with file, line and column."""
+    return _desk.get().compile(source, flags)
+
+
+def MatDSPdownload(source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
+    """Compile C code and load it."""
+    return _desk.get().download(source, flags)
+
+
+def MatDSPstart() -> None:
+    """Start the loaded program."""
+    _desk.get().start()
+
+
+def MatDSPpause() -> None:
+    """Pause the program; outputs are safe."""
+    _desk.get().pause()
+
+
+def MatDSPstop() -> None:
+    """STOP: outputs are safe from the next sample on, latched."""
+    _desk.get().stop()
+
+
+def MatDSPvariable(name: str, value: Any = None, now: bool = False) -> Any:
+    """Read a variable of the running code, or note a new value for it.
+
+    Parameters
+    ----------
+    name : str
+    value : number, bool or array, optional
+        Left out: read. Given: staged until :func:`MatDSPupdate`.
+    now : bool
+        Write at once instead, asynchronously.
+
+    Returns
+    -------
+    number, bool or ndarray
+        The value read, or the value given.
+    """
+    target = _desk.get()
+    if value is None:
+        return target[name]
+    if now:
+        target[name] = value
+    else:
+        target.stage(**{name: value})
+    return value
+
+
+def MatDSPupdate() -> int:
+    """Apply every noted value at the start of one sample, all or nothing; returns that sample."""
+    return _desk.get().update()
+
+
+def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
+    """Configure the acquisition and start (or arm) it.
+
+    Parameters
+    ----------
+    params : mapping
+        ``channels`` and, where wanted, ``seconds``, ``decimation``, ``continuous``, ``take``, and ``trigger``: a mapping of
+        ``source``, ``level``, ``edge``, ``pre_s``.
+    """
+    unknown = [name for name in params if name not in _ACQUIRE]
+    if unknown or "channels" not in params:
+        raise AcquisitionError(
+            f"unknown or missing entries ({', '.join(unknown) or 'channels'}); known: {', '.join(_ACQUIRE)}"
+        )
+    given = dict(params)
+    if isinstance(given.get("trigger"), Mapping):
+        given["trigger"] = Trigger(**given["trigger"])
+    target = _desk.get()
+    status = target.acquire_configure(**given)
+    target.acquire_start()
+    return status
+
+
+def MatDSPAcquireLoad(timeout: float = 60.0) -> Recording:
+    """Wait until the acquisition is complete (a continuous one: stop it) and load it."""
+    return _desk.get().acquire_finish(timeout=timeout)
