@@ -20,7 +20,7 @@ _MAX_SOURCE_BYTES = 16_000_000
 _CHECK = """
 import sys, cffi
 ffi = cffi.FFI()
-ffi.cdef("extern const int32_t zendsp_isr_abi; void UserInit(void); void UserISR_INT2(void);")
+ffi.cdef("extern int32_t zendsp_isr_abi; void UserInit(void); void UserISR_INT2(void);")
 program = ffi.dlopen(sys.argv[1], ffi.RTLD_NOW)
 missing = []
 for name in ("zendsp_isr_abi", "UserInit", "UserISR_INT2"):

@@ -1,0 +1,176 @@
+/* wam7: the Barrett WAM, seven joints, without a hand.
+ *
+ *     M(q) qdd + C(q, qd) qd + g(q) + friction = tau
+ *
+ * Inertias: Barrett AC-02. Limits of position and torque, Coulomb and viscous friction for each direction: the table of the 7-DOF
+ * whole-arm paper; where the table's viscous value is negative (an artefact of its narrow speed range) a value is chosen here, as
+ * are breakaway, Stribeck speed and bristle of every joint.
+ *
+ * Encoders: 4096 counts a turn of the motor, on the motor side of the cable transmission, as on the real arm: times the ratio of
+ * the drive (42, 28.25, 28.25, 18, 9.48, 9.48, 14.93), 27 380 to 6 180 counts a radian at the joint.
+ *
+ * Config keys: q1 … q7 (start position, rad), substep (s), friction, effect1, effect2, …
+ */
+#include <stdio.h>  /* snprintf */
+#include <stdlib.h> /* calloc, free */
+
+#include "concealed.h"
+#include "machine.h"
+#include "machine_config.h"
+#include "plant.h"
+#include "wam7_dynamics.h"
+
+static const double full_scale = 10000.0; /* mV, command that gives the torque limit (or the speed limit) */
+static const double two_pi = 6.283185307179586;
+
+static const double ratio[WAM7] = {42.0, 28.25, 28.25, 18.0, 9.48, 9.48, 14.93}; /* motor turns a joint turn */
+static const double position_min[WAM7] = {-2.6, -2.0, -2.8, -0.9, -4.76, -1.6, -3.0};
+static const double position_max[WAM7] = {2.6, 2.0, 2.8, 3.1, 1.24, 1.6, 3.0};
+static const double torque_max[WAM7] = {77.3, 160.6, 95.6, 29.4, 11.6, 11.6, 2.7};
+static const double speed_max[WAM7] = {3.0, 3.0, 3.0, 3.0, 6.0, 6.0, 6.0};     /* rad/s, chosen */
+static const double home[WAM7] = {0.0, -1.9, 0.0, 3.0, 0.0, 0.0, 0.0};         /* rad, folded */
+static const double about[WAM7] = {1.0, 1.2, 0.05, 0.13, 7e-4, 7e-4, 7.4e-5};  /* kg m^2, what a joint turns: to tune drives */
+static const double coulomb_pos[WAM7] = {4.4748, 2.6385, 1.7399, 1.5414, 0.2798, 0.4834, 0.0538};
+static const double coulomb_neg[WAM7] = {4.3609, 3.5643, 2.3529, 0.7342, 0.1172, 0.4417, 0.1370};
+static const double viscous_pos[WAM7] = {1.3348, 3.5572, 0.3944, 0.50, 0.30, 0.8291, 1.0689}; /* joints 4, 5: chosen */
+static const double viscous_neg[WAM7] = {0.8266, 2.80, 1.2075, 0.45, 1.467, 0.1836, 0.7954};  /* joints 2, 4: chosen */
+
+typedef struct wam {
+    plant plant;
+    machine_info info;
+    concealed concealed;
+} wam;
+
+static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
+    (void)self;
+    wam7_forward(q, qd, torque, qdd);
+}
+
+static void describe(machine_info *info) {
+    snprintf(info->name, sizeof info->name, "wam7");
+    snprintf(info->text, sizeof info->text, "Barrett WAM, seven joints, no hand (simulated).");
+    info->simulated = 1;
+    info->joints = WAM7;
+    info->dins = 8;
+    info->douts = 8;
+    info->stop_input = 0;
+    info->stop_level = 1;
+    for (int j = 0; j < WAM7; j++) {
+        machine_joint *joint = &info->joint[j];
+        snprintf(joint->name, sizeof joint->name, "joint %d", j + 1);
+        snprintf(joint->unit, sizeof joint->unit, "rad");
+        snprintf(joint->command, sizeof joint->command, "torque");
+        joint->counts_per_unit = 4096.0 * ratio[j] / two_pi;
+        joint->mv_per_torque = full_scale / torque_max[j];
+        joint->mv_per_speed = full_scale / speed_max[j];
+        joint->command_max = full_scale;
+        joint->position_min = position_min[j];
+        joint->position_max = position_max[j];
+        joint->speed_max = speed_max[j];
+        joint->torque_max = torque_max[j];
+        joint->home = home[j];
+    }
+}
+
+static void make_plant(plant *p) {
+    p->joints = WAM7;
+    p->acceleration = acceleration;
+    for (int j = 0; j < WAM7; j++) {
+        const double level = 0.5 * (coulomb_pos[j] + coulomb_neg[j]);
+        const double bristle = 1.3 * level / 0.004; /* N m/rad: breaks away after 4 mrad */
+        const double stop = 20.0 * torque_max[j];
+        p->friction[j] = (plant_friction){.coulomb_pos = coulomb_pos[j],
+                                          .coulomb_neg = coulomb_neg[j],
+                                          .breakaway_pos = 1.3 * coulomb_pos[j],
+                                          .breakaway_neg = 1.3 * coulomb_neg[j],
+                                          .stribeck = 0.03,
+                                          .stiffness = bristle,
+                                          .damping = 0.6 * sqrt(bristle * about[j]),
+                                          .viscous_pos = viscous_pos[j],
+                                          .viscous_neg = viscous_neg[j]};
+        p->drive[j] = (plant_drive){.torque_limit = torque_max[j],
+                                    .speed_gain = 60.0 * about[j],
+                                    .speed_integral = 1200.0 * about[j],
+                                    .brake = 5.0 * about[j]};
+        p->stop_min[j] = position_min[j] - 0.05;
+        p->stop_max[j] = position_max[j] + 0.05;
+        p->stop_stiffness[j] = stop;
+        p->stop_damping[j] = 0.6 * sqrt(stop * about[j]);
+    }
+}
+
+static int wam_open(void **handle, const char *config, double period, machine_info *info, char *error, size_t error_size) {
+    (void)period;
+    wam *m = calloc(1, sizeof *m);
+    if (!m) {
+        snprintf(error, error_size, "wam7: out of memory");
+        return -1;
+    }
+    describe(&m->info);
+    make_plant(&m->plant);
+    for (int j = 0; j < WAM7; j++) {
+        char key[8];
+        snprintf(key, sizeof key, "q%d", j + 1);
+        m->plant.q[j] = machine_config_double(config, key, home[j]);
+    }
+    /* joint 7 has a time constant of 70 us: 1.07 N m s/rad on 7.4e-5 kg m^2 */
+    m->plant.substep = machine_config_double(config, "substep", 5e-5);
+    if (concealed_attach(&m->concealed, &m->plant, config, error, error_size) != 0) {
+        free(m);
+        return -1;
+    }
+    *info = m->info;
+    *handle = m;
+    return 0;
+}
+
+static void wam_read(void *handle, machine_sensors *sensors) {
+    wam *m = handle;
+    double measured[PLANT_JOINTS];
+    plant_measure(&m->plant, measured);
+    for (int j = 0; j < WAM7; j++)
+        sensors->enc[j] = plant_counts(&m->info.joint[j], measured[j]);
+    sensors->din = 0;
+    sensors->fault = 0;
+}
+
+static void wam_write(void *handle, const machine_actuators *actuators) {
+    wam *m = handle;
+    plant_command(&m->plant, &m->info, actuators);
+}
+
+static void wam_step(void *handle, double dt) { plant_step(&((wam *)handle)->plant, dt); }
+
+static void wam_safe(void *handle) {
+    const machine_actuators stand_still = {.mode = MACHINE_VELOCITY};
+    wam_write(handle, &stand_still);
+}
+
+/* Homing: all joints at a gentle speed to the folded position, in the drives' velocity mode. */
+static int wam_home(void *handle, const machine_sensors *sensors, machine_actuators *actuators) {
+    const wam *m = handle;
+    int there = 1;
+    actuators->mode = MACHINE_VELOCITY;
+    for (int j = 0; j < WAM7; j++) {
+        const machine_joint *joint = &m->info.joint[j];
+        const double error = joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
+        const double speed = 3.0 * error > 0.6 ? 0.6 : 3.0 * error < -0.6 ? -0.6 : 3.0 * error; /* rad/s */
+        actuators->aout[j] = speed * joint->mv_per_speed;
+        if (fabs(error) > 2e-3)
+            there = 0;
+    }
+    return there ? MACHINE_HOME_DONE : MACHINE_HOME_BUSY;
+}
+
+static void wam_close(void *handle) { free(handle); }
+
+const machine_ops zendsp_machine = {
+    .abi = MACHINE_ABI,
+    .open = wam_open,
+    .read = wam_read,
+    .write = wam_write,
+    .step = wam_step,
+    .safe = wam_safe,
+    .home = wam_home,
+    .close = wam_close,
+};

@@ -1,0 +1,270 @@
+"""Acquisition streams: a file of rows each, filled by the loop in constant time, read here without disturbing it.
+
+A stream's file outlives the runner: what was acquired before a crash, a stop or a new load stays loadable until the stream is
+configured again.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol.errors import AcquisitionError, VariableError
+from zendsp_target.api import AcquireConfig, AcquireStatus
+from zendsp_target.dictionary import Dictionary
+from zendsp_target.layout import layout, set_text
+from zendsp_target.shm import SharedFile
+
+_EDGES = {"rising": 1, "falling": 2, "both": 3}
+_STATES = {0: "idle", 1: "armed", 2: "running", 3: "done"}
+_ANSWER_S = 5.0  # the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
+
+
+@dataclass
+class Stream:
+    """One configured stream."""
+
+    file: SharedFile
+    head: Any
+    config: AcquireConfig
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    ring: int  # rows promised to be held
+    lost: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    sources: tuple[tuple[int, int], ...]
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    trigger: tuple[int, int] | None
+    rows: int
+    pre: int
+
+
+def _expand(dictionary: Dictionary, names: tuple[str, ...]) -> tuple[list[tuple[int, int]], list[str], list[str]]:
+    """Channels of the names: an array stands for all of its elements."""
+    sources: list[tuple[int, int]] = []
+    labels: list[str] = []
+    units: list[str] = []
+    problems: list[str] = []
+    for name in names:
+        try:
+            place = dictionary.place(name)
+        except VariableError as error:
+            problems.append(str(error))
+            continue
+        info = place.entry.info
+        if info.kind == "table":
+            problems.append(f"{name}: is a table; record the variable that follows it")
+            continue
+        whole = place.element is None and info.length > 1
+        elements = range(info.length) if whole else [place.element or 0]
+        for element in elements:
+            sources.append((place.entry.index, element))
+            labels.append(f"{name}[{element}]" if whole else name)
+            units.append(info.unit)
+    if problems:
+        raise AcquisitionError("\n".join(problems))
+    return sources, labels, units
+
+
+def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Plan:
+    _, lib = layout()
+    sources, labels, units = _expand(dictionary, config.channels)
+    if not 1 <= len(sources) <= lib.LAYOUT_CHANNELS:
+        raise AcquisitionError(f"{len(sources)} channels: give 1 … {lib.LAYOUT_CHANNELS}")
+    if config.decimation < 1:
+        raise AcquisitionError(f"decimation {config.decimation}: give 1 or more")
+    rows = round(config.seconds * rate_hz / config.decimation)
+    if rows < 1:
+        raise AcquisitionError(f"{config.seconds:g} s hold no row at {rate_hz / config.decimation:g} rows a second: acquire longer")
+    trigger, pre = None, 0
+    if config.trigger is not None:
+        found, names, _ = _expand(dictionary, (config.trigger.source,))
+        if len(found) != 1:
+            raise AcquisitionError(f"trigger source {config.trigger.source} has {len(found)} elements: name one, such as {names[0]}")
+        if config.trigger.edge not in _EDGES:
+            raise AcquisitionError(f"trigger edge {config.trigger.edge!r}: give rising, falling or both")
+        if not np.isfinite(config.trigger.level) or config.trigger.pre_s < 0.0:
+            raise AcquisitionError("trigger: level must be a finite number and pre_s not negative")
+        trigger = found[0]
+        pre = round(config.trigger.pre_s * rate_hz / config.decimation)
+        if pre >= rows and not config.continuous:
+            raise AcquisitionError(f"pre-trigger of {config.trigger.pre_s:g} s fills the whole {config.seconds:g} s: make it shorter")
+    return _Plan(tuple(sources), tuple(labels), tuple(units), trigger, rows, pre)
+
+
+def create(
+    path: Path, dictionary: Dictionary, config: AcquireConfig, rate_hz: float, free_bytes: int
+) -> Stream:
+    """Make the file of a stream.
+
+    Parameters
+    ----------
+    path : Path
+    dictionary : Dictionary
+    config : AcquireConfig
+    rate_hz : float
+    free_bytes : int
+        Of the shared memory.
+
+    Returns
+    -------
+    Stream
+
+    Raises
+    ------
+    AcquisitionError
+        Unknown channel, nothing to store, or more than fits into memory.
+    """
+    ffi, lib = layout()
+    plan = _plan(dictionary, config, rate_hz)
+    # a margin, so that a reader at the oldest promised row is not overtaken while it copies
+    capacity = plan.rows + max(64, plan.rows // 8 if config.continuous else 0)
+    head_bytes = (ffi.sizeof("stream_head") + 4095) & ~4095
+    size = head_bytes + capacity * len(plan.sources) * 8
+    if size > 0.9 * free_bytes:
+        raise AcquisitionError(
+            f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of shared memory, "
+            f"{free_bytes / 1e6:.0f} MB are free: shorten it, raise the decimation, or record fewer channels"
+        )
+    file = SharedFile(path, size)
+    head = file.pointer("stream_head")
+    head.magic, head.version, head.bytes, head.rows = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, size, head_bytes
+    head.channels, head.decimation, head.capacity = len(plan.sources), config.decimation, capacity
+    head.wanted, head.pre = 0 if config.continuous else plan.rows, plan.pre
+    head.fired = -1
+    if plan.trigger is not None and config.trigger is not None:
+        head.edge, head.level = _EDGES[config.trigger.edge], config.trigger.level
+        head.trigger.variable, head.trigger.element = plan.trigger
+    for i, (variable, element) in enumerate(plan.sources):
+        head.channel[i].variable, head.channel[i].element = variable, element
+    return Stream(file, head, config, plan.channels, plan.units, plan.rows)
+
+
+def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool]) -> None:
+    """Hand a stream to the runner and wait until the loop has it.
+
+    Raises
+    ------
+    AcquisitionError
+        The runner cannot map it, or does not answer.
+    """
+    ffi, lib = layout()
+    slot = control.stream[number]
+    set_text(slot.path, str(stream.file.path))
+    before = int(slot.requested)
+    generation = before + 2 if before % 2 else before + 1
+    lib.monitor_store32(ffi.addressof(slot, "requested"), generation)
+    mapped = ffi.addressof(slot, "mapped")
+    if not _until(lambda: lib.monitor_load32(mapped) == generation, alive):
+        raise AcquisitionError("the runner did not take the acquisition: see status for its state, then load the program again")
+    if slot.failed:
+        raise AcquisitionError(f"the runner cannot map the acquisition buffer (errno {slot.failed}): make it smaller")
+
+
+def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
+    """Arm, disarm or force a stream; waits until the loop has seen an `arm`."""
+    ffi, lib = layout()
+    with stream.lock:
+        address = ffi.addressof(stream.head[0], word)
+        value = (lib.monitor_load32(address) + 1) & 0xFFFFFFFF
+        if word == "arm":
+            stream.lost = 0
+        lib.monitor_store32(address, value)
+        if word == "arm":
+            answered = ffi.addressof(stream.head[0], "answered")
+            if not _until(lambda: lib.monitor_load32(answered) == value, alive):
+                raise AcquisitionError("the loop does not take the acquisition: no program runs (load and start one)")
+
+
+def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:
+    end = time.monotonic() + _ANSWER_S
+    while not done():
+        if not alive() or time.monotonic() > end:
+            return done()
+        time.sleep(0.0002)
+    return True
+
+
+def status(stream: Stream, alive: bool) -> AcquireStatus:
+    """Where a stream stands.
+
+    Parameters
+    ----------
+    stream : Stream
+    alive : bool
+        Whether the loop that fills it still runs; a stream without its loop is done.
+    """
+    ffi, lib = layout()
+    head = stream.head
+    state = _STATES[lib.monitor_load32(ffi.addressof(head[0], "state"))]
+    count, fired = int(lib.monitor_load64(ffi.addressof(head[0], "count"))), int(head.fired)
+    if not alive and state in ("armed", "running"):
+        state = "done"
+    wanted, pre = int(head.wanted), int(head.pre)
+    if fired >= 0:
+        first = max(0, fired - min(pre, fired))
+        if wanted == 0:
+            first = max(first, count - stream.ring)
+    elif wanted == 0 or head.edge:
+        first = max(0, count - stream.ring)
+    else:
+        first = 0
+    return AcquireStatus(
+        state=state, channels=stream.channels, units=stream.units, decimation=int(head.decimation), first=first, count=count,
+        wanted=wanted, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
+    )  # fmt: skip
+
+
+def read(stream: Stream, first: int, count: int) -> npt.NDArray[np.float64]:
+    """Copy rows.
+
+    Parameters
+    ----------
+    stream : Stream
+    first : int
+        Index of the first row.
+    count : int
+        At most so many; fewer where fewer are written.
+
+    Returns
+    -------
+    ndarray, shape (rows, channels)
+
+    Raises
+    ------
+    AcquisitionError
+        The rows were overwritten before they were read; they are counted as lost.
+    """
+    ffi, lib = layout()
+    head = stream.head
+    written = int(lib.monitor_load64(ffi.addressof(head[0], "count")))
+    if first < 0 or count < 0:
+        raise AcquisitionError(f"rows {first} … {first + count - 1}: neither may be negative")
+    capacity = int(head.capacity)
+    count = min(count, max(0, written - first), capacity)
+    if count == 0:
+        return np.empty((0, len(stream.channels)))
+    rows = np.empty((count, len(stream.channels)))
+    gone = int(lib.monitor_rows(head, first, count, ffi.cast("double *", ffi.from_buffer(rows))))
+    # a stream at rest is not being written: its last row is whole
+    if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (lib.STREAM_DONE, lib.STREAM_IDLE):
+        gone = min(count, max(0, written - capacity - first))
+    if gone:
+        stream.lost += gone
+        raise AcquisitionError(
+            f"rows {first} … {first + gone - 1} are overwritten: the oldest row held is {first + gone}; "
+            "read more often, or acquire with a longer ring"
+        )
+    return rows

@@ -1,0 +1,158 @@
+"""The dictionary that the running code declares: names, types, limits, and where each value stands in a snapshot."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol.errors import VariableError
+from zendsp_target.api import Value, VariableInfo
+from zendsp_target.layout import text_of
+
+_TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
+    1: ("double", np.dtype("<f8")),
+    2: ("float", np.dtype("<f4")),
+    3: ("int32", np.dtype("<i4")),
+    4: ("bool", np.dtype("?")),
+}
+_KINDS = {1: "parameter", 2: "signal", 3: "table", 4: "builtin", 5: "setting"}
+_ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>\d+)\]$")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One variable: what the host may know (`info`), and where it is."""
+
+    info: VariableInfo
+    index: int  # in the runner's dictionary
+    dtype: np.dtype[Any]
+    offset: int  # within a snapshot, bytes; -1 for a table
+    size: int  # bytes; 0 for a table
+    banks: tuple[int, int]  # of a table: offsets in the data file
+
+    @property
+    def rows(self) -> int:
+        """Capacity of a table."""
+        return self.info.length // self.info.columns
+
+
+@dataclass(frozen=True)
+class Place:
+    """A variable, or one element of it."""
+
+    entry: Entry
+    element: int | None = None
+
+
+def _value(entry_dtype: np.dtype[Any], length: int, raw: npt.NDArray[np.uint8], offset: int) -> Value:
+    array = raw[offset : offset + length * entry_dtype.itemsize].view(entry_dtype)
+    if length > 1:
+        copy: npt.NDArray[Any] = array.copy()
+        return copy
+    scalar: Value = array[0].item()
+    return scalar
+
+
+class Dictionary:
+    """All variables of one load, by name.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    initial : ndarray of uint8
+        Values as UserInit left them, laid out as a snapshot.
+    """
+
+    def __init__(self, control: Any, initial: npt.NDArray[np.uint8]) -> None:
+        self.entries: dict[str, Entry] = {}
+        for index in range(control.variables):
+            entry = self._entry(control.variable[index], index, initial)
+            self.entries[entry.info.name] = entry
+        self._places: dict[str, Place] = {name: Place(entry) for name, entry in self.entries.items()}
+
+    @staticmethod
+    def _entry(raw: Any, index: int, initial: npt.NDArray[np.uint8]) -> Entry:
+        type_name, dtype = _TYPES[raw.type]
+        kind = _KINDS[raw.kind]
+        start: Value
+        if kind == "table":
+            start = np.zeros((0, raw.columns))
+        else:
+            start = _value(dtype, raw.length, initial, raw.snapshot)
+        info = VariableInfo(
+            name=text_of(raw.name), type=type_name, length=raw.length * raw.columns, kind=kind, unit=text_of(raw.unit),
+            minimum=raw.minimum, maximum=raw.maximum, initial=start, description=text_of(raw.text), address=raw.address,
+            columns=raw.columns,
+        )  # fmt: skip
+        return Entry(info, index, dtype, raw.snapshot, raw.size, (raw.bank[0], raw.bank[1]))
+
+    def infos(self, *kinds: str) -> tuple[VariableInfo, ...]:
+        """Variables of the given kinds, in the order of declaration."""
+        return tuple(entry.info for entry in self.entries.values() if entry.info.kind in kinds)
+
+    def place(self, name: str) -> Place:
+        """Find a variable (``"Kp"``) or an element (``"q[0]"``).
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        Place
+
+        Raises
+        ------
+        VariableError
+            No such name, or no such element.
+        """
+        found = self._places.get(name)
+        if found is not None:
+            return found
+        match = _ELEMENT.match(name)
+        entry = self.entries.get(match["name"]) if match else None
+        if match is None or entry is None:
+            raise VariableError(f"{name}: no such variable; the program declares {self._nearest(name)}")
+        index = int(match["index"])
+        if entry.info.kind == "table" or index >= entry.info.length:
+            what = "is a table, which is read and written whole" if entry.info.kind == "table" else f"has {entry.info.length} elements"
+            raise VariableError(f"{name}: {entry.info.name} {what}")
+        self._places[name] = Place(entry, index)
+        return self._places[name]
+
+    def _nearest(self, name: str) -> str:
+        import difflib
+
+        names = [n for n, e in self.entries.items() if e.info.kind != "setting"]
+        close = difflib.get_close_matches(name, names, 3, 0.5)
+        shown = close or [n for n in names if self.entries[n].info.kind != "builtin"][:8]
+        return ", ".join(shown) if shown else "none"
+
+
+def decode(places: Mapping[str, Place], values: npt.NDArray[np.uint8]) -> dict[str, Value]:
+    """Values of variables from one snapshot.
+
+    Parameters
+    ----------
+    places : mapping of name to Place
+        No tables.
+    values : ndarray of uint8, shape (snapshot bytes,)
+
+    Returns
+    -------
+    dict of name to value
+        Scalars as Python numbers, arrays as copies.
+    """
+    found: dict[str, Value] = {}
+    for name, place in places.items():
+        entry = place.entry
+        if place.element is None:
+            found[name] = _value(entry.dtype, entry.info.length, values, entry.offset)
+        else:
+            found[name] = _value(entry.dtype, 1, values, entry.offset + place.element * entry.dtype.itemsize)
+    return found

@@ -1,0 +1,280 @@
+"""The native runner as a process: start it, wait until it is ready, end it, and say how it died."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zendsp_isr.build import build_machine, build_runner
+from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_target.layout import layout, set_text, text_of
+from zendsp_target.shm import SharedFile
+
+_WITHIN = {
+    1: "while the program was being loaded",
+    2: "in UserInit",
+    3: "in UserISR_INT2",
+    4: "in UserBackground",
+    5: "in the machine",
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a runner runs.
+
+    Parameters
+    ----------
+    machine : str
+        Name of a shipped machine, or path of a ``.c`` file.
+    machine_config : mapping
+        Handed to the machine as lines ``key = value``.
+    rate_hz : float
+        Samples a second, 1 … 100 000.
+    clock : str
+        ``"real"`` or ``"fast"``.
+    realtime : bool
+        Ask for SCHED_FIFO, locked memory and a CPU of its own.
+    priority : int
+        Of SCHED_FIFO, 1 … 99.
+    cpu : int
+        CPU of the loop, -1: the last one.
+    spin_us : float
+        Stretch before each deadline that is waited awake (only under SCHED_FIFO, at most 0.6 of the period), µs.
+    speed : float
+        Fast clock: at most so many machine seconds a second; 0: no limit.
+    hang_s : float
+        A sample that does not return within so many seconds ends the runner.
+    load_s : float
+        UserInit that does not return within so many seconds ends the runner.
+    """
+
+    machine: str
+    machine_config: Mapping[str, str | float]
+    rate_hz: float = 1000.0
+    clock: str = "real"
+    realtime: bool = True
+    priority: int = 80
+    cpu: int = -1
+    spin_us: float = 60.0
+    speed: float = 0.0
+    hang_s: float = 2.0
+    load_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.rate_hz <= 100_000.0:
+            raise Refused(f"rate {self.rate_hz:g} Hz: give 1 … 100000 Hz")
+        if self.clock not in ("real", "fast"):
+            raise Refused(f"clock {self.clock!r}: give 'real' or 'fast'")
+        if not 1 <= self.priority <= 99:
+            raise Refused(f"priority {self.priority}: SCHED_FIFO has 1 … 99")
+        for key, value in self.machine_config.items():
+            if "\n" in f"{key}{value}" or "=" in key:
+                raise Refused(f"machine setting {key!r}: neither newline nor '=' may be in it")
+
+
+def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
+    ffi, lib = layout()
+    control.magic, control.version, control.bytes = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, ffi.sizeof("control")
+    control.rate_hz = settings.rate_hz
+    control.period_ns = round(1e9 / settings.rate_hz)
+    control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST
+    control.realtime = settings.realtime
+    control.priority, control.cpu = settings.priority, settings.cpu
+    control.spin_us, control.speed = settings.spin_us, settings.speed
+    config = "".join(f"{key} = {value}\n" for key, value in settings.machine_config.items())
+    for name, text in (
+        ("data_path", str(data)),
+        ("program_path", str(program)),
+        ("machine_path", str(build_machine(settings.machine))),
+        ("machine_config", config),
+    ):
+        try:
+            set_text(getattr(control, name), text)
+        except ValueError as error:
+            raise Refused(f"{name.replace('_', ' ')}: {error}") from None
+
+
+class RunnerProcess:
+    """One runner with its control and data files; ready, its UserInit done, when the constructor returns.
+
+    Parameters
+    ----------
+    settings : Settings
+    program : Path
+        Shared object of the user's program.
+    folder : Path
+        In shared memory.
+    number : int
+        Tells the files of one load from those of the next.
+
+    Raises
+    ------
+    RunnerDied
+        User code crashed or did not return while it was loaded.
+    Refused
+        The runner declined: another ABI, a wrong declaration, a machine that does not open.
+    """
+
+    def __init__(self, settings: Settings, program: Path, folder: Path, number: int) -> None:
+        ffi, _ = layout()
+        self.settings = settings
+        self.control_file = SharedFile(folder / f"control-{number}", ffi.sizeof("control"))
+        self.control: Any = self.control_file.pointer("control")[0]
+        data_path = folder / f"data-{number}"
+        self._ended = ""
+        try:
+            _fill(self.control, settings, program, data_path)
+            self._process = subprocess.Popen(
+                [str(build_runner()), str(self.control_file.path)],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True, cwd="/",
+            )  # fmt: skip
+        except BaseException:
+            self.control_file.unlink()
+            raise
+        try:
+            self._wait_ready()
+            self.data_file = SharedFile(data_path)
+        except BaseException:
+            self.kill()
+            data_path.unlink(missing_ok=True)
+            self.control_file.unlink()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def _wait_ready(self) -> None:
+        _, lib = layout()
+        deadline = time.monotonic() + self.settings.load_s
+        phase = ffi_address(self.control, "phase")
+        while lib.monitor_load32(phase) not in (lib.PHASE_READY, lib.PHASE_FAILED):
+            if self._process.poll() is not None:
+                break
+            if time.monotonic() > deadline:
+                where = _WITHIN.get(int(self.control.within), "while it was being loaded")
+                self.kill()
+                raise RunnerDied(f"the program did not return within {self.settings.load_s:g} s {where}; it was ended")
+            time.sleep(0.0005)
+        if lib.monitor_load32(phase) == lib.PHASE_READY:
+            return
+        self._process.wait(5)
+        if lib.monitor_load32(phase) == lib.PHASE_FAILED:
+            raise Refused(f"the program cannot run: {text_of(self.control.error)}")
+        raise RunnerDied(self.death())
+
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def wait_death(self, timeout_s: float) -> bool:
+        """Sleep until the process ends.
+
+        Parameters
+        ----------
+        timeout_s : float
+
+        Returns
+        -------
+        bool
+            True when it has ended.
+        """
+        if not hasattr(os, "pidfd_open"):
+            try:
+                self._process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                return False
+            return True
+        try:
+            handle = os.pidfd_open(self.pid)
+        except ProcessLookupError:
+            return True
+        try:
+            poll = select.poll()
+            poll.register(handle, select.POLLIN)
+            ended = bool(poll.poll(timeout_s * 1000.0))
+        finally:
+            os.close(handle)
+        return ended and self._process.poll() is not None
+
+    def death(self, hung: bool = False) -> str:
+        """A sentence on how the runner ended: what, where, and the last sample.
+
+        Parameters
+        ----------
+        hung : bool
+            The watchdog ended it.
+        """
+        code = self._process.poll()
+        tick = int(self.control.tick)
+        crashed = int(self.control.crash_signal)
+        within = int(self.control.crash_within) if crashed else int(self.control.within)
+        where = _WITHIN.get(within, "in the runtime")
+        last = f"last sample {tick - 1}" if tick > 0 else "before the first sample"
+        if hung:
+            return f"no return within {self.settings.hang_s:g} s {where}: ended by the watchdog; {last}"
+        if code is not None and code < 0:
+            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+            return f"{name} {where}; {last}"
+        return f"the process ended with status {code} {where} (user code called exit?); {last}"
+
+    def quit(self, timeout_s: float = 2.0) -> None:
+        """Ask it to end: machine safe, then gone; killed if it does not answer in time."""
+        _, lib = layout()
+        if self.alive():
+            lib.monitor_run(ffi_pointer(self.control), lib.RUN_QUIT)
+            try:
+                self._process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                self.kill()
+                self.make_safe()
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+
+    def make_safe(self) -> None:
+        """Bring real hardware into its safe state from a fresh process; a simulated machine ended with its runner."""
+        if int(self.control.info.simulated) or not text_of(self.control.machine_path):
+            return
+        subprocess.run([str(build_runner()), "--safe", str(self.control_file.path)], timeout=10.0, check=False)
+
+    def unlink(self) -> None:
+        """Remove the names of the files; what was mapped stays readable."""
+        self.control_file.unlink()
+        if hasattr(self, "data_file"):
+            self.data_file.unlink()
+
+
+def ffi_pointer(struct: Any) -> Any:
+    """Pointer to a cffi struct.
+
+    Parameters
+    ----------
+    struct : cffi struct
+    """
+    ffi, _ = layout()
+    return ffi.addressof(struct)
+
+
+def ffi_address(struct: Any, field: str) -> Any:
+    """Pointer to a field of a cffi struct.
+
+    Parameters
+    ----------
+    struct : cffi struct
+    field : str
+    """
+    ffi, _ = layout()
+    return ffi.addressof(struct, field)

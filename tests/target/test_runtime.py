@@ -1,0 +1,142 @@
+"""The runtime seam on the planar arm: compile, load, start, read, write, acquire, in both clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
+from zendsp_target.api import AcquireConfig, Trigger
+from zendsp_target.runtime import Runtime, program_text
+
+
+@pytest.fixture(params=["fast", "real"])
+def runtime(request: pytest.FixtureRequest) -> Iterator[Runtime]:
+    with Runtime("imi_planar", clock=request.param) as made:
+        result = made.compile({"pd.c": program_text("pd")})
+        assert result.ok, result.diagnostics
+        made.load(result.key)
+        yield made
+
+
+def test_a_program_runs_exactly_the_samples_asked_for(runtime: Runtime) -> None:
+    assert runtime.status().state == "loaded"
+    runtime.start(ticks=200)
+    runtime.wait_paused()
+    status = runtime.status()
+    assert (status.state, status.tick, status.t) == ("paused", 200, 0.2)
+    runtime.start(ticks=1)
+    runtime.wait_paused()
+    assert runtime.status().tick == 201
+
+
+def test_a_recording_has_one_row_a_sample_and_nothing_lost(runtime: Runtime) -> None:
+    status = runtime.acquire_configure(0, AcquireConfig(("tick", "q", "aout[1]"), seconds=0.3))
+    assert status.channels == ("tick", "q[0]", "q[1]", "aout[1]")
+    assert status.units == ("", "rad", "rad", "mV")
+    runtime.acquire_start(0)
+    runtime.start(ticks=310)
+    runtime.wait_paused()
+    status = runtime.acquire_status(0)
+    assert (status.state, status.count, status.lost, status.start_tick) == ("done", 300, 0, 0)
+    rows = runtime.acquire_read(0, 0, 1000)
+    assert rows.shape == (300, 4)
+    assert np.array_equal(rows[:, 0], np.arange(300))
+
+
+def test_an_update_takes_effect_at_its_sample_and_is_logged_with_the_old_value(runtime: Runtime) -> None:
+    runtime.acquire_configure(0, AcquireConfig(("Kp1", "Kd1"), seconds=0.2))
+    runtime.acquire_start(0)
+    sequence = runtime.write({"Kp1": 1234.0, "Kd1": 56.0}, "me", at_tick=100)
+    runtime.start(ticks=200)
+    assert runtime.wait_applied(sequence, 10.0) == 100
+    runtime.wait_paused()
+    rows = runtime.acquire_read(0, 0, 200)
+    assert np.array_equal(rows[:, 0], np.where(np.arange(200) < 100, 2000.0, 1234.0))
+    assert np.array_equal(rows[:, 1], np.where(np.arange(200) < 100, 120.0, 56.0))
+    assert [(c.tick, c.name, c.old, c.new, c.author) for c in runtime.log()] == [
+        (100, "Kp1", 2000.0, 1234.0, "me"),
+        (100, "Kd1", 120.0, 56.0, "me"),
+    ]
+
+
+def test_a_table_switches_over_whole_at_one_sample_with_its_length(runtime: Runtime) -> None:
+    runtime.write({"approach_time": 0.1, "use_table": True}, "me")
+    first = np.full((500, 2), 0.25)
+    sequence = runtime.write({"ref": first}, "me")
+    runtime.start(ticks=300)
+    runtime.wait_paused()
+    runtime.wait_applied(sequence, 10.0)
+    tick, values = runtime.read(["ref", "r1", "tick"])
+    assert np.array_equal(values["ref"], first)
+    assert values["r1"] == 0.25
+    assert tick == values["tick"] == 299
+    second = np.array([[0.1, 0.2], [0.3, 0.4]])
+    runtime.write({"ref": second}, "me", at_tick=400)
+    runtime.start(ticks=300)
+    runtime.wait_paused()
+    assert np.array_equal(runtime.read(["ref"])[1]["ref"], second)
+    assert [(c.old, c.new) for c in runtime.log() if c.name == "ref"] == [(0, 500), (500, 2)]
+
+
+def test_one_wrong_variable_stops_the_whole_update_and_each_is_named(runtime: Runtime) -> None:
+    with pytest.raises(VariableError) as caught:
+        runtime.write({"Kp1": 1.0, "Kp2": -1.0, "Kd1": float("nan"), "none": 1, "q1": 1.0, "row_rate": 1.5, "use_table": 2}, "me")
+    lines = str(caught.value).splitlines()
+    assert [line.split(":")[0] for line in lines] == ["Kp2", "Kd1", "none", "q1", "row_rate", "use_table"]
+    assert "0 … 5000" in lines[0]
+    assert runtime.read(["Kp1"])[1]["Kp1"] == 2000.0
+    assert runtime.log() == ()
+
+
+def test_stop_is_latched_until_acknowledged(runtime: Runtime) -> None:
+    runtime.start()
+    runtime.stop()
+    runtime_state_is(runtime, "stopped")
+    trip = runtime.status().trip
+    assert trip is not None and trip.reason == "stop"
+    with pytest.raises(Refused, match="acknowledge"):
+        runtime.pause()
+        runtime.start()
+    runtime.acknowledge()
+    assert runtime.status().state == "paused"
+    runtime.start(ticks=5)
+    runtime.wait_paused()
+
+
+def runtime_state_is(runtime: Runtime, state: str) -> None:
+    import time
+
+    end = time.monotonic() + 20.0
+    while runtime.status().state != state:
+        assert time.monotonic() < end, runtime.status()
+        time.sleep(0.001)
+
+
+def test_a_trigger_keeps_what_came_before_it(runtime: Runtime) -> None:
+    runtime.write({"approach_time": 0.2}, "me")
+    config = AcquireConfig(("tick", "t"), seconds=0.1, trigger=Trigger("t", 0.2, "rising", pre_s=0.04))
+    runtime.acquire_configure(3, config)
+    runtime.acquire_start(3)
+    runtime.start(ticks=400)
+    runtime.wait_paused()
+    status = runtime.acquire_status(3)
+    assert (status.state, status.wanted, status.trigger_row, status.first) == ("done", 100, 200, 160)
+    rows = runtime.acquire_read(3, status.first, status.wanted)
+    assert np.array_equal(rows[:, 0], np.arange(160, 260))
+
+
+def test_a_ring_keeps_the_newest_rows_and_counts_what_a_reader_missed(runtime: Runtime) -> None:
+    runtime.acquire_configure(1, AcquireConfig(("tick",), seconds=0.1, continuous=True, decimation=2))
+    runtime.acquire_start(1)
+    runtime.start(ticks=600)
+    runtime.wait_paused()
+    status = runtime.acquire_status(1)
+    assert (status.state, status.count, status.first, status.wanted) == ("running", 300, 250, 0)
+    rows = runtime.acquire_read(1, status.first, 50)
+    assert np.array_equal(rows[:, 0], 2.0 * np.arange(250, 300))
+    with pytest.raises(AcquisitionError, match="overwritten"):
+        runtime.acquire_read(1, 0, 200)
+    assert runtime.acquire_status(1).lost > 0
