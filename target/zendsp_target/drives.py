@@ -126,7 +126,7 @@ class Drives:
                 homed=status.homed,
                 commander=self._commander,
                 host_lost=self._policy,
-                conditions=tuple(m.Condition(name=c.name, met=c.met, advice=c.advice) for c in self.conditions(status)),
+                conditions=tuple(m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice) for c in self.conditions(status)),
             )
 
     # -- who may ------------------------------------------------------------------------------------------------------
@@ -203,9 +203,10 @@ class Drives:
         with self._lock:
             if args.action not in ("take", "release"):
                 self.check_right(by)
+            said = action()
             if args.action in ("power_on", "home", "enable"):
                 self._commander = by
-            return action()
+            return said
 
     def power_on(self) -> str:
         """off → ready (and on to homed where positions are absolute)."""

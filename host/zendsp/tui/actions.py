@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 
 SCREENS = ("console", "execute", "reference")
 
@@ -125,7 +125,7 @@ def actions(scope: str) -> Iterator[Action]:
     return (action for action in ACTIONS if action.scope == scope)
 
 
-def bindings(scope: str) -> list[Binding]:
+def bindings(scope: str) -> list[BindingType]:
     """Return the key bindings of one screen, or of ``"app"``, for Textual."""
     return [
         Binding(a.keys, a.name, a.label, show=a.footer, priority=a.priority, key_display=a.shown_key, tooltip=a.help)

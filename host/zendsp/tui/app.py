@@ -37,6 +37,8 @@ class ZendspApp(App[None]):
         Where references, runs and parameter sets are kept.
     source : path, optional
         C file to begin with.
+    begin : str
+        Machine to start here at once.
     """
 
     TITLE = "zendsp"
@@ -56,13 +58,14 @@ class ZendspApp(App[None]):
         source: Path | None = None,
         first: str = "console",
         theme: str = "zendsp-night",
+        begin: str = "",
     ) -> None:
         super().__init__()
         self.session = Session(open_port)
         self.workspace = Workspace(folder)
         self.source = source
         self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)
-        self._target, self._first, self._theme_name = target, first, theme
+        self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._screens: dict[str, LabScreen] = {}
 
@@ -83,6 +86,8 @@ class ZendspApp(App[None]):
         self.switch_mode(self._first)
         if self._target:
             self.session.connect(self._target)
+        elif self._begin:
+            self._connect([f"machine {self._begin}"])
 
     def on_unmount(self) -> None:
         self.session.close()

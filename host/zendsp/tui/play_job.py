@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from zendsp.errors import Refused, ZendspError
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
@@ -19,6 +21,7 @@ from zendsp.tui.runs import Run, store_run
 from zendsp.tui.snapshot import Snapshot
 
 LOOK_S = 0.05
+REST_S = 1.0  # for an arm to come to rest under its control law
 USUAL = ("r", "q", "qd", "e", "tau")  # recorded where the user chose no channels
 
 
@@ -108,7 +111,7 @@ class PlayJob:
         ticks = round(total * before.rate_hz) if before.clock == "fast" else None
         self._session.events.add(f"run: {playlist.duration:.2f} s, {len(playlist.rows)} rows")
         port.start(ticks)
-        outcome = self._follow(port, before.tick, lead, total, playlist)
+        outcome = self._follow(port, player, before.tick, lead, total, playlist)
         if not self._setup.acquire:
             return None
         return self._keep(port, player, before, outcome, (begins + lead, ends + lead))
@@ -118,7 +121,16 @@ class PlayJob:
         channels = s.channels or usual_channels(snapshot)
         return Shot(channels, total, s.decimation, s.trigger, s.level, s.edge, s.pre_s)
 
-    def _follow(self, port: Port, first: int, lead: float, total: float, playlist: Any) -> str:
+    def _come_to_rest(self, port: Port, player: Player, snapshot: Snapshot) -> None:
+        """Let the program hold the arm where it is, and pause when it stands: a pause in motion would let it coast."""
+        here = present_position(snapshot, self._machine.joints)
+        if here is not None:
+            port.fill(player.table, np.repeat(here[None, :], 2, axis=0))
+            if snapshot.clock == "real":
+                time.sleep(REST_S)
+        port.pause()
+
+    def _follow(self, port: Port, player: Player, first: int, lead: float, total: float, playlist: Any) -> str:
         """Watch until the end; returns the outcome in words."""
         while True:
             s = port.snapshot()
@@ -133,7 +145,7 @@ class PlayJob:
             if s.state == "paused":
                 return "paused by somebody"
             if self._abort.wait(LOOK_S):
-                port.soft_stop()
+                self._come_to_rest(port, player, s)
                 return "aborted"
 
     def _keep(self, port: Port, player: Player, before: Snapshot, outcome: str, play: tuple[float, float]) -> Run:

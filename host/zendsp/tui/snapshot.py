@@ -55,6 +55,7 @@ class Snapshot:
     joints: int = 0
     state: str = ""  # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
     drive: str = ""  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"
+    explicit: bool = False  # the safe sequence is in use; else drives go on at start and off at pause
     program: str = ""
     clock: str = ""
     tick: int = 0

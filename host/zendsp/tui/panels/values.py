@@ -23,8 +23,11 @@ def show_value(value: Any, most: int = 4) -> str:
     if isinstance(value, float | np.floating):
         return number(float(value))
     items = np.ravel(np.asarray(value))
-    text = " ".join(show_value(v.item()) for v in items[:most])
-    return f"{text} … ({len(items)})" if len(items) > most else text
+    if items.dtype.kind == "f" and len(items) > 1:
+        text = " ".join(f"{v:.3g}" for v in items[:most])
+    else:
+        text = " ".join(show_value(v.item()) for v in items[:most])
+    return f"{text} …" if len(items) > most else text
 
 
 def show_exact(value: Any) -> str:

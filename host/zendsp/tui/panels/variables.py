@@ -79,7 +79,7 @@ class VariablesPanel(Vertical):
             curves = [k for k, name in enumerate(plotted) if name == v.name or name.startswith(f"{v.name}[")]
             changed = v.kind == "parameter" and value is not None and differs(value, v.initial)
             mark = "→" if v.name in staged else "*" if changed else " "
-            text = show_value(staged[v.name]) if v.name in staged else show_value(value)
+            text = show_value(staged.get(v.name, value), 2)
             now = (str(curves), mark, text, v.unit, theme["accent"])
             if self._rows.get(v.name) == now:
                 continue

@@ -60,7 +60,7 @@ class History:
                 self._put(np.array([(self._last_tick + self._step) * period_s]), np.full((1, self.channels), np.nan))
             if len(ticks) > 1:
                 self._step = int(ticks[-1] - ticks[-2])
-            self._put(ticks * period_s, rows)
+            self._put(np.asarray(ticks * period_s, dtype=np.float64), rows)
             self._last_tick = int(ticks[-1])
 
     def _put(self, t: Floats, y: Floats) -> None:

@@ -28,7 +28,7 @@ class LabScreen(Screen[None]):
     """One of Console, Execute, Reference."""
 
     NAME: ClassVar[str] = ""
-    HORIZONTAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-narrow"), (WIDE, "-broad")]
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (WIDE, "-broad")]  # noqa: RUF012
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,6 +54,10 @@ class LabScreen(Screen[None]):
 
     def on_mount(self) -> None:
         self.set_interval(PULL_S, self._pull)
+        self.ready()
+
+    def ready(self) -> None:
+        """Do what a screen does once, when its widgets are there."""
 
     def _pull(self) -> None:
         if self not in self.app.screen_stack:  # another screen is shown; a dialog over this one is not another screen

@@ -48,8 +48,7 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
                 variables.add_class("panel")
                 yield variables
 
-    def on_mount(self) -> None:
-        super().on_mount()
+    def ready(self) -> None:
         self.variables.table.focus()
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:

@@ -40,7 +40,8 @@ class ProgramActions(LabScreen):
 
     def action_power(self) -> None:
         """Power on or off."""
-        on = self.lab.session.snapshot.drive in ("off", "")
+        s = self.lab.session.snapshot
+        on = not s.explicit or s.drive in ("off", "")
         self.lab.drive("power on" if on else "power off", "power_on" if on else "power_off")
 
     def action_home(self) -> None:

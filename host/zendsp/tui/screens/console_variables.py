@@ -7,15 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.style import Style
 from rich.text import Text
 from textual import on
 from textual.widgets import DataTable
 
+from zendsp.errors import ZendspError
+from zendsp.link import ParameterSet
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, not_empty
 from zendsp.tui.panels.values import differs, reader, show_exact, show_limits, show_value
 from zendsp.tui.panels.variables import VariablesPanel
-from zendsp.tui.parameter_sets import ParameterSet, load_set, save_set
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Variable
 
@@ -194,10 +196,11 @@ class VariableActions(LabScreen):
 
     def _save_set(self, name: str) -> None:
         s = self.lab.session.snapshot
-        values = {v.name: s.values[v.name] for v in s.variables if v.kind == "parameter" and v.name in s.values}
+        names = [v.name for v in s.variables if v.kind == "parameter" and v.name in s.values]
+        values = {name: np.asarray(s.values[name]).tolist() for name in names}
         try:
             path = self.lab.workspace.free(self.lab.workspace.sets, name, ".json")
-            save_set(path, ParameterSet(values, s.machine, s.program, time.time()))
+            ParameterSet(values, s.program, s.target).save(path)
         except OSError as error:
             self.say(f"parameter set not saved: {error}", "error")
             return
@@ -205,9 +208,9 @@ class VariableActions(LabScreen):
 
     def _compare_set(self, path: Path) -> None:
         try:
-            stored = load_set(path)
-        except (OSError, ValueError) as error:
-            self.say(f"{path.name}: {error}", "error")
+            stored = ParameterSet.load(path)
+        except ZendspError as error:
+            self.say(str(error), "error")
             return
         now = self.lab.session.snapshot.values
         different = {n: x for n, x in stored.values.items() if n not in now or differs(now[n], x)}

@@ -65,8 +65,7 @@ class ExecuteScreen(RunActions):
                 yield Scope(id="run-preview", live=False)
                 yield Scope(id="run-live")
 
-    def on_mount(self) -> None:
-        super().on_mount()
+    def ready(self) -> None:
         self.query_one("#run-preview", Scope).empty_text = "o chooses a planned reference; space lays a run over it"
         self.query_one("#run-live", Scope).display = False
         self.fill_runs()

@@ -75,11 +75,9 @@ class ReferenceScreen(LabScreen):
     def _kinds(self) -> list[tuple[Text, str]]:
         return [(Text(kind.title), name) for name, kind in KINDS.items() if kind.fits(self.machine)]
 
-    async def on_mount(self) -> None:
-        super().on_mount()
-        scope = self.query_one("#curves", Scope)
-        scope.empty_text = "nothing planned yet"
-        await self._fill_form()
+    def ready(self) -> None:
+        self.query_one("#curves", Scope).empty_text = "nothing planned yet"
+        self.call_later(self._fill_form)
 
     # -- the form -----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,80 @@
+"""``zendsp tui``: Console, Execute and Reference in the terminal, or in a browser on loopback."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+import click
+
+from zendsp.errors import LinkError
+
+
+@click.command("tui")
+@click.argument("target", required=False, default="")
+@click.option("--local", "machine", metavar="MACHINE", help="Start a simulated machine here, for example imi_planar.")
+@click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True, help="Clock of --local.")
+@click.option("--source", type=click.Path(path_type=Path, dir_okay=False), help="C file to work on.")
+@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("."), help="Where references, runs and parameter sets are kept (default: here).")
+@click.option("--screen", type=click.Choice(["console", "execute", "reference"]), default="console", show_default=True, help="Screen to begin with.")
+@click.option("--theme", default="zendsp-night", show_default=True, help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.")
+@click.option("--web", is_flag=True, help="Serve the same screens in a browser on loopback.")
+@click.option("--port", type=int, default=8000, show_default=True, help="Port of --web.")
+@click.option("--screenshots", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write pictures of the screens (SVG) and end.")
+def command(
+    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, web: bool,
+    port: int, screenshots: Path | None,
+) -> None:  # fmt: skip
+    """Tune, drive and watch a machine: IMIConsole, IMIExecute and IMIReference in the terminal.
+
+    TARGET is the name of a running target; without it, Ctrl+O chooses one. F9 is STOP, everywhere.
+
+    \b
+    Examples:
+      zendsp tui imi
+      zendsp tui --local imi_planar --source pd.c
+      zendsp tui --web --port 8000 imi
+    """
+    if screenshots is not None:
+        from zendsp.tui.screenshots import take_screenshots
+
+        for path in take_screenshots(screenshots):
+            click.echo(path)
+        return
+    if web:
+        _serve(target, machine, clock, source, folder, screen, theme, port)
+        return
+    from zendsp.tui.link_port import find_targets, open_port, start_machine
+    from zendsp.reference import MACHINES
+    from zendsp.tui.app import ZendspApp
+
+    app = ZendspApp(
+        open_port,
+        find_targets=find_targets,
+        start_machine=lambda name: start_machine(name, clock),
+        machines=MACHINES,
+        target=target,
+        folder=folder.resolve(),
+        source=source.resolve() if source else None,
+        first=screen,
+        theme=theme,
+        begin=machine or "",
+    )
+    app.run()
+
+
+def _serve(
+    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, port: int
+) -> None:
+    try:
+        from textual_serve.server import Server
+    except ImportError as error:
+        raise LinkError("--web needs textual-serve: pip install 'zendsp[web]'") from error
+    words = [sys.executable, "-c", "from zendsp.cli import main; main()", "tui"]
+    words += [target] if target else []
+    for option, value in (("--local", machine), ("--source", source), ("--folder", folder)):
+        words += [option, str(value)] if value else []
+    words += ["--clock", clock, "--screen", screen, "--theme", theme]
+    click.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends it)")
+    Server(shlex.join(words), host="127.0.0.1", port=port, title="zendsp").serve()

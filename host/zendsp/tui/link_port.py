@@ -1,0 +1,241 @@
+"""The terminal's view of a target, on top of :class:`zendsp.link.Target`."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
+from zendsp.link import Target, Trigger, connect, discover, local
+from zendsp.link.live import LiveBlock
+from zendsp.link.variables import plain
+from zendsp.recording import Recording
+from zendsp.tui.port import Build, Remark, Shot, Sink
+from zendsp.tui.snapshot import Snapshot, TripView, Variable
+from zendsp_protocol import messages as m
+
+LIVE_RATE = 5000.0  # rows a second of a live curve at the most
+LIVE_INTERVAL_S = 0.02  # between live messages: a screen needs no more
+LOST_EVERY = 5  # snapshots between looks at the recorder
+SHOWN_ELEMENTS = 64  # longer arrays are not read for the table
+
+
+class LinkPort:
+    """Implements ``zendsp.tui.port.Port``."""
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self._program = ""
+        self._variables: tuple[Variable, ...] = ()
+        self._names: list[str] = []
+        self._looked = 0
+        self._recorder: m.AcquireStatus | None = None
+
+    # -- what is ------------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> Snapshot:
+        """Ask for everything a screen shows; five quick requests at the most."""
+        begin = time.perf_counter()
+        s = self.target.status()
+        latency = time.perf_counter() - begin
+        drive = self.target.drive_status()
+        if s.program != self._program or (s.program and not self._variables):
+            self._learn(s.program)
+        values: Mapping[str, Any] = {}
+        if self._names and s.state not in ("empty", "crashed"):
+            with contextlib.suppress(RunnerDied):
+                values = self.target.read(self._names).values
+        if self._looked % LOST_EVERY == 0 or (self._recorder is not None and self._recorder.state in ("armed", "running")):
+            with contextlib.suppress(ZendspError):
+                self._recorder = self.target.acquire_status()
+        self._looked += 1
+        if not self.target.alive:
+            raise LinkError(f"target {self.target.name} is out of reach")
+        return self._make(s, drive, values, latency)
+
+    def _make(self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float) -> Snapshot:
+        t, recorder = s.timing, self._recorder
+        return Snapshot(
+            link="up",
+            target=self.target.name,
+            machine=s.machine,
+            joints=s.joints,
+            state=s.state,
+            drive=drive.state,
+            explicit=drive.explicit,
+            program=s.program,
+            clock=s.clock,
+            tick=s.tick,
+            t=s.t,
+            rate_hz=s.rate_hz,
+            exec_mean_ns=t.exec_mean_ns,
+            exec_max_ns=float(t.exec_max_ns),
+            late_max_ns=float(t.late_max_ns),
+            overruns=t.overruns,
+            missed=t.missed,
+            lost=recorder.lost if recorder is not None else 0,
+            latency_s=latency,
+            commander=drive.commander,
+            mine=bool(drive.commander) and drive.commander == self.target.link.author,
+            recording=recorder is not None and recorder.state in ("armed", "running"),
+            host_lost=drive.host_lost,
+            trip=_trip(s.trip),
+            crash=s.crash,
+            scheduling=s.scheduling,
+            io={name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()},
+            conditions=tuple((c.name, c.met, c.advice) for c in drive.conditions),
+            variables=self._variables,
+            values=values,
+        )
+
+    def _learn(self, program: str) -> None:
+        """Read the dictionary of a new program: its own variables first, then what the runtime itself offers."""
+        self._program = program
+        if not program:
+            self._variables, self._names = (), []
+            return
+        own = [_variable(info, info.kind) for info in self.target.variables().values()]
+        names = {v.name for v in own}
+        builtin = [_variable(info, "signal") for info in self.target.builtins().values() if info.name not in names]
+        self._variables = (*own, *builtin)
+        self._names = [v.name for v in self._variables if v.kind != "table" and v.length <= SHOWN_ELEMENTS]
+
+    # -- live ---------------------------------------------------------------------------------------------------------
+
+    def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]:
+        """Follow signals; returns what ends it."""
+        rate = self.target.info.rate_hz
+        decimation = max(1, round(rate / LIVE_RATE))
+
+        def take(block: LiveBlock) -> None:
+            sink(block.tick + decimation * np.arange(len(block.t)), block.data, 1.0 / rate)
+
+        view = self.target.live(names, decimation, LIVE_INTERVAL_S, history=0.1, callback=take)
+        return view.close
+
+    # -- program ------------------------------------------------------------------------------------------------------
+
+    def stop(self) -> None:
+        """STOP."""
+        self.target.stop()
+
+    def start(self, ticks: int | None = None) -> None:
+        """Start or continue the program."""
+        self.target.start(ticks)
+
+    def pause(self) -> None:
+        """Pause the program."""
+        self.target.pause()
+
+    def build(self, sources: Mapping[str, str]) -> Build:
+        """Compile and, if that went well, download."""
+        try:
+            result = self.target.compile(dict(sources))
+        except CompileFailed as error:
+            failed = getattr(error, "result", None)
+            if failed is None:
+                raise
+            return Build(False, failed.seconds, failed.cached, _remarks(failed))
+        self.target.load(result.key)
+        self._program = ""
+        return Build(True, result.seconds, result.cached, _remarks(result))
+
+    # -- variables ----------------------------------------------------------------------------------------------------
+
+    def write(self, values: Mapping[str, Any]) -> int:
+        """Write asynchronously, then wait for the word that it acts."""
+        sequence = self.target.write(**values)
+        applied: m.Applied = self.target.request("wait_applied", sequence=sequence, timeout=2.0)
+        return applied.tick
+
+    def update(self, values: Mapping[str, Any]) -> int:
+        """Apply all in one sample."""
+        return self.target.update(None, **values)
+
+    def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
+        """Send a table."""
+        return self.target.upload(name, rows)
+
+    # -- drives -------------------------------------------------------------------------------------------------------
+
+    def drive(self, verb: str, **values: Any) -> str:
+        """Ask something of the drives; homing is waited for."""
+        if verb == "home":
+            return self.target.home_and_wait()
+        said: m.Said = self.target.request("drive", action=verb, **values)
+        return said.text
+
+    # -- acquisition --------------------------------------------------------------------------------------------------
+
+    def arm(self, shot: Shot) -> None:
+        """Configure and start the recorder."""
+        self.target.acquire_configure(shot.channels, shot.seconds, shot.decimation, _trigger(shot))
+        self.target.acquire_start()
+
+    def progress(self) -> tuple[str, float]:
+        """Return the recorder's state and the share done."""
+        s = self.target.acquire_status()
+        return s.state, min(1.0, (s.count - s.first) / s.wanted) if s.wanted else 0.0
+
+    def end_acquisition(self) -> None:
+        """Stop the recorder; what it holds stays."""
+        self.target.acquire_stop()
+
+    def load(self, note: str = "") -> Recording:
+        """Bring home what the recorder holds."""
+        return self.target.acquire_load(note)
+
+    def acquire(self, shot: Shot, note: str = "") -> Recording:
+        """Record, wait, bring home."""
+        return self.target.acquire(shot.channels, shot.seconds, shot.decimation, _trigger(shot), note=note)
+
+    def close(self) -> None:
+        """Leave the target as it is (one that was started here ends)."""
+        self.target.close()
+
+
+def _trip(trip: m.Trip | None) -> TripView | None:
+    if trip is None:
+        return None
+    return TripView(trip.reason, trip.tick, trip.text or trip.reason)
+
+
+def _variable(info: m.VariableInfo, kind: str) -> Variable:
+    kind = kind if kind in ("parameter", "table") else "signal"
+    return Variable(
+        info.name, info.type, info.length, kind, info.unit, info.minimum, info.maximum, plain(info.initial), info.description
+    )
+
+
+def _remarks(result: m.CompileResult) -> tuple[Remark, ...]:
+    return tuple(Remark(d.severity, d.file, d.line, d.column, d.message) for d in result.diagnostics)
+
+
+def _trigger(shot: Shot) -> Trigger | None:
+    return Trigger(source=shot.trigger, level=shot.level, edge=shot.edge, pre_s=shot.pre_s) if shot.trigger else None
+
+
+def open_port(name: str) -> LinkPort:
+    """Connect to a target by name."""
+    return LinkPort(connect(name))
+
+
+def find_targets() -> list[tuple[str, str]]:
+    """Return the targets in reach as (name, description)."""
+    found = []
+    for target in discover():
+        info = target.info
+        words = f"{info.machine}, {info.rate_hz:g} Hz, {info.clock} clock, {info.hostname}" if info else target.problem
+        found.append((target.name, words))
+    return found
+
+
+def start_machine(machine: str, clock: str = "real") -> tuple[str, LinkPort]:
+    """Start a simulated machine in a process of its own; it ends with this terminal."""
+    target = local(machine, clock=clock)
+    return target.name, LinkPort(target)
