@@ -5,11 +5,12 @@
  * No gravity (vertical axes). Inertias, viscous and Coulomb levels: the published model of the arm; torque limits: NSK Megatorque
  * class; breakaway, Stribeck speed, bristle stiffness and asymmetry: chosen so that the published experiments find what they found.
  *
- * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits).
+ * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits); friction, effect1, … (concealed.h).
  */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
 
+#include "concealed.h"
 #include "machine.h"
 #include "machine_config.h"
 #include "plant.h"
@@ -23,6 +24,7 @@ typedef struct imi {
     plant plant;
     machine_info info;
     uint32_t din;
+    concealed concealed;
 } imi;
 
 static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
@@ -100,6 +102,10 @@ static int imi_open(void **handle, const char *config, double period, machine_in
     m->plant.q[1] = machine_config_double(config, "q2", 0.0);
     m->plant.substep = machine_config_double(config, "substep", 1e-4);
     m->din = (uint32_t)machine_config_double(config, "din", 0.0);
+    if (concealed_attach(&m->concealed, &m->plant, config, error, error_size) != 0) {
+        free(m);
+        return -1;
+    }
     *info = m->info;
     *handle = m;
     return 0;
