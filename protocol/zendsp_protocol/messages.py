@@ -252,6 +252,7 @@ class Program(Message, frozen=True, kw_only=True):
     sources: dict[str, str] = {}
     flags: tuple[str, ...] = ()
     compiler: str = ""
+    log_start: int = 0  # lines of the parameter log from before it was loaded
 
 
 class LiveOpened(Message, frozen=True, kw_only=True):

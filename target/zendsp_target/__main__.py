@@ -35,7 +35,14 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--tls-ca", default="", metavar="PEM", help="authority that signs the hosts' certificates")
     p.add_argument("--users", default="", metavar="FILE", help="lines user:password that hosts must know")
     p.add_argument("--parent", type=int, default=0, metavar="PID", help="end when this parent process ends")
-    p.add_argument("--option", action="append", default=[], metavar="KEY=VALUE", help="option of the runtime")
+    p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
+                   help="setting of the machine, e.g. its start position; may be repeated")  # fmt: skip
+    p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
+    p.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO, locked memory and a CPU")
+    p.add_argument("--priority", type=int, default=80, help="of SCHED_FIFO (default: 80)")
+    p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
+    p.add_argument("--spin", type=float, default=60.0, metavar="US", help="waited awake before each sample, in µs")
+    p.add_argument("--speed", type=float, default=0.0, help="fast clock: at most so many machine seconds a second")
     p.add_argument("--managed", action="store_true",
                    help="enforce the safe sequence: power, home and enable before anything moves")  # fmt: skip
     p.add_argument(
@@ -65,11 +72,22 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     from zendsp_target.monitor import Monitor, Options
     from zendsp_target.runtime import Runtime
 
-    options = dict(text.partition("=")[::2] for text in args.option)
-    runtime = Runtime(machine=args.machine, rate_hz=args.rate, clock=args.clock, **options)
+    runtime = Runtime(
+        machine=args.machine,
+        rate_hz=args.rate,
+        clock=args.clock,
+        machine_config={key: value for key, _, value in (text.partition("=") for text in args.machine_option)},
+        concealed=args.concealed,
+        realtime=not args.no_realtime,
+        priority=args.priority,
+        cpu=args.cpu,
+        spin_us=args.spin,
+        speed=args.speed,
+    )
     try:
         monitor = Monitor(
-            runtime, Options(args.name or args.machine, args.machine, listen, args.connect, security, args.managed)
+            runtime,
+            Options(args.name or args.machine, args.machine, listen, args.connect, security, args.managed),
         )
     except BaseException:
         runtime.close()

@@ -161,9 +161,9 @@ class LiveStreams:
             if stream.broken:
                 self._start(stream)
             status = self._runtime.acquire_status(stream.number)
-            if status.state == "idle":  # a new program was loaded: its rings are new as well
+            if status.state in ("idle", "done"):  # a new program was loaded: its rings are new as well
                 stream.broken = True
-                return RETRY_S if status.state == "idle" and not status.channels else 0.0
+                return RETRY_S
             first = max(stream.next_row, status.first, status.count - stream.window)
             if status.count <= first:
                 return stream.interval

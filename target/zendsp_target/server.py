@@ -22,9 +22,9 @@ from zendsp_target.service import RECORDER, Identity, Later, Service
 
 log = logging.getLogger(__name__)
 
-# Threads of each lane. One serves the quick requests in order; a compile, a wait for a sample or a large transfer must
+# Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile, a wait for a sample or a large transfer must
 # neither hold these up nor each other.
-THREADS = {"quick": 1, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
+THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WAITING = 1024  # requests that may wait in a lane before the link holds back the sender
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from zendsp_protocol import keys, values, verbs
@@ -62,6 +63,7 @@ class Service:
         self.drives = Drives(runtime, managed)
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._recorder_owner = ""
+        self._log_start = 0
         self._lock = threading.Lock()
         self.handlers: dict[str, Callable[[Any, str], Any]] = {
             name: getattr(self, f"do_{name}") for name in verbs.VERBS if hasattr(self, f"do_{name}")
@@ -150,7 +152,9 @@ class Service:
         return result
 
     def do_load(self, args: verbs.Load, by: str) -> m.Empty:
+        before = len(self.runtime.log())
         self.runtime.load(args.key)
+        self._log_start = before
         self._recorder_owner = ""
         return m.Empty()
 
@@ -169,7 +173,8 @@ class Service:
     def do_program(self, args: verbs.Nothing, by: str) -> m.Program:
         key = self.runtime.status().program
         with self._lock:
-            return self._programs.get(key) or m.Program(key=key)
+            program = self._programs.get(key) or m.Program(key=key)
+        return msgspec.structs.replace(program, log_start=self._log_start)
 
     # variables -------------------------------------------------------------------------------------------------------
 
@@ -190,7 +195,7 @@ class Service:
         sequence = self._write(args, by)
         try:
             return {"sequence": sequence, "tick": self.runtime.wait_applied(sequence, APPLY_INLINE_S)}
-        except TimeoutError:
+        except Refused:  # not yet: it waits for its sample
             raise Later(lambda: self._applied(sequence, APPLY_LIMIT_S)) from None
 
     def do_wait_applied(self, args: verbs.Wait, by: str) -> dict[str, int]:
@@ -204,7 +209,17 @@ class Service:
             given = {name: values.from_wire(value) for name, value in args.values.items()}
         except ValueError as error:
             raise VariableError(str(error)) from error
+        if any(isinstance(value, np.ndarray) and value.size > values.LIST_LIMIT for value in given.values()):
+            given = self._shaped(given)
         return self.runtime.write(given, by, args.at_tick)
+
+    def _shaped(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Give the values of a table their rows and columns back, which the wire does not carry."""
+        columns = {info.name: info.columns for info in self.runtime.variables() if info.kind == "table"}
+        return {
+            n: v.reshape(-1, columns[n]) if n in columns and v.size % columns[n] == 0 else v
+            for n, v in given.items()
+        }
 
     def _applied(self, sequence: int, timeout: float) -> dict[str, int]:
         return {"sequence": sequence, "tick": self.runtime.wait_applied(sequence, timeout)}
@@ -222,7 +237,7 @@ class Service:
 
     def do_table_commit(self, args: verbs.TableCommit, by: str) -> dict[str, int]:
         name, array = self.uploads.finish(args.upload)
-        sequence = self.runtime.write({name: array}, by, args.at_tick)
+        sequence = self.runtime.write(self._shaped({name: array}), by, args.at_tick)
         if args.at_tick is not None:
             return {"sequence": sequence, "tick": args.at_tick}
         return self._applied(sequence, APPLY_LIMIT_S)
@@ -233,6 +248,8 @@ class Service:
             raise VariableError(f"{name}: no such variable in the running code")
         if info.length < length:
             raise VariableError(f"{name}: {length} elements do not fit into {info.length}")
+        if length % info.columns:
+            raise VariableError(f"{name}: {length} elements are no whole number of rows of {info.columns}")
 
     # acquisition -----------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import AcquisitionError, CompileFailed, NoAnswer, Refused, VariableError
+from zendsp_protocol.errors import AcquisitionError, CompileFailed, Refused, VariableError
 from zendsp_target.api import (
     AcquireConfig,
     AcquireStatus,
@@ -137,10 +137,10 @@ class FakeRuntime:
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
         with self.lock:
-            wrong = [name for name in names if name not in self.values]
+            wrong = [name for name in names if name.partition("[")[0] not in self.values]
             if wrong:
                 raise VariableError("\n".join(f"{name}: no such variable" for name in wrong))
-            return self.tick, {name: self.values[name] for name in names}
+            return self.tick, {n: self._element(n) if "[" in n else self.values[n] for n in names}
 
     def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
         wrong = []
@@ -170,7 +170,7 @@ class FakeRuntime:
     def wait_applied(self, sequence: int, timeout: float) -> int:
         with self.lock:
             if not self.lock.wait_for(lambda: self.applied >= sequence, timeout):
-                raise NoAnswer("not applied in time")
+                raise Refused("not applied in time")
             return self.applied_tick
 
     def log(self, since: int = 0) -> tuple[Change, ...]:

@@ -285,7 +285,9 @@ class Acquisition(ParameterSets):
         start_tick = status.start_tick + first * status.decimation
         ticks = start_tick + status.decimation * np.arange(len(data))
         last = int(ticks[-1]) if len(ticks) else 0
-        log = [change for change in self._insist("log", patience) if change.tick <= last]
+        log = [
+            change for change in self._insist("log", patience, since=program.log_start) if change.tick <= last
+        ]
         try:
             parameters = dict(self.parameters().values)
         except (Refused, RunnerDied, LinkError):

@@ -6,11 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from zendsp.errors import VariableError
 from zendsp.link.requests import Requests
-from zendsp.recording.names import split_element
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Packed, Value, from_wire, to_wire
 
@@ -61,14 +58,8 @@ class Variables(Requests):
         """
         if isinstance(names, str):
             names = [names]
-        elements = {name: split_element(name) for name in names}
-        asked = list(dict.fromkeys(element[0] if element else name for name, element in elements.items()))
-        found: m.Reading = self.request("read", names=asked)
-        values = {name: from_wire(value) for name, value in found.values.items()}
-        return Reading(
-            found.tick,
-            {n: values[n] if e is None else _element(values[e[0]], *e) for n, e in elements.items()},
-        )
+        found: m.Reading = self.request("read", names=list(names))
+        return Reading(found.tick, {name: from_wire(value) for name, value in found.values.items()})
 
     def write(self, **values: Any) -> int:
         """Write variables asynchronously; the reply does not wait for the sample. Returns the sequence number."""
@@ -144,21 +135,9 @@ def plain(value: Any) -> Any:
     return from_wire(value).tolist() if isinstance(value, Packed) else value  # type: ignore[union-attr]
 
 
-def _element(value: Value, name: str, index: int) -> Value:
-    array = np.asarray(value).reshape(-1)
-    if index >= array.size:
-        raise VariableError(f"{name}[{index}]: {name} has {array.size} elements, counted from 0")
-    return array[index].item()  # type: ignore[no-any-return]
-
-
 def _wire(values: Mapping[str, Any]) -> dict[str, Any]:
     ready, wrong = {}, []
     for name, value in values.items():
-        if split_element(name):
-            wrong.append(
-                f"{name}: arrays are written whole, so that no sample sees half of them; read, change, write"
-            )
-            continue
         try:
             ready[name] = to_wire(value)
         except TypeError as error:
