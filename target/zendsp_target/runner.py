@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import select
+import shutil
 import signal
 import subprocess
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,59 @@ class Settings:
         for key, value in self.machine_config.items():
             if "\n" in f"{key}{value}" or "=" in key:
                 raise Refused(f"machine setting {key!r}: neither newline nor '=' may be in it")
+
+
+_TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+
+
+def split_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Options as a command line gives them: fields of `Settings`, as text or as values, and ``machine.KEY``.
+
+    Parameters
+    ----------
+    options : mapping
+
+    Returns
+    -------
+    settings : dict
+        Fields of Settings, of their types.
+    machine : dict
+        What goes to the machine, without the prefix.
+
+    Raises
+    ------
+    Refused
+        No such option, or a value that cannot be read.
+
+    Examples
+    --------
+    >>> split_options({"spin_us": "0", "machine.q1": "0.3"})
+    ({'spin_us': 0.0}, {'q1': '0.3'})
+    """
+    known = {f.name: f.default for f in fields(Settings) if f.name not in ("machine", "machine_config", "rate_hz", "clock")}
+    settings: dict[str, Any] = {}
+    machine: dict[str, Any] = {}
+    for name, value in options.items():
+        if name.startswith("machine."):
+            machine[name.removeprefix("machine.")] = value
+        elif name not in known:
+            raise Refused(f"no option {name!r}: there are {', '.join(known)}, concealed, and machine.KEY")
+        else:
+            settings[name] = _converted(name, value, known[name])
+    return settings, machine
+
+
+def _converted(name: str, value: object, default: object) -> object:
+    text = str(value).strip().lower()
+    try:
+        if isinstance(default, bool):
+            if text not in (*_TRUE, *_FALSE):
+                raise ValueError
+            return text in _TRUE
+        return int(text) if isinstance(default, int) else float(text)
+    except ValueError:
+        kind = "true or false" if isinstance(default, bool) else "a number"
+        raise Refused(f"option {name} = {value!r}: give {kind}") from None
 
 
 def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
@@ -218,7 +272,7 @@ class RunnerProcess:
         tick = int(self.control.tick)
         crashed = int(self.control.crash_signal)
         within = int(self.control.crash_within) if crashed else int(self.control.within)
-        where = _WITHIN.get(within, "in the runtime")
+        where = _WITHIN.get(within, "in the runtime") + self._line()
         last = f"last sample {tick - 1}" if tick > 0 else "before the first sample"
         if hung:
             return f"no return within {self.settings.hang_s:g} s {where}: ended by the watchdog; {last}"
@@ -226,6 +280,20 @@ class RunnerProcess:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
             return f"{name} {where}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
+
+    def _line(self) -> str:
+        """" at pd.c:42" for a crash within the program, "" where that cannot be told."""
+        address = int(self.control.crash_address)
+        tool = shutil.which("addr2line")
+        if not address or tool is None:
+            return ""
+        command = [tool, "-e", text_of(self.control.program_path), hex(address)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
+        except (OSError, subprocess.TimeoutExpired):
+            return ""
+        place = os.path.basename(done.stdout.split("(")[0].strip())
+        return f" at {place}" if place and "?" not in place else ""
 
     def quit(self, timeout_s: float = 2.0) -> None:
         """Ask it to end: machine safe, then gone; killed if it does not answer in time."""

@@ -36,7 +36,7 @@ from zendsp_target.api import (
 )
 from zendsp_target.compile_service import compile_program, program_path
 from zendsp_target.layout import layout, text_of
-from zendsp_target.runner import Settings, ffi_address
+from zendsp_target.runner import Settings, ffi_address, split_options
 from zendsp_target.session import Session
 from zendsp_target.shm import SharedFolder
 from zendsp_target.updates import ChangeLog
@@ -80,7 +80,8 @@ class Runtime:
     concealed : str, optional
         Handed to the machine and to nobody else: ``"seed:17"`` or a file.
     **options
-        Further fields of `zendsp_target.runner.Settings`: realtime, priority, cpu, spin_us, speed, hang_s, load_s.
+        Further fields of `zendsp_target.runner.Settings` (realtime, priority, cpu, spin_us, speed, hang_s, load_s), also as
+        text; and ``machine.KEY`` for settings of the machine.
 
     Raises
     ------
@@ -102,7 +103,8 @@ class Runtime:
         config = dict(machine_config or {})
         if concealed is not None:
             config["concealed"] = concealed
-        self._settings = Settings(machine, config, rate_hz, clock, **options)
+        own, for_machine = split_options(options)
+        self._settings = Settings(machine, {**config, **for_machine}, rate_hz, clock, **own)
         layout()
         build_runner()
         build_machine(machine)  # what does not compile shall say so now, not at the first load
@@ -113,7 +115,7 @@ class Runtime:
         self._streams: dict[int, tuple[acquisition.Stream, Session]] = {}
         self._loads = 0
         self._files = 0
-        self._auto_drive = True
+        self._drive_wish = "auto"
         self._closed = False
 
     # ---- program ----------------------------------------------------------------------------------------------------------
@@ -136,6 +138,8 @@ class Runtime:
         with self._lock:
             self._require_open()
             self.unload()
+            if self._drive_wish != "auto":
+                self._drive_wish = "off"  # a fresh runner begins with its drives off, and is switched on deliberately
             self._loads += 1
             self._session = Session(key, self._settings, path, self._folder.path, self._loads, self._log)
 
@@ -197,7 +201,7 @@ class Runtime:
                 raise Refused("the program runs already: pause it first")
             if ticks is not None and ticks < 1:
                 raise Refused(f"ticks = {ticks}: give 1 or more")
-            if self._auto_drive:
+            if self._drive_wish == "auto":
                 session.control.drive = lib.MACHINE_TORQUE
             before = session.tick
             lib.monitor_store64(ffi_address(session.control, "run_until"), before + ticks if ticks is not None else 0)
@@ -216,8 +220,6 @@ class Runtime:
             session = self._living()
             session.request_run(lib.RUN_PAUSED)
             session.until(lambda: session.running == lib.RUN_PAUSED, "pause")
-            if self._auto_drive:
-                session.control.drive = lib.MACHINE_OFF if not session.control.info.simulated else session.control.drive
 
     def wait_paused(self, timeout: float = 60.0) -> None:
         """Sleep until the loop pauses (the end of ``start(ticks=n)``).
@@ -279,12 +281,14 @@ class Runtime:
 
     def set_drive(self, mode: str) -> None:
         """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque at each start, the default)."""
-        self._auto_drive = mode == "auto"
-        if mode == "auto":
-            return
-        if mode not in safety.DRIVE_MODES:
+        if mode != "auto" and mode not in safety.DRIVE_MODES:
             raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
-        self._living().control.drive = safety.DRIVE_MODES[mode]
+        with self._lock:
+            if mode in ("torque", "velocity"):
+                self._living()  # switching on needs somebody who obeys
+            self._drive_wish = mode
+            if self._session is not None:
+                self._session.control.drive = safety.DRIVE_MODES.get(mode, int(self._session.control.drive))
 
     def home(self) -> None:
         """Start the machine's homing; ``status().homed`` tells when it is done, a trip when it fails.

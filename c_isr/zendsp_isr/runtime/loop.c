@@ -195,6 +195,8 @@ void loop(runner *r) {
     const double spin_us = realtime_granted() ? (c->spin_us < most ? c->spin_us : most) : 0.0;
     const uint64_t spin = (uint64_t)(1e3 * spin_us);
     uint64_t deadline = 0, began = 0, first_tick = 0;
+    if (!c->info.simulated)
+        r->machine->safe(r->handle);
     for (;;) {
         uint32_t run = load32(&c->run);
         if (run == RUN_QUIT)

@@ -97,14 +97,21 @@ static void serve_streams(runner *r) {
     }
 }
 
+/* An orphan has nobody to report to: the loop makes the machine safe and ends; if it cannot, user code being stuck, we do. */
+static void end_orphan(runner *r) {
+    store32(&r->control->run, RUN_QUIT);
+    sleep_ns(2000000000u);
+    r->machine->safe(r->handle);
+    _exit(1);
+}
+
 static void *service(void *argument) {
     runner *r = argument;
     const pid_t monitor = getppid();
     for (;;) {
         serve_streams(r);
-        /* an orphan has nobody to report to: make the machine safe and end */
         if (getppid() != monitor)
-            store32(&r->control->run, RUN_QUIT);
+            end_orphan(r);
         sleep_ns(1000000);
     }
     return NULL;

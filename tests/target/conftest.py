@@ -1,0 +1,52 @@
+"""Helpers of the target's tests: programs on a machine, and waiting on a condition."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from zendsp_target.runtime import Runtime
+
+
+def _load(runtime: Runtime, code: str) -> None:
+    result = runtime.compile({"user.c": code})
+    assert result.ok, result.diagnostics
+    runtime.load(result.key)
+
+
+@pytest.fixture
+def load() -> Callable[[Runtime, str], None]:
+    """Compile and load code: ``load(runtime, code)``."""
+    return _load
+
+
+@pytest.fixture
+def make_runtime() -> Iterator[Callable[..., Runtime]]:
+    """A runtime with a program loaded: ``make_runtime(code, clock="fast", …)``."""
+    made: list[Runtime] = []
+
+    def make(code: str, machine: str = "imi_planar", clock: str = "fast", **options: Any) -> Runtime:
+        runtime = Runtime(machine, clock=clock, **options)
+        made.append(runtime)
+        _load(runtime, code)
+        return runtime
+
+    yield make
+    for runtime in made:
+        runtime.close()
+
+
+@pytest.fixture
+def wait_for() -> Callable[..., None]:
+    """Sleep until a condition holds: ``wait_for(condition, shown_on_failure)``."""
+
+    def wait(done: Callable[[], bool], shown: Callable[[], object] = str, timeout_s: float = 30.0) -> None:
+        end = time.monotonic() + timeout_s
+        while not done():
+            assert time.monotonic() < end, f"waited {timeout_s} s in vain: {shown()}"
+            time.sleep(0.002)
+
+    return wait

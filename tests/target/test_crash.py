@@ -1,0 +1,212 @@
+"""User code that crashes or never returns takes down the runner only."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_target.api import AcquireConfig
+from zendsp_target.runtime import Runtime
+
+CRASHING = """
+#include "isr.h"
+#include <stdlib.h>
+static double x, gain;
+static volatile int32_t when = 50, zero;
+static int *nowhere;
+static void deeper(volatile char *p) {{ volatile char here[4096]; here[0] = p ? p[0] : 0; deeper(here); }}
+void UserInit(void) {{ PARAMETER(gain, 1.0, "", NO_MIN, NO_MAX, ""); SIGNAL(x, "", ""); (void)nowhere; (void)deeper; }}
+void UserISR_INT2(void) {{
+    x = (double)SAMPLE_TICK;
+    if (SAMPLE_TICK == (uint64_t)when) {{
+        {how}
+    }}
+}}
+"""
+
+GOOD = """
+#include "isr.h"
+static double x;
+void UserInit(void) { SIGNAL(x, "", ""); }
+void UserISR_INT2(void) { x += 1.0; }
+"""
+
+Make = Callable[..., Runtime]
+Wait = Callable[..., None]
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ("*nowhere = 1;", "SIGSEGV in UserISR_INT2"),
+        ("when = when / zero;", "SIGFPE in UserISR_INT2"),
+        ("abort();", "SIGABRT in UserISR_INT2"),
+        ("deeper(NULL);", "SIGSEGV in UserISR_INT2"),
+        ("exit(3);", "status 3 in UserISR_INT2"),
+        ("__builtin_trap();", "SIGILL in UserISR_INT2"),
+    ],
+)
+def test_a_crash_is_told_with_signal_and_last_sample_and_loses_nothing(
+    make_runtime: Make, wait_for: Wait, load: Callable[[Runtime, str], None], how: str, says: str
+) -> None:
+    runtime = make_runtime(CRASHING.format(how=how))
+    runtime.acquire_configure(0, AcquireConfig(("tick", "x"), seconds=1.0))
+    runtime.acquire_start(0)
+    runtime.wait_applied(runtime.write({"gain": 2.0}, "me"), 10.0)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    status = runtime.status()
+    assert status.state == "crashed"
+    assert says in status.crash
+    assert "last sample 49" in status.crash
+    kept = runtime.acquire_status(0)
+    assert (kept.state, kept.count) == ("done", 50)
+    assert np.array_equal(runtime.acquire_read(0, 0, 100)[:, 1], np.arange(50.0))
+    assert [c.name for c in runtime.log()] == ["gain"]
+    with pytest.raises(RunnerDied, match="load the program again"):
+        runtime.write({"gain": 3.0}, "me")
+    load(runtime, GOOD)
+    runtime.start(ticks=10)
+    runtime.wait_paused()
+    assert runtime.read(["x"])[1]["x"] == 10.0
+    assert runtime.acquire_read(0, 0, 100).shape == (50, 2)
+
+
+def test_a_crash_names_the_line_of_the_source(make_runtime: Make, wait_for: Wait) -> None:
+    runtime = make_runtime(CRASHING.format(how="*nowhere = 1;"))
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "")
+    assert "at user.c:12" in runtime.status().crash
+
+
+@pytest.mark.parametrize("clock", ["fast", "real"])
+def test_a_sample_that_never_returns_is_ended_by_the_watchdog(
+    make_runtime: Make, wait_for: Wait, load: Callable[[Runtime, str], None], clock: str
+) -> None:
+    runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), clock=clock, hang_s=0.4)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert "no return within 0.4 s in UserISR_INT2" in runtime.status().crash
+    assert "last sample 49" in runtime.status().crash
+    load(runtime, GOOD)
+    runtime.start(ticks=3)
+    runtime.wait_paused()
+    assert runtime.status().tick == 3
+
+
+def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for: Wait) -> None:
+    code = GOOD + "static int *nowhere; void UserBackground(void) { *nowhere = 1; }"
+    runtime = make_runtime(code)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert "SIGSEGV" in runtime.status().crash
+
+
+@pytest.mark.parametrize(
+    ("init", "error", "says"),
+    [
+        ("*(volatile int *)8 = 1;", RunnerDied, "SIGSEGV in UserInit"),
+        ("for (volatile int i = 0;;) i = 0;", RunnerDied, "did not return within 0.5 s in UserInit"),
+        ('SIGNAL(x, "", ""); SIGNAL(x, "", "");', Refused, "'x': declared twice"),
+        ('static double t; SIGNAL(t, "", "");', Refused, "taken by a built-in"),
+        ('PARAMETER(x, 5.0, "", 0.0, 1.0, "");', Refused, "outside its limits"),
+    ],
+)
+def test_what_goes_wrong_in_userinit_is_told_at_load(init: str, error: type[Exception], says: str) -> None:
+    code = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { x = 0; ' + init + " }\nvoid UserISR_INT2(void) {}\n"
+    with Runtime("imi_planar", clock="fast", load_s=0.5) as runtime:
+        result = runtime.compile({"user.c": code})
+        assert result.ok, result.diagnostics
+        with pytest.raises(error, match=says):
+            runtime.load(result.key)
+        assert runtime.status().state == "empty"
+
+
+HARDWARE = """
+#include <stdio.h>
+#include <string.h>
+#include "machine.h"
+#include "machine_config.h"
+static char path[256];
+static int open_it(void **h, const char *config, double period, machine_info *info, char *error, size_t size) {
+    (void)period; (void)error; (void)size;
+    *h = path;
+    machine_config_text(config, "path", path, sizeof path);
+    snprintf(info->name, sizeof info->name, "fake hardware");
+    info->joints = 1; info->stop_input = -1;
+    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0, .mv_per_speed = 1.0, .command_max = 1e4,
+        .position_min = -1.0, .position_max = 1.0, .speed_max = 1e3, .torque_max = 1e3};
+    return 0;
+}
+static void read_it(void *h, machine_sensors *s) { (void)h; s->enc[0] = 5; }
+static void write_it(void *h, const machine_actuators *a) { (void)h; (void)a; }
+static void safe(void *h) { FILE *f = fopen((char *)h, "a"); if (f) { fputs("safe\\n", f); fclose(f); } }
+const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it, .write = write_it, .safe = safe};
+"""
+
+
+def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(make_runtime: Make, wait_for: Wait, tmp_path: Path) -> None:
+    source, said = tmp_path / "fake.c", tmp_path / "said"
+    source.write_text(HARDWARE)
+    runtime = make_runtime(
+        CRASHING.format(how="*nowhere = 1;"), machine=str(source), clock="real", machine_config={"path": str(said)}
+    )
+    assert not runtime.machine().simulated
+    wait_for(said.exists)  # paused hardware is safe from the start
+    said.unlink()
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert "SIGSEGV" in runtime.status().crash
+    assert said.read_text() == "safe\n"
+
+
+def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:
+    source = tmp_path / "fake.c"
+    source.write_text(HARDWARE)
+    with Runtime(str(source), clock="fast", machine_config={"path": str(tmp_path / "said")}) as runtime:
+        result = runtime.compile({"user.c": GOOD})
+        with pytest.raises(Refused, match="fast clock needs a simulated machine"):
+            runtime.load(result.key)
+
+
+ORPHAN = """
+import sys, time
+from zendsp_target.runtime import Runtime
+runtime = Runtime("imi_planar", clock="real")
+runtime.load(runtime.compile({"user.c": sys.argv[1]}).key)
+runtime.start()
+print(runtime._session.process.pid, runtime._folder.path, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait) -> None:
+    monitor = subprocess.Popen([sys.executable, "-c", ORPHAN, GOOD], stdout=subprocess.PIPE, text=True)
+    try:
+        assert monitor.stdout is not None
+        runner, folder = monitor.stdout.readline().split()
+    finally:
+        monitor.send_signal(signal.SIGKILL)
+        monitor.wait()
+        if monitor.stdout is not None:
+            monitor.stdout.close()
+
+    def gone() -> bool:
+        try:
+            with open(f"/proc/{runner}/stat") as file:
+                return file.read().rsplit(")", 1)[1].split()[0] == "Z"
+        except OSError:
+            return True
+
+    wait_for(gone)
+    assert os.path.isdir(folder)
+    Runtime("imi_planar").close()  # the next target clears up after the dead one
+    assert not os.path.exists(folder)

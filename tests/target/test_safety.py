@@ -1,0 +1,265 @@
+"""Below the user's code, every sample: STOP, limits, drive modes, soft start. Outputs are judged by what acts on the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from zendsp_protocol.errors import Refused
+from zendsp_target.api import AcquireConfig, Status
+from zendsp_target.runtime import Runtime
+
+Make = Callable[..., Runtime]
+
+# A constant command in mV on both outputs; changed by the host.
+CONSTANT = """
+#include "isr.h"
+static double u[2], bad;
+static bool enabled;
+void UserInit(void) { PARAMETER(u, 0.0, "mV", NO_MIN, NO_MAX, ""); PARAMETER(bad, 0.0, "", NO_MIN, NO_MAX, ""); SIGNAL(enabled, "", ""); }
+void UserISR_INT2(void) {
+    enabled = DRIVE_ENABLED;
+    IOGP_FU1_WRITE_AOUT_ENGU(0) = u[0];
+    IOGP_FU1_WRITE_AOUT_ENGU(1, bad > 0.0 ? u[1] / 0.0 : u[1]);
+}
+"""
+MV_PER_NM = (10000.0 / 245.0, 10000.0 / 39.2)
+CHANNELS = ("tick", "aout", "drive", "enc", "cmd", "enabled")
+
+
+def record(runtime: Runtime, ticks: int, at: dict[int, dict[str, object]]) -> npt.NDArray[np.float64]:
+    """Run so many samples with updates at given ticks; columns: tick, aout 0, 1, drive, enc 0, 1, cmd 0, 1, enabled."""
+    for tick, values in at.items():
+        runtime.write(values, "test", at_tick=tick)  # type: ignore[arg-type]
+    runtime.acquire_configure(0, AcquireConfig(CHANNELS, seconds=ticks / 1000.0))
+    runtime.acquire_start(0)
+    runtime.start(ticks=ticks)
+    runtime.wait_paused()
+    return runtime.acquire_read(0, 0, ticks)
+
+
+def tripped(runtime: Runtime) -> Status:
+    status = runtime.status()
+    assert status.state == "stopped"
+    assert status.trip is not None
+    return status
+
+
+def test_a_command_acts_one_sample_after_it_was_computed(make_runtime: Make) -> None:
+    rows = record(make_runtime(CONSTANT), 20, {10: {"u[0]": 500.0}})
+    assert np.array_equal(rows[:, 6], np.where(rows[:, 0] >= 10, 500.0, 0.0))
+    assert np.array_equal(rows[:, 1], np.where(rows[:, 0] >= 11, 500.0, 0.0))
+
+
+def test_stop_zeroes_output_within_two_samples_and_forces_velocity_mode(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT, clock="real")
+    runtime.acquire_configure(0, AcquireConfig(CHANNELS, seconds=5.0, continuous=True))
+    runtime.acquire_start(0)
+    runtime.write({"u": [2000.0, 0.0]}, "test")
+    runtime.start()
+    while runtime.status().tick < 100:
+        pass
+    before = runtime.status().tick
+    runtime.stop()
+    while runtime.status().trip is None:
+        pass
+    trip = tripped(runtime).trip
+    assert trip is not None and trip.reason == "stop" and trip.tick >= before
+    while runtime.status().tick < trip.tick + 20:
+        pass
+    rows = runtime.acquire_read(0, 0, trip.tick + 10)
+    after = rows[rows[:, 0] >= trip.tick]
+    assert np.all(after[:, 1:3] == 0.0)
+    assert np.all(after[:, 3] == 2.0)
+    assert np.all(rows[(rows[:, 0] > 5) & (rows[:, 0] < trip.tick), 1] == 2000.0)
+
+
+def test_the_stop_input_of_the_machine_stops(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.start(ticks=10)
+    runtime.wait_paused()
+    runtime.set_inputs(1)
+    runtime.start(ticks=10)
+    runtime.wait_paused()
+    trip = tripped(runtime).trip
+    assert trip is not None and (trip.reason, trip.tick) == ("stop input", 10)
+    runtime.set_inputs(0)
+    runtime.acknowledge()
+    runtime.start(ticks=10)
+    runtime.wait_paused()
+    assert runtime.status().trip is None
+
+
+def test_a_stopped_arm_comes_to_rest_and_the_fast_clock_pauses_by_itself(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+    runtime = make_runtime(CONSTANT)
+    rows = record(runtime, 300, {0: {"u": [3000.0, 0.0]}})
+    assert rows[-1, 4] - rows[-2, 4] > 100.0  # counts a sample: it moves
+    runtime.start()
+    runtime.stop()
+    tick = -1
+
+    def paused() -> bool:
+        nonlocal tick
+        before, tick = tick, runtime.status().tick
+        return before == tick
+
+    wait_for(paused)
+    runtime.acquire_configure(1, AcquireConfig(("enc",), seconds=0.01))
+    first = runtime.read(["enc"])[1]["enc"]
+    assert tripped(runtime).drive_mode == "velocity"
+    assert runtime.status().io["aout"].tolist() == [0.0, 0.0]
+    assert np.all(np.isfinite(np.asarray(first)))
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_torque_beyond_its_limit_trips_before_it_acts(make_runtime: Make, joint: int) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.wait_applied(runtime.set_limits("test", torque_max=[30.0, 20.0]), 10.0)
+    limit = (30.0, 20.0)[joint]
+    inside, outside = limit * MV_PER_NM[joint], (limit + 0.1) * MV_PER_NM[joint]
+    rows = record(runtime, 20, {5: {f"u[{joint}]": inside}, 10: {f"u[{joint}]": -outside}})
+    trip = tripped(runtime).trip
+    assert trip is not None
+    assert (trip.reason, trip.joint, trip.tick) == ("torque", joint + 1, 10)
+    assert trip.value == pytest.approx(-limit - 0.1)
+    assert trip.limit == limit
+    assert f"joint {joint + 1}" in trip.text
+    assert np.array_equal(rows[:, 1 + joint], np.where((rows[:, 0] >= 6) & (rows[:, 0] <= 10), inside, 0.0))
+    assert np.array_equal(rows[:, 8], rows[:, 0] <= 10)
+
+
+def test_torque_may_be_clamped_instead(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.wait_applied(runtime.set_limits("test", torque_max=10.0, torque_clamp=True), 10.0)
+    rows = record(runtime, 10, {5: {"u[0]": -9000.0}})
+    assert rows[-1, 1] == pytest.approx(-10.0 * MV_PER_NM[0])
+    assert runtime.status().trip is None
+
+
+def test_not_a_number_trips_and_never_reaches_the_machine(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    rows = record(runtime, 20, {10: {"bad": 1.0}})
+    trip = tripped(runtime).trip
+    assert trip is not None and (trip.reason, trip.joint, trip.tick) == ("nan", 2, 10)
+    assert np.all(np.isfinite(rows[:, 1:3]))
+
+
+def test_a_joint_beyond_its_limit_trips_and_can_be_brought_back(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT, machine_config={"q1": 0.4})
+    runtime.wait_applied(runtime.set_limits("test", position_max=[0.5, 2.0]), 10.0)
+    record(runtime, 400, {0: {"u": [2000.0, 0.0]}})
+    trip = tripped(runtime).trip
+    assert trip is not None and (trip.reason, trip.joint) == ("position", 1)
+    assert 0.5 < trip.value < 0.51
+    assert trip.limit == 0.5
+    with pytest.raises(Refused, match="beyond the limit"):
+        runtime.start()
+    runtime.acknowledge()
+    rows = record(runtime, 500, {0: {"u": [-1500.0, 0.0]}})
+    assert runtime.status().trip is None
+    assert rows[-1, 4] < rows[0, 4] - 100
+    runtime.start(ticks=1)
+    runtime.wait_paused()
+    record(runtime, 3000, {0: {"u": [2500.0, 0.0]}})
+    assert tripped(runtime).trip is not None  # and the limit holds again
+
+
+def test_a_joint_too_fast_trips(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.wait_applied(runtime.set_limits("test", speed_max=[9.0, 1.0]), 10.0)
+    record(runtime, 300, {0: {"u": [0.0, 3000.0]}})
+    trip = tripped(runtime).trip
+    assert trip is not None and (trip.reason, trip.joint) == ("speed", 2)
+    assert 1.0 < trip.value < 1.6  # seen within the 10 ms over which speed is measured
+
+
+def test_limits_are_only_tightened(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    for changes, names in (({"torque_max": 300.0}, "joint 1"), ({"position_min": [-1.0, -3.0]}, "joint 2"), ({"power": 1.0}, "power")):
+        with pytest.raises(Refused, match=names):
+            runtime.set_limits("test", **changes)
+    runtime.wait_applied(runtime.set_limits("test", torque_max=[10.0, 5.0]), 10.0)
+    assert runtime.limits().torque_max == (10.0, 5.0)
+
+
+def test_drives_that_are_off_give_nothing(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.set_drive("off")
+    rows = record(runtime, 20, {0: {"u": [1000.0, 1000.0]}})
+    assert np.all(rows[:, 1:4] == 0.0)
+    assert np.all(rows[:, 6] == 1000.0)
+    assert np.all(rows[:, 8] == 0.0)
+
+
+def test_velocity_mode_follows_a_speed_reference(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.set_drive("velocity")
+    rows = record(runtime, 600, {0: {"u": [1000.0, 0.0]}})  # 10 000 mV are 9 rad/s
+    speed = (rows[-1, 4] - rows[-101, 4]) / 0.1 / (153600.0 / (2.0 * np.pi))
+    assert speed == pytest.approx(0.9, abs=0.02)  # the drive's own loop is not infinitely stiff
+    assert np.all(rows[1:, 3] == 2.0)
+
+
+def test_soft_start_and_soft_stop_ramp_the_output(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.set_ramp(0.1)
+    rows = record(runtime, 150, {0: {"u": [300.0, 0.0]}})
+    assert np.max(np.abs(np.diff(rows[:, 1]))) <= 3.0 + 1e-9 + 3.0  # 1 % a sample; two where the first command arrives
+    assert rows[50, 1] == pytest.approx(0.51 * 300.0)
+    assert rows[-1, 1] == 300.0
+    runtime.set_drive("off")
+    rows = record(runtime, 150, {})
+    assert np.max(np.abs(np.diff(rows[:, 1]))) <= 3.0 + 1e-9
+    assert rows[-1, 1] == 0.0
+    assert rows[-1, 3] == 0.0
+
+
+def test_homing_moves_to_the_home_position(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+    runtime = make_runtime(CONSTANT, machine_config={"q1": 0.3, "q2": -0.2})
+    runtime.home()
+    wait_for(lambda: runtime.status().tick > 100 and runtime.status().state == "loaded", runtime.status)
+    position = runtime.status().io["enc"] / (153600.0 / (2.0 * np.pi))
+    assert np.all(np.abs(position) < 2e-3)  # the machine's own homing tolerance is 1e-3 rad, and it coasts a little
+    assert runtime.status().homed
+
+
+def test_overruns_trip_after_so_many_in_a_row(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+    slow = """
+    #include "isr.h"
+    static volatile double work;
+    static bool heavy;
+    void UserInit(void) { PARAMETER(heavy, 0, "", 0, 1, ""); }
+    void UserISR_INT2(void) { if (heavy) for (int i = 0; i < 3000000; i++) work = work + 1e-3; }
+    """
+    runtime = make_runtime(slow, clock="real")
+    runtime.set_overrun("trip", 5)
+    runtime.start()
+    runtime.write({"heavy": True}, "test")
+    wait_for(lambda: runtime.status().trip is not None, runtime.status)
+    trip = tripped(runtime).trip
+    assert trip is not None and trip.reason == "overrun" and trip.value == 5.0
+    assert runtime.status().timing.overruns >= 5
+    runtime.write({"heavy": False}, "test")
+
+
+def test_skipped_samples_are_counted_and_time_stays_true(make_runtime: Make) -> None:
+    stall = """
+    #include "isr.h"
+    static volatile double work;
+    void UserInit(void) {}
+    void UserISR_INT2(void) { if (SAMPLE_TICK == 20) for (int i = 0; i < 30000000; i++) work = work + 1e-3; }
+    """
+    runtime = make_runtime(stall, clock="real")
+    runtime.set_overrun("skip")
+    runtime.acquire_configure(0, AcquireConfig(("tick",), seconds=5.0))
+    runtime.acquire_start(0)
+    runtime.start(ticks=400)
+    runtime.wait_paused()
+    status, kept = runtime.status(), runtime.acquire_status(0)
+    assert status.timing.missed > 0
+    assert status.timing.ticks + status.timing.missed == status.tick
+    rows = runtime.acquire_read(0, 0, 1000)[:, 0]
+    assert kept.lost == (rows[-1] - rows[0] + 1) - len(rows)
