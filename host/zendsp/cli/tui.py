@@ -45,9 +45,9 @@ def command(
     if web:
         _serve(target, machine, clock, source, folder, screen, theme, port)
         return
-    from zendsp.tui.link_port import find_targets, open_port, start_machine
     from zendsp.reference import MACHINES
     from zendsp.tui.app import ZendspApp
+    from zendsp.tui.link_port import find_targets, open_port, start_machine
 
     app = ZendspApp(
         open_port,

@@ -44,7 +44,7 @@ class ZendspApp(App[None]):
     TITLE = "zendsp"
     CSS_PATH = "zendsp.tcss"
     ENABLE_COMMAND_PALETTE = True
-    BINDINGS = bindings("app")  # noqa: RUF012
+    BINDINGS = bindings("app")
 
     def __init__(
         self,

@@ -15,7 +15,15 @@ import numpy as np
 from zendsp.errors import Refused, ZendspError
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
-from zendsp.tui.playing import Player, Setup, find_player, lead_time, make_playlist, player_values, present_position
+from zendsp.tui.playing import (
+    Player,
+    Setup,
+    find_player,
+    lead_time,
+    make_playlist,
+    player_values,
+    present_position,
+)
 from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Run, store_run
 from zendsp.tui.snapshot import Snapshot

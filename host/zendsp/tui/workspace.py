@@ -49,6 +49,6 @@ class Workspace:
 
     def sources(self) -> list[Path]:
         """Return the C files in this folder and beneath it, the nearest first; hidden folders are left out."""
-        found = [p for p in self.root.glob("*.c")]
+        found = list(self.root.glob("*.c"))
         found += [p for p in self.root.glob("*/*.c") if not p.parent.name.startswith(".")]
         return sorted(found)[:200]

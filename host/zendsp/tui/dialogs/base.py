@@ -14,7 +14,7 @@ class Dialog(ModalScreen[Result | None]):
     """A centred box; Escape dismisses it with None."""
 
     DEFAULT_CSS = """
-    Dialog { align: center middle; background: $background 55%; }
+    Dialog { align: center middle; background: $background 30%; }
     Dialog > .box { width: 76; max-width: 96%; height: auto; max-height: 92%; background: $surface;
                     border: round $primary; border-title-color: $accent; border-title-style: bold; padding: 0 1; }
     Dialog .buttons { height: 1; width: 100%; align-horizontal: right; margin-top: 1; }

@@ -54,7 +54,7 @@ class Choose(Dialog[list[str]]):
                 yield Static(self._text, classes="hint", markup=False)
             yield Input(placeholder="type to filter", compact=True)
             yield OptionList(markup=False, compact=True)
-            keys = "space marks, ⏎ accepts" if self._several else "⏎ chooses"
+            keys = "space marks, ⏎ takes the marked ones (or this one)" if self._several else "⏎ chooses"
             yield Static(f"{keys}, esc closes", classes="hint", id="keys", markup=False)
             if self._several:
                 with Horizontal(classes="buttons"):
@@ -107,7 +107,7 @@ class Choose(Dialog[list[str]]):
 
     @on(OptionList.OptionSelected)
     def _selected(self, event: OptionList.OptionSelected) -> None:
-        self.dismiss(self._marked if self._several else [str(event.option.id)])
+        self.dismiss(self._marked if self._several and self._marked else [str(event.option.id)])
 
     @on(Button.Pressed, "#ok")
     def _accept(self) -> None:

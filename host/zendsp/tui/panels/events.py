@@ -6,6 +6,7 @@ import time
 
 from rich.style import Style
 from rich.text import Text
+from textual import events
 from textual.widgets import RichLog
 
 from zendsp.tui.events import EventLog
@@ -21,8 +22,15 @@ class EventsPanel(RichLog):
         self._count = 0
         self.border_title = "Events"
 
+    def on_resize(self, event: events.Resize) -> None:
+        """Break the lines anew."""
+        self.clear()
+        self._count = 0
+
     def show(self, log: EventLog) -> None:
-        """Append what is new."""
+        """Append what is new; nothing while it is hidden, since lines are broken at the width of the moment."""
+        if not self.size.width:
+            return
         self._count, fresh = log.since(self._count)
         c = self.app.theme_variables
         for event in fresh:

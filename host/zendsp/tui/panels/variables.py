@@ -18,6 +18,7 @@ from zendsp.tui.panels.values import differs, show_limits, show_value
 from zendsp.tui.snapshot import Snapshot, Variable
 
 COLUMNS = ("", "name", "value", "unit", "limits", "initial", "description")
+WIDTHS = {"": 3, "value": 14}  # fixed: a value that changes its length must not make the table jump
 
 
 class VariablesPanel(Vertical):
@@ -34,7 +35,7 @@ class VariablesPanel(Vertical):
         yield Input(placeholder="filter: part of a name, unit or description", id="filter", compact=True)
         table: DataTable[Text] = DataTable(id="variables", cursor_type="row", cell_padding=1, zebra_stripes=False)
         for name in COLUMNS:
-            table.add_column(Text(name), key=name)
+            table.add_column(Text(name), key=name, width=WIDTHS.get(name))
         yield table
 
     @property
@@ -90,7 +91,7 @@ class VariablesPanel(Vertical):
             marks.append(mark, Style(color=theme["accent"], bold=True))
             strong = Style(color=theme["accent"], bold=True) if mark == "→" else Style(bold=v.writable)
             self.table.update_cell(v.name, "", marks)
-            self.table.update_cell(v.name, "value", Text(text, style=strong, justify="right"), update_width=True)
+            self.table.update_cell(v.name, "value", Text(text, style=strong, justify="right"))
         self.border_subtitle = f"{len(wanted)} of {len(snapshot.variables)}" + (f", {len(staged)} staged" if staged else "")
 
     def _refill(self, wanted: tuple[Variable, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -112,7 +113,7 @@ class PathPlot(Widget):
             row = braille(codes[r])
             borders = [0, *(np.flatnonzero(owner[r][1:] != owner[r][:-1]) + 1).tolist(), width]
             parts = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", faint)]
-            for a, b in zip(borders, borders[1:], strict=False):
+            for a, b in itertools.pairwise(borders):
                 k = int(owner[r][a])
                 parts.append(Segment(row[a:b], faint if k < 0 else back + Style(color=colours.traces[k])))
             lines.append(Strip(parts, self.size.width))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -207,7 +208,7 @@ class Scope(Widget, can_focus=True):
             line = braille(picture.codes[r])
             borders = [0, *(np.flatnonzero(owner[1:] != owner[:-1]) + 1).tolist(), len(line)]
             segments += [
-                Segment(line[a:b], self._pens[int(owner[a])]) for a, b in zip(borders, borders[1:], strict=False)
+                Segment(line[a:b], self._pens[int(owner[a])]) for a, b in itertools.pairwise(borders)
             ]
             if not self.channels and r == rows // 2:
                 note = self.empty_text.center(len(line))[: len(line)]
@@ -242,7 +243,7 @@ class Scope(Widget, can_focus=True):
         for value in marks:
             text = label(value - picture.zero, step)
             at = GUTTER + int((value - picture.start) / (picture.end - picture.start) * columns) - len(text) // 2
-            if GUTTER - 2 <= at and at + len(text) <= width - 3:
+            if at >= GUTTER - 2 and at + len(text) <= width - 3:
                 line[at : at + len(text)] = list(text)
         line[-1] = "s"
         return Strip([Segment("".join(line), self._pens[GRID])], width)

@@ -18,14 +18,14 @@ from zendsp.tui.screens.console_scope import ScopeActions
 from zendsp.tui.screens.console_variables import VariableActions
 from zendsp.tui.snapshot import Snapshot
 
-FIRST_CURVES = ("q", "qd", "tau", "aout", "u", "e")  # shown first if the program has them
+FIRST_CURVES = ("q", "tau", "e", "u", "aout")  # shown first if the program has them
 
 
 class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActions):
     """Scope and events on the left, drives and variables on the right; on a small terminal one above the other."""
 
     NAME: ClassVar[str] = "console"
-    BINDINGS = bindings("console")  # noqa: RUF012
+    BINDINGS = bindings("console")
 
     def __init__(self) -> None:
         super().__init__()
@@ -70,7 +70,8 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
         names = [name for name, _, _ in self.element_names()]
         keep = [name for name in plotted if name in names]
         if not keep:
-            keep = [n for first in FIRST_CURVES for n in names if n == first or n.startswith(f"{first}[")][:8]
+            usual = [n for first in FIRST_CURVES for n in names if n == first or n.startswith(f"{first}[")]
+            keep = usual[: 4 if self.has_class("-narrow") else 6]
         self.plot_names(keep)
 
     def curve_names(self) -> list[str]:

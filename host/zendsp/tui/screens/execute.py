@@ -33,7 +33,7 @@ class ExecuteScreen(RunActions):
     """Plan and runs on the left, curves on the right."""
 
     NAME: ClassVar[str] = "execute"
-    BINDINGS = bindings("execute")  # noqa: RUF012
+    BINDINGS = bindings("execute")
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,11 +53,11 @@ class ExecuteScreen(RunActions):
                 with Vertical(id="plan-box", classes="panel") as box:
                     box.border_title = "Next run"
                     yield Static("", id="setup", markup=False)
-                    yield Static("", id="preflight", markup=False)
                     with Horizontal(classes="line"):
                         yield Button("Start s", id="run-start", variant="success", compact=True, disabled=True)
                         yield Button("Abort b", id="run-abort", variant="warning", compact=True, disabled=True)
                         yield Static("", id="progress", markup=False)
+                    yield Static("", id="preflight", markup=False)
                 with Vertical(id="runs-box", classes="panel") as box:
                     box.border_title = "Runs"
                     yield DataTable(id="runs", cursor_type="row")
@@ -92,7 +92,7 @@ class ExecuteScreen(RunActions):
     def _paint(self, busy: bool) -> None:
         c = self.app.theme_variables
         s = self.setup
-        text = Text()
+        text = Text(no_wrap=True, overflow="ellipsis")
         names = ", ".join(f.stem for f in self.files) or "none"
         for label, value in (
             ("reference", f"{names}{f' × {s.cycles}' if s.cycles > 1 else ''}"),
@@ -105,7 +105,7 @@ class ExecuteScreen(RunActions):
         text.rstrip()
         self.query_one("#setup", Static).update(text)
         unmet = [x for x in self.conditions if not x.met]
-        room = 4 if self.has_class("-narrow") else 20
+        room = 3 if self.has_class("-narrow") else 20
         lines = Text()
         for x in [*unmet, *(y for y in self.conditions if y.met)][:room]:
             lines.append("✔ " if x.met else "✖ ", Style(color=c["success"] if x.met else c["error"], bold=True))
@@ -199,7 +199,7 @@ class ExecuteScreen(RunActions):
 
     def _follow(self, job: PlayJob, busy: bool) -> None:
         p = job.progress
-        width = max(self.query_one("#progress").size.width - 34, 6)
+        width = max(self.query_one("#progress").size.width - 22, 4)
         done = round(p.share * width)
         c = self.app.theme_variables
         text = Text("  ", no_wrap=True, overflow="ellipsis")

@@ -43,7 +43,7 @@ class RunActions(AnalysisActions):
         table = self.runs_table
         at = mark or (self.this_run().folder if self.this_run() else None)  # type: ignore[union-attr]
         table.clear(columns=True)
-        for name in ("", "time", "name", "s", "lost", "rms e", "outcome"):
+        for name in ("", "name", "time", "s", "rms e", "outcome", "lost"):
             table.add_column(Text(name), key=name)
         self.runs = list_runs(self.lab.workspace.runs)
         colours = trace_colours(self.app.current_theme).traces
@@ -52,12 +52,12 @@ class RunActions(AnalysisActions):
             figures = " ".join(f"{v:.2g}" for v in list(run.errors.values())[:2])
             table.add_row(
                 Text("▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()),
-                Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
                 Text(run.name, Style(bold=True)),
+                Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
                 Text(f"{run.seconds:.2f}", justify="right"),
-                Text(str(run.lost)),
                 Text(figures),
                 Text(run.outcome, Style(dim=run.outcome == "complete")),
+                Text(str(run.lost)),
                 key=str(run.folder),
             )
             if run.folder == at:

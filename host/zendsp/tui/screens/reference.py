@@ -15,8 +15,17 @@ from textual.timer import Timer
 from textual.widgets import Button, Input, Select, Static, Switch
 
 from zendsp.errors import ReferenceError_, ZendspError
-from zendsp.reference import KINDS, MACHINES, Machine, Parameter, Reference, Violation, load_machine, load_reference
-from zendsp.reference import save_reference
+from zendsp.reference import (
+    KINDS,
+    MACHINES,
+    Machine,
+    Parameter,
+    Reference,
+    Violation,
+    load_machine,
+    load_reference,
+    save_reference,
+)
 from zendsp.tui.actions import bindings
 from zendsp.tui.dialogs import Choose, Field, Form, Option, not_empty
 from zendsp.tui.preview import curves_of, limits_of, path_of, peaks_of, views_of
@@ -40,7 +49,7 @@ class ReferenceScreen(LabScreen):
     """Form on the left, preview on the right."""
 
     NAME: ClassVar[str] = "reference"
-    BINDINGS = bindings("reference")  # noqa: RUF012
+    BINDINGS = bindings("reference")
 
     def __init__(self) -> None:
         super().__init__()
@@ -135,7 +144,7 @@ class ReferenceScreen(LabScreen):
         """Return the parameters as typed, parsed; raises ReferenceError_ with the reason."""
         values = {}
         for p in KINDS[self.kind].parameters:
-            for widget in self.query(f"#fields .parameter > *"):
+            for widget in self.query("#fields .parameter > *"):
                 if widget.name == p.name and isinstance(widget, Input | Select | Switch):
                     raw = widget.value
                     if p.default is None and raw == "":
@@ -193,6 +202,10 @@ class ReferenceScreen(LabScreen):
         return views_of(self.plan.reference, tall=self.size.height >= 36) if self.plan is not None else []
 
     def on_resize(self) -> None:
+        self.refresh_plan()
+
+    def refresh_plan(self) -> None:
+        """Show the present plan again, after a change of view or size."""
         if self.plan is not None:
             self._show_plan(self.plan, (self.machine.name, self.kind))
 
@@ -234,7 +247,7 @@ class ReferenceScreen(LabScreen):
         if self.plan is not None:
             views = self._views()
             self.view = views[(views.index(self.view) + 1) % len(views)]
-            self._show_plan(self.plan, (self.machine.name, self.kind))
+            self.refresh_plan()
 
     @on(Button.Pressed, "#save")
     def action_save(self) -> None:

@@ -1,0 +1,130 @@
+"""Pictures of the screens for the README, made by ``zendsp tui --screenshots DIR`` from a real target in its own process."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from textual.pilot import Pilot
+
+from zendsp.reference import make_reference, save_reference
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.link_port import open_port, start_machine
+from zendsp.tui.svg import portable
+
+PATIENCE_S = 30.0
+
+
+async def _until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
+    """Wait for a condition; a machine that is busy may take its time."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError("a screen did not come to the state that its picture needs")
+        await pilot.pause(0.05)
+
+
+async def _keys(pilot: Pilot[None], *keys: str) -> None:
+    for key in keys:
+        await pilot.press(key)
+        await pilot.pause(0.3)
+
+
+def _app(work: Path, first: str) -> ZendspApp:
+    app = ZendspApp(open_port, start_machine=start_machine, machines=("imi_planar",), folder=work, first=first, begin="imi_planar")
+    app.source = next(p for p in app.examples() if p.name == "pd.c")
+    return app
+
+
+async def _enabled(app: ZendspApp, pilot: Pilot[None]) -> None:
+    """Build, power, enable."""
+    await _until(pilot, lambda: app.session.snapshot.link == "up")
+    await pilot.press("b")
+    await _until(pilot, lambda: app.session.snapshot.state == "loaded" and bool(app.session.snapshot.variables))
+    await _keys(pilot, "o", "e")
+    await _until(pilot, lambda: app.session.snapshot.drive == "enabled")
+
+
+async def _console(folder: Path, work: Path, size: tuple[int, int], name: str) -> list[Path]:
+    app, made = _app(work, "console"), []
+    async with app.run_test(size=size) as pilot:
+        await _enabled(app, pilot)
+        await pilot.press("s")
+        await _until(pilot, lambda: app.session.snapshot.t > 6.0)
+        made.append(_write(app, folder / f"{name}.svg"))
+        if size[0] > 100:
+            await _keys(pilot, "x", "t", "5", "0", "0", "enter", "u")
+            made.append(_write(app, folder / "console-update.svg"))
+            await _keys(pilot, "escape", "f9")
+            await _until(pilot, lambda: app.session.snapshot.drive == "stopped")
+            await pilot.pause(0.5)
+            made.append(_write(app, folder / "console-stop.svg"))
+    return made
+
+
+async def _execute(folder: Path, work: Path) -> list[Path]:
+    app, made = _app(work, "console"), []
+    async with app.run_test(size=(160, 48)) as pilot:
+        await _enabled(app, pilot)
+        app.chosen = (work / "references" / "circle.mat",)
+        await _keys(pilot, "f3", "s")
+        await _until(pilot, lambda: app.session.snapshot.t > 4.0)
+        made.append(_write(app, folder / "execute.svg"))
+        await _until(pilot, lambda: any((work / "runs").glob("*/run.json")))
+        await _keys(pilot, "space")
+        made.append(_write(app, folder / "execute-runs.svg"))
+    return made
+
+
+async def _reference(folder: Path, work: Path) -> list[Path]:
+    from zendsp.tui.screens.reference import ReferenceScreen
+
+    made = []
+    app = ZendspApp(open_port, folder=work, first="reference")
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = app.screen
+        assert isinstance(screen, ReferenceScreen)
+        await _until(pilot, lambda: screen.plan is not None)
+        made.append(_write(app, folder / "reference.svg"))
+        screen._open(work / "references" / "circle.mat")
+        screen.view = "path"
+        screen.refresh_plan()
+        await pilot.pause(0.3)
+        made.append(_write(app, folder / "reference-path.svg"))
+    return made
+
+
+def _write(app: ZendspApp, path: Path) -> Path:
+    path.write_text(portable(app.export_screenshot(title=path.stem)))
+    return path
+
+
+def take_screenshots(folder: Path) -> list[Path]:
+    """Run the application against a simulated arm in real time and write one SVG for each picture.
+
+    Parameters
+    ----------
+    folder : path
+        Made where it does not exist.
+
+    Returns
+    -------
+    list of path
+        The files, in order.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        (work / "references").mkdir()
+        save_reference(make_reference("circle", "imi_planar"), work / "references" / "circle.mat")
+
+        async def everything() -> list[Path]:
+            made = await _reference(folder, work)
+            made += await _console(folder, work, (160, 48), "console")
+            made += await _console(folder, work, (80, 24), "console-80x24")
+            return made + await _execute(folder, work)
+
+        return asyncio.run(everything())
