@@ -1,6 +1,7 @@
 """Values of variables on the wire: bool, int, float, a list of these, or a packed array.
 
-A packed array is ``{"dtype": "<f8", "data": <binary, little endian>}`` with dtype one of ``<f8 <f4 <i4 |b1``.
+A packed array is ``{"dtype": "<f8", "data": <binary, little endian>, "columns": 1}`` with dtype one of ``<f8 <f4 <i4 |b1``; with
+more columns it holds the rows of a table, one after the other.
 Short arrays travel as lists so that any client can read them; long ones packed, 60 times faster.
 """
 
@@ -17,10 +18,11 @@ DTYPES = ("<f8", "<f4", "<i4", "|b1")
 
 
 class Packed(msgspec.Struct, frozen=True):
-    """A one-dimensional array as bytes."""
+    """An array as bytes."""
 
     dtype: str
     data: bytes
+    columns: int = 1
 
 
 WireValue = bool | int | float | list[bool | int | float] | Packed
@@ -33,7 +35,7 @@ def to_wire(value: Any) -> WireValue:
     Raises
     ------
     TypeError
-        Not a number, a bool, or a one-dimensional array of these.
+        Not a number, a bool, or an array of these with one or two dimensions.
     """
     kind = type(value)
     if kind is float or kind is int or kind is bool:
@@ -43,12 +45,13 @@ def to_wire(value: Any) -> WireValue:
         raise TypeError(f"{value!r} is not a number")
     if array.ndim == 0:
         return array.item()  # type: ignore[no-any-return]
-    if array.ndim != 1:
-        raise TypeError(f"an array of shape {array.shape} is not one-dimensional")
-    if array.size <= LIST_LIMIT:
+    if array.ndim > 2:
+        raise TypeError(f"an array of shape {array.shape} has more than two dimensions")
+    if array.ndim == 1 and array.size <= LIST_LIMIT:
         return array.tolist()  # type: ignore[no-any-return]
     dtype = {"f4": "<f4", "i4": "<i4", "b1": "|b1"}.get(array.dtype.str[1:], "<f8")
-    return Packed(dtype, np.ascontiguousarray(array, dtype=dtype).tobytes())
+    columns = array.shape[1] if array.ndim == 2 else 1
+    return Packed(dtype, np.ascontiguousarray(array, dtype=dtype).tobytes(), columns)
 
 
 def from_wire(value: WireValue) -> Value:
@@ -62,7 +65,8 @@ def from_wire(value: WireValue) -> Value:
     if isinstance(value, Packed):
         if value.dtype not in DTYPES:
             raise ValueError(f"packed array of unknown dtype {value.dtype!r}; known: {', '.join(DTYPES)}")
-        return np.frombuffer(value.data, dtype=value.dtype)
+        array = np.frombuffer(value.data, dtype=value.dtype)
+        return array if value.columns == 1 else array.reshape(-1, value.columns)
     if isinstance(value, list):
         return np.array(value)
     return value
@@ -71,7 +75,7 @@ def from_wire(value: WireValue) -> Value:
 def enc_hook(value: Any) -> Any:
     """Let msgspec encode what it does not know: NumPy arrays and scalars."""
     if isinstance(value, np.ndarray):
-        return to_wire(value) if value.ndim == 1 else value.tolist()
+        return to_wire(value)
     if isinstance(value, np.generic):
         return value.item()
     raise NotImplementedError(f"cannot send a {type(value).__name__}")

@@ -255,11 +255,13 @@ class Acquisition(ParameterSets):
             status: m.AcquireStatus = self._insist("acquire_status", patience)
             if progress is not None and status.wanted:
                 progress(min(1.0, (status.count - status.first) / status.wanted))
-            if status.state in ("done", "idle"):
+            if status.state in ("done", "idle") and status.count - status.first >= status.wanted:
                 return status
             overall: m.Status = self._insist("status", patience)
             if overall.state == "crashed":
                 raise RunnerDied(f"{overall.crash}. What was recorded until then: acquire_load()")
+            if status.state in ("done", "idle"):
+                return status  # ended before it was full, by a host
             if overall.state != "running" and self._insist("acquire_status", patience).state not in (
                 "done",
                 "idle",

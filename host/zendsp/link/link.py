@@ -139,14 +139,8 @@ class Link:
             except BaseException as error:
                 faults.append(error)
 
-        self._session.get(
-            keys.rpc(self.target, row.lane),
-            zenoh.handlers.Callback(take, done.set),
-            payload=codec.encode_request(verb, arguments, self.author),
-            consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
-            timeout=timeout or row.timeout,
-            priority=zenoh.Priority.DATA_LOW,
-        )
+        payload = codec.encode_request(verb, arguments, self.author)
+        self._get(row, take, done, payload, timeout or row.timeout, zenoh.Priority.DATA_LOW)
         self._until(done, timeout or row.timeout)
         if faults:
             raise faults[0]
@@ -195,17 +189,32 @@ class Link:
         """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
         replies: list[zenoh.Reply] = []
         done = threading.Event()
-        self._session.get(
-            keys.rpc(self.target, row.lane),
-            zenoh.handlers.Callback(replies.append, done.set),
-            payload=payload,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=timeout,
-        )
+        self._get(row, replies.append, done, payload, timeout, zenoh.Priority.DATA)
         self._until(done, timeout)
         if not replies:
             raise self.silence(row.name, timeout)
         return replies[0]
+
+    def _get(
+        self,
+        row: Verb,
+        take: Callable[[zenoh.Reply], None],
+        done: threading.Event,
+        payload: bytes,
+        timeout: float,
+        priority: zenoh.Priority,
+    ) -> None:
+        try:
+            self._session.get(
+                keys.rpc(self.target, row.lane),
+                zenoh.handlers.Callback(take, done.set),
+                payload=payload,
+                consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
+                timeout=timeout,
+                priority=priority,
+            )
+        except zenoh.ZError as error:
+            raise self.silence(row.name, timeout) from error
 
     def _until(self, done: threading.Event, timeout: float) -> None:
         deadline = time.monotonic() + timeout + 1.0

@@ -63,6 +63,10 @@ def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: fl
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": LEASE_MS,
     }
+    if (
+        os.environ.get("ZENDSP_SHARED_MEMORY") == "0"
+    ):  # Zenoh moves large messages between processes of a machine through it
+        settings["transport/shared_memory/enabled"] = False
     if credentials.authority:
         settings["transport/link/tls/root_ca_certificate"] = credentials.authority
     if credentials.certificate:

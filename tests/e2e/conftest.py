@@ -1,0 +1,55 @@
+"""Real targets in processes of their own, with the real runtime, on the loopback."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import zendsp
+from zendsp.link import Target
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture(autouse=True)
+def _own_registry(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests neither see nor disturb targets that really run here."""
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
+    for name in ("ZENDSP_CONNECT", "ZENDSP_TARGET"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Target]]:
+    """Start a target; keyword arguments are those of :func:`zendsp.local`."""
+    targets: list[Target] = []
+
+    def begin(**options: object) -> Target:
+        targets.append(zendsp.local("imi_planar", **options))  # type: ignore[arg-type]
+        return targets[-1]
+
+    yield begin
+    for target in targets:
+        target.close()
+
+
+@pytest.fixture
+def fast(start: Callable[..., Target]) -> Target:
+    return start(clock="fast")
+
+
+@pytest.fixture
+def real(start: Callable[..., Target]) -> Target:
+    target = start(clock="real", options=["--no-realtime"])
+    target.download("pd.c")
+    target.start()
+    return target
+
+
+def environment() -> dict[str, str]:
+    """Environment for helper processes."""
+    return {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}

@@ -1,0 +1,117 @@
+"""Waiting with a deadline, helper processes, and a relay that can be cut."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+DEADLINE_S = 40.0  # generous: CI shares its two CPUs
+
+
+def until(condition: Callable[[], object], what: str, deadline_s: float = DEADLINE_S) -> None:
+    """Wait until ``condition`` holds."""
+    deadline = time.monotonic() + deadline_s
+    while not condition():
+        assert time.monotonic() < deadline, f"never happened: {what}"
+        time.sleep(0.01)
+
+
+def python(code: str, *arguments: str) -> subprocess.Popen[str]:
+    """Run Python code in a process of its own."""
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def kill(process: subprocess.Popen[str]) -> None:
+    """End a helper the hard way."""
+    process.send_signal(signal.SIGKILL)
+    process.communicate(timeout=DEADLINE_S)
+
+
+def running(pid: int) -> bool:
+    """Tell whether a process runs (a zombie does not)."""
+    from zendsp_protocol.registry import born
+
+    return bool(born(pid))
+
+
+def children(pid: int) -> list[int]:
+    """Processes started by ``pid``."""
+    found = []
+    for task in os.listdir(f"/proc/{pid}/task"):
+        with contextlib.suppress(OSError), open(f"/proc/{pid}/task/{task}/children") as file:
+            found += [int(child) for child in file.read().split()]
+    return found
+
+
+class Relay:
+    """A TCP relay between host and target that a test can cut and mend."""
+
+    def __init__(self, endpoint: str) -> None:
+        address, _, port = endpoint.partition("/")[2].rpartition(":")
+        self._there = (address, int(port))
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+        self._pairs: list[socket.socket] = []
+        self._open = True
+        self.passed = 0
+        self.cut_after = -1
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._server.accept()
+            except OSError:
+                return
+            if not self._open:
+                near.close()
+                continue
+            far = socket.create_connection(self._there)
+            self._pairs += [near, far]
+            for a, b in ((near, far), (far, near)):
+                threading.Thread(target=self._pump, args=(a, b), daemon=True).start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+                self.passed += len(data)
+                if 0 <= self.cut_after <= self.passed:
+                    self.cut_after = -1
+                    self.cut()
+
+    def cut(self) -> None:
+        """Break every connection and accept none."""
+        self._open = False
+        for end in self._pairs:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+        self._pairs.clear()
+
+    def mend(self) -> None:
+        """Accept connections again."""
+        self._open = True
+
+    def close(self) -> None:
+        """End the relay."""
+        self.cut()
+        self._server.close()
+
+
+@contextlib.contextmanager
+def relay_to(endpoint: str) -> Iterator[Relay]:
+    """A relay for the length of a ``with``."""
+    relay = Relay(endpoint)
+    try:
+        yield relay
+    finally:
+        relay.close()

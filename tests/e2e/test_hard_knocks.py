@@ -1,0 +1,234 @@
+"""What goes wrong in a lab: crashes, kills, cut cables, and hosts that fight over one target."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from helpers import DEADLINE_S, children, kill, python, relay_to, running, until
+
+import zendsp
+from zendsp.errors import LinkError, RunnerDied
+from zendsp.link import Target
+
+HEAD = '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\nvoid UserInit(void) { SIGNAL(n, "", ""); }\n'
+CRASH = HEAD + "void UserISR_INT2(void) { if (++n == 500) *(volatile int *)8 = 1; }\n"
+HANG = HEAD + "void UserISR_INT2(void) { if (++n == 500) for (;;) ; }\n"
+
+PAIRS = """#include "isr.h"
+static int32_t set[64]; static double a, b, c; static int32_t mixed, changes, last;
+void UserInit(void) {
+    PARAMETER_ARRAY(set, "", -2147483647, 2147483647, "");
+    PARAMETER(a, 0, "", NO_MIN, NO_MAX, ""); PARAMETER(b, 0, "", NO_MIN, NO_MAX, ""); PARAMETER(c, 0, "", NO_MIN, NO_MAX, "");
+    SIGNAL(mixed, "", "samples at which not all were equal"); SIGNAL(changes, "", "");
+}
+void UserISR_INT2(void) {
+    for (int i = 0; i < 64; i++)
+        if (set[i] != set[0]) { mixed++; break; }
+    if (a != set[0] || b != a || c != a) mixed++;
+    if (set[0] != last) { changes++; last = set[0]; }
+}
+void UserBackground(void) {}
+"""
+
+WRITER = """
+import sys, zendsp
+with zendsp.connect(sys.argv[1]) as target:
+    base, n = int(sys.argv[2]) * 1_000_000, 0
+    print("ready", flush=True)
+    while True:
+        n += 1
+        value = base + n
+        target.update(set=[value] * 64, a=float(value), b=float(value), c=float(value))
+"""
+
+BUSY_HOST = """
+import sys, zendsp
+target = zendsp.connect(sys.argv[1])
+view = target.live(["q", "tau"])
+target.acquire_configure(["q", "tau"], seconds=30.0)
+target.acquire_start()
+view.next_block(30.0)
+print("ready", flush=True)
+while True:
+    target.load_rows(0, target.acquire_status().count, 4)
+    target.update(Kp1=2000.0)
+"""
+
+
+@pytest.mark.parametrize(("code", "how"), [(CRASH, "SIGSEGV"), (HANG, "UserISR_INT2")])
+def test_user_code_that_crashes_or_hangs_takes_down_the_runner_only(
+    fast: Target, code: str, how: str
+) -> None:
+    fast.download({"bad.c": code})
+    with pytest.raises(RunnerDied, match=how):
+        fast.acquire(["n"], seconds=5.0, start=True)
+    status = fast.status()
+    assert status.state == "crashed" and how in status.crash and "49" in status.crash  # sample 498 or 499
+    rec = fast.acquire_load()
+    assert np.array_equal(rec["n"], np.arange(1.0, len(rec) + 1)) and len(rec) == 499
+    with pytest.raises(RunnerDied):
+        fast.start()
+    fast.download("pd.c")
+    assert fast.run_for(0.1).state == "paused"
+
+
+def test_a_killed_host_disturbs_nothing(real: Target) -> None:
+    host = python(BUSY_HOST, real.name)
+    assert host.stdout is not None and host.stdout.readline() == "ready\n"
+    until(lambda: len(real.status().hosts) == 2, "both hosts are seen")
+    before = real.status()
+    kill(host)
+    until(lambda: len(real.status().hosts) == 1, "the killed host is forgotten")
+    until(lambda: real.status().tick > before.tick + 200, "the loop goes on")
+    assert real.status().state == "running"
+    assert len(real.acquire(["q"], seconds=0.2)) == 200  # its recorder is free again
+    views = [real.live(["q"], decimation=k + 1) for k in range(7)]  # and so are its live streams
+    for view in views:
+        view.close()
+
+
+def test_closing_a_host_in_the_middle_of_a_transfer_leaves_the_target_alive(real: Target) -> None:
+    rows = real.acquire(["q", "tau", "e"], seconds=1.0)
+    for _ in range(3):
+        other = zendsp.connect(real.name)
+        broken: list[BaseException] = []
+
+        def load(other: Target = other, broken: list[BaseException] = broken) -> None:
+            try:
+                while True:
+                    other.load_rows(0, len(rows), 6, patience=0.1)
+            except LinkError as error:
+                broken.append(error)
+
+        thread = threading.Thread(target=load)
+        thread.start()
+        time.sleep(0.05)  # any moment will do: the promise holds at each
+        other.close()
+        thread.join(DEADLINE_S)
+        assert not thread.is_alive() and broken
+    assert real.status().state == "running"
+
+
+def test_a_killed_target_is_reported_within_the_lease_and_leaves_no_runner_behind(real: Target) -> None:
+    pid = real.info.pid
+    runners = children(pid)
+    assert runners
+    os.kill(pid, signal.SIGKILL)
+    start = time.monotonic()
+    with pytest.raises(LinkError, match="is gone"):
+        while time.monotonic() - start < DEADLINE_S:
+            real.status()
+    until(lambda: not real.alive, "the link knows")
+    assert time.monotonic() - start < 10.0  # the lease is 1 s; the rest is for a busy machine
+    until(lambda: not any(map(running, runners)), "the runner has ended")
+    assert zendsp.discover(real.name) == []
+
+
+def test_a_stopped_target_is_an_error_and_never_silence(real: Target) -> None:
+    os.kill(real.info.pid, signal.SIGSTOP)
+    try:
+        start = time.monotonic()
+        with pytest.raises(LinkError):
+            real.status()
+        assert time.monotonic() - start < 15.0  # 1 s by the lease, 5 s by the request's own limit
+    finally:
+        os.kill(real.info.pid, signal.SIGCONT)
+    until(lambda: real.alive, "the link is back by itself")
+    assert real.status().state == "running"
+
+
+def test_a_local_target_ends_with_the_host_that_started_it() -> None:
+    code = "import zendsp, time; t = zendsp.local('imi_planar', clock='fast'); print(t.info.pid, flush=True); time.sleep(999)"
+    host = python(code)
+    assert host.stdout is not None
+    pid = int(host.stdout.readline())
+    assert running(pid)
+    kill(host)
+    until(lambda: not running(pid), "the target has ended")
+
+
+def test_any_number_of_hosts_at_once_never_mix_an_update(fast: Target) -> None:
+    fast.download({"pairs.c": PAIRS})
+    writers = [python(WRITER, fast.name, str(k + 1)) for k in range(2)]
+    try:
+        for writer in writers:
+            assert writer.stdout is not None and writer.stdout.readline() == "ready\n"
+        samples = 0
+        while samples < 1_000_000 or fast["changes"] < 200:
+            samples = fast.run_for(100.0).tick
+            assert samples < 50_000_000, "the writers never got through"
+    finally:
+        for writer in writers:
+            kill(writer)
+    assert fast["mixed"] == 0
+
+
+def test_every_acknowledged_write_takes_effect(fast: Target) -> None:
+    fast.download({"pairs.c": PAIRS})
+    fast.start()
+    ticks = []
+    for k in range(1, 201):
+        ticks.append(fast.update(a=float(k)))
+        reading = fast.read(["a", "tick"])
+        assert reading["a"] == float(k), "an acknowledged write was lost"
+    log = [change for change in fast.log() if change.name == "a"]
+    assert [change.new for change in log] == [float(k) for k in range(1, 201)]
+    assert [change.tick for change in log] == ticks and ticks == sorted(ticks)
+
+
+def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENDSP_SHARED_MEMORY", "0")  # everything shall pass through the cable
+    fast.download("pd.c")
+    whole = fast.acquire(["q", "e", "tau"], seconds=300.0, start=True)
+    with relay_to(fast.link.endpoints[0]) as relay, zendsp.connect(fast.name, connect=relay.endpoint) as far:
+        relay.cut_after = relay.passed + whole.data.nbytes // 2
+        mender = threading.Timer(1.5, relay.mend)
+        mender.start()
+        again = far.acquire_load(patience=DEADLINE_S)
+        mender.join()
+        assert relay.passed > whole.data.nbytes
+        assert np.array_equal(again.data, whole.data) and again.lost == 0
+        far.update(Kp1=1.0)  # and the connection is as good as new
+        view = far.live(["tick"])
+        fast.start()
+        until(lambda: view.received > 0, "live rows arrive through the relay")
+        relay.cut()
+        until(lambda: not far.alive, "the cut is noticed")
+        seen = view.received
+        relay.mend()
+        until(lambda: view.received > seen, "live rows arrive again by themselves")
+
+
+def test_two_targets_of_one_name_are_refused(start: Callable[..., Target]) -> None:
+    first = start(clock="fast", name="same")
+    with pytest.raises(LinkError, match=f"'same' runs here already \\(process {first.info.pid}\\)"):
+        start(clock="fast", name="same")
+
+
+def test_listening_beyond_loopback_is_refused_without_tls_and_authentication() -> None:
+    for endpoint, words in (
+        ("tcp/0.0.0.0:0", "use tls/"),
+        ("udp/[::]:7447", "use tls/"),
+        ("tls/0.0.0.0:7447", "needs --tls-cert and --tls-key and --tls-ca or --users"),
+    ):
+        command = [sys.executable, "-m", "zendsp_target", "--listen", endpoint]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
+        assert done.returncode == 2 and words in done.stderr, done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_bare_target_loads_nothing_of_the_host() -> None:
+    code = (
+        "import sys, zendsp_target.__main__, zendsp_target.monitor, zendsp_target.runtime;"
+        "print([m for m in ('zendsp','scipy','textual','click','matplotlib','pyarrow','h5py') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=DEADLINE_S)
+    assert done.stdout.strip() == "[]", done.stderr

@@ -1,0 +1,171 @@
+"""The whole loop: C code sent, compiled, run, tuned, recorded, over Zenoh, in processes of their own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import until
+
+import zendsp
+from zendsp.errors import AcquisitionError, CompileFailed, Refused, VariableError
+from zendsp.link import Target, Trigger
+
+COUNTER = """#include "isr.h"
+static double step, level; static int32_t n; static double pair[2];
+void UserInit(void) {
+    PARAMETER(step, 1.0, "", -10.0, 10.0, "added each sample");
+    SIGNAL(level, "", ""); SIGNAL(n, "", ""); SIGNAL(pair, "rad", "");
+}
+void UserISR_INT2(void) { n++; level += step; pair[0] = n; pair[1] = -n; }
+void UserBackground(void) {}
+"""
+
+
+def test_ten_lines_of_python_run_the_whole_loop(real: Target, tmp_path: Path) -> None:
+    with zendsp.connect(real.name) as target:
+        target["Kp1"] = 400.0
+        tick = target.update(Kp1=450.0, Kd1=40.0)
+        rec = target.acquire(["q", "tau"], seconds=0.5)
+        path = rec.save(tmp_path / "run.mat")
+    assert tick > 0 and len(rec) == 500 and rec.lost == 0
+    assert np.array_equal(np.diff(rec.t) > 0, np.ones(499, bool))
+    back = zendsp.Recording.load(path)
+    assert np.array_equal(back["q"], rec["q"]) and "UserISR_INT2" in back.sources["pd.c"]
+    assert [(c.name, c.new) for c in back.log] == [("Kp1", 400.0), ("Kp1", 450.0), ("Kd1", 40.0)]
+    assert back.units == {"q": "rad", "tau": "N m"} and back.timing["ticks"] > 500
+
+
+def test_on_the_fast_clock_an_experiment_is_quick_and_the_same_each_time(fast: Target) -> None:
+    records = []
+    for _ in range(2):
+        fast.download("pd.c")
+        fast.update(at_tick=2000, Kp1=500.0)
+        before = time.monotonic()
+        records.append(fast.acquire(["q", "e", "tau"], seconds=20.0, start=True))
+        assert time.monotonic() - before < 15.0  # 20 s of machine time take well under 1 s on a quiet machine
+    first, second = records
+    assert first.start_tick == 0 and len(first) == 20_000
+    assert np.array_equal(first.data, second.data)
+    assert [(c.tick, c.name, c.new) for c in first.log] == [(2000, "Kp1", 500.0)]
+
+
+def test_a_synchronous_update_takes_effect_at_the_sample_that_the_reply_names(fast: Target) -> None:
+    fast.download({"counter.c": COUNTER})
+    fast.run_for(0.1)
+    tick = fast.update(step=3.0)
+    rec = fast.acquire(["level", "n"], seconds=0.05, start=True)
+    grown = np.diff(rec["level"])
+    assert tick == 100 == rec.start_tick and np.array_equal(grown, np.full(len(grown), 3.0))
+    assert rec["level"][0] == 103.0
+
+
+def test_decimation_trigger_and_pre_trigger(fast: Target) -> None:
+    fast.download({"counter.c": COUNTER})
+    trigger = Trigger(source="level", level=700.5, edge="rising", pre_s=0.1)
+    fast.acquire_configure(["level", "pair[1]"], seconds=0.3, trigger=trigger)
+    fast.acquire_start()
+    fast.run_for(2.0)
+    rec = fast.acquire_finish()
+    assert len(rec) == 300 and rec.trigger_row == 100 and rec["level"][100] == 701.0
+    assert np.array_equal(rec["pair[1]"], -rec["level"])
+    rec = fast.acquire(["n"], seconds=1.0, decimation=10, start=True)
+    assert (
+        len(rec) == 100 and np.array_equal(np.diff(rec["n"]), np.full(99, 10.0)) and rec.sample_time == 0.01
+    )
+
+
+def test_a_continuous_ring_keeps_the_newest(fast: Target) -> None:
+    fast.download({"counter.c": COUNTER})
+    fast.acquire_configure(["n"], seconds=0.5, continuous=True)
+    fast.acquire_start()
+    fast.run_for(3.0)
+    rec = fast.acquire_finish()
+    assert rec["n"][-1] == 3000.0 and len(rec) == 500 and rec.start_tick == 2500
+
+
+def test_errors_say_what_where_and_what_to_do(fast: Target) -> None:
+    with pytest.raises(Refused, match="no program is loaded"):
+        fast.start()
+    with pytest.raises(CompileFailed, match=r"bad\.c:2:31: error: "):
+        fast.download({"bad.c": '#include "isr.h"\nvoid UserInit(void) { int x = ; }\n'})
+    fast.download({"counter.c": COUNTER})
+    with pytest.raises(VariableError) as caught:
+        fast.update(step=11.0, nope=1.0, level=2.0)
+    assert {line.split(":")[0] for line in str(caught.value).splitlines()} == {"step", "nope", "level"}
+    with pytest.raises(AcquisitionError, match="nope"):
+        fast.acquire(["nope"], 0.1, start=True)
+    with pytest.raises(CompileFailed, match=r"missing\.c: cannot be read"):
+        fast.download("missing.c")
+
+
+def test_a_reference_of_minutes_downloads_while_the_loop_runs(real: Target) -> None:
+    rows = np.column_stack([np.linspace(0, 1, 60_000), np.linspace(0, -1, 60_000)])
+    before = real.status()
+    tick = real.upload("ref", rows)
+    assert tick >= before.tick
+    assert np.array_equal(np.asarray(real["ref"]).reshape(-1, 2), rows)
+    real.update(use_table=True)
+    assert real.status().timing.missed == before.timing.missed or real.status().state == "running"
+    with pytest.raises(VariableError, match="fit"):
+        real.upload("ref", np.zeros((60_001, 2)))
+
+
+def test_live_samples_arrive_in_order_and_survive_a_new_program(real: Target) -> None:
+    with real.live(["q[0]", "tick"]) as view:
+        until(lambda: view.received > 200, "rows arrive")
+        _, data = view.window()
+        ticks = data[~np.isnan(data[:, 1]), 1]
+        assert np.all(np.diff(ticks) >= 1.0)
+        real.download("pd.c")
+        real.start()
+        seen = view.received
+        until(
+            lambda: view.received > seen + 50 and view.latest()["tick"] < ticks[-1] + 1e6, "rows arrive again"
+        )
+
+
+def test_several_hosts_and_several_targets(start: Callable[..., Target]) -> None:
+    one, two = start(clock="fast"), start(clock="fast")
+    assert {found.name for found in zendsp.discover()} == {one.name, two.name}
+    one.download({"counter.c": COUNTER})
+    with zendsp.connect(one.name) as again:
+        again.update(step=5.0)
+        assert one["step"] == 5.0
+        assert {one.link.author, again.link.author} <= set(one.status().hosts)
+    assert two.status().state == "empty"
+
+
+def test_the_matdsp_verbs_do_what_the_paper_says(fast: Target) -> None:
+    zendsp.MatDSPconnect(fast)
+    zendsp.MatDSPdownload({"counter.c": COUNTER})
+    zendsp.MatDSPvariable("step", 2.0)
+    assert zendsp.MatDSPvariable("step") == 1.0  # noted, not yet in effect
+    tick = zendsp.MatDSPupdate()
+    assert tick == 0 and zendsp.MatDSPvariable("step") == 2.0
+    zendsp.MatDSPAcquireConfig({"channels": ["level"], "seconds": 0.1})
+    zendsp.MatDSPstart()
+    rec = zendsp.MatDSPAcquireLoad()
+    zendsp.MatDSPpause()
+    assert len(rec) == 100 and rec["level"][0] == 2.0
+    with pytest.raises(AcquisitionError, match="chanels"):
+        zendsp.MatDSPAcquireConfig({"chanels": ["level"]})
+
+
+def test_limits_and_drives_are_within_reach(fast: Target) -> None:
+    fast.download("pd.c")
+    assert [joint.unit for joint in fast.machine().joints] == ["rad", "rad"]
+    fast.set_limits(torque_max=[50.0, 10.0])
+    until(lambda: fast.limits().torque_max == (50.0, 10.0), "the limits are in force")
+    with pytest.raises(Refused):
+        fast.set_limits(torque_max=[1e9, 1e9])
+    fast.start()
+    fast.stop()
+    until(lambda: fast.status().state == "stopped", "stopped")
+    trip = fast.status().trip
+    assert trip is not None and trip.reason == "stop"
+    fast.acknowledge()
+    assert fast.status().trip is None
