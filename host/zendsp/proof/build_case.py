@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from zendsp.proof.conceal import KINDS
-from zendsp.proof.draft import Array, Draft, Scale
+from zendsp.proof.draft import Array, Concealed, Draft, Scale
 from zendsp.proof.effects import inertia_of
 from zendsp.proof.files import NAMES, columns_of, format_for
 from zendsp.proof.given import model_file
 from zendsp.proof.machines import MACHINES
-from zendsp.proof.oracle import visibility
+from zendsp.proof.oracle import Judge
 from zendsp.proof.reality import Run, run
 from zendsp.proof.references import make_reference
+from zendsp.proof.rivals import inseparable
 
 Rng = np.random.Generator
 
@@ -142,18 +143,23 @@ def wander(t: Array, rng: Rng) -> Array:
 
 
 def scales_of(d: Draft, r: Run) -> list[Scale]:
-    """True motion at the middle of each hold interval, and the torque that the given actuator would have made."""
+    """Motion that a perfect sensor would show at the middle of each hold interval, and the stated actuator's torque."""
     lag = round(d.known_delay / d.sample_time)
     v = 0.5 * (r.v[1:] + r.v[:-1])
     q = 0.5 * (r.q[1:] + r.q[:-1])
     a = np.diff(r.v, axis=0) / d.sample_time
     u = np.concatenate([np.zeros((lag, d.n)), r.command])[: len(r.command) - 1]
+    e, angle = (np.array([j.get(k, 0.0) for j in d.joints]) for k in ("eccentricity", "eccentricity_phase"))
+    a = a * (1 + e * np.cos(q + angle)) - e * np.sin(q + angle) * v**2  # in the sensor's coordinates, as data have them
+    q, v = q + e * np.sin(q + angle), v * (1 + e * np.cos(q + angle))
     keep = slice(round(0.1 / d.sample_time), None)
     out = []
     for i in range(d.n):
         drive = d.stated_gain[i] * u[keep, i]
         rms = float(np.sqrt(np.mean(drive**2)))
-        out.append(Scale(rms, float(np.max(np.abs(drive))), u[keep, i], drive, q[keep, i], v[keep, i], a[keep, i]))
+        slides = (r.v[1:, i] * r.v[:-1, i] > 0)[keep]
+        peak = float(np.max(np.abs(drive)))
+        out.append(Scale(rms, peak, u[keep, i], drive, q[keep, i], v[keep, i], a[keep, i], slides))
         d.joints[i].setdefault("nuisance_scale", rms)
     return out
 
@@ -171,19 +177,24 @@ def check(d: Draft, r: Run) -> None:
             raise Unusable("it hardly moves")
 
 
+def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> dict[str, Any]:
+    """Visibility of what is concealed on one joint, and what this recording cannot tell from it."""
+    joint, inertia = c.joint - 1, inertia_of(d, c.joint - 1)
+    judge = Judge(d, joint, scales, inertia)
+    look = judge.measure(judge.rest(judge.scale.drive))
+    alone = sum(other.joint == c.joint for other in d.concealed) == 1
+    return {
+        "torque_share": round(look.torque_share, 6),
+        "innovation_ratio": round(look.innovation_ratio, 6),
+        "log_likelihood": round(look.log_likelihood, 2),
+        "detectable": look.detectable,
+        "inseparable": inseparable(d, joint, scales, judge, c.effect) if alone and look.detectable else {},
+    }
+
+
 def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
     """What is sealed."""
-    seen: dict[str, Any] = {}
-    for c in d.concealed:
-        if d.kind == "urdf":
-            continue
-        look = visibility(d, c.joint - 1, scales, inertia_of(d, c.joint - 1))
-        seen = {
-            "torque_share": round(look.torque_share, 6),
-            "innovation_ratio": round(look.innovation_ratio, 6),
-            "log_likelihood": round(look.log_likelihood, 2),
-            "detectable": look.detectable,
-        }
+    seen = [oracle_of(d, c, scales) if d.kind != "urdf" else {} for c in d.concealed]
     verdict = "complete" if not d.concealed else "unexplained" if d.concealed[0].effect == "foreign" else "missing"
     return {
         "kind": request.kind,
@@ -200,11 +211,11 @@ def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
                 "accepted_joints": c.accepted_joints or [c.joint],
                 "unscored": c.unscored,
                 "note": c.note,
+                "oracle": look,
             }
-            for c in d.concealed
+            for c, look in zip(d.concealed, seen, strict=True)
         ],
         "replaces": d.replaces,
-        "oracle": seen,
         "train": d.train_shape,
         "heldout": d.heldout_shape,
         "seconds": d.seconds,

@@ -115,6 +115,7 @@ class Scale:
     q: Array
     v: Array
     a: Array
+    slides: npt.NDArray[np.bool_]  # neither at rest nor turning within the hold interval
 
     @property
     def v_rms(self) -> float:

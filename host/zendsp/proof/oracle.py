@@ -61,15 +61,6 @@ def free_columns(d: Draft, joint: int, scales: list[Scale]) -> Array:
     return np.stack(columns, 1) if columns else np.zeros((s.q.size, 0))
 
 
-def left_over(columns: Array, target: Array) -> Array:
-    """`target` after least squares on `columns`."""
-    if columns.shape[1] == 0:
-        return target
-    scale = np.sqrt(np.mean(columns**2, 0)) + 1e-300
-    fit = np.linalg.lstsq(columns / scale, target, rcond=1e-10)[0]
-    return np.asarray(target - (columns / scale) @ fit, float)
-
-
 def fixed_torque(d: Draft, joint: int, scales: list[Scale]) -> Array:
     """Torque of what the given model holds fixed, at its stated value."""
     held = {k: (v if k in d.fixed and k not in d.absent else 0.0) for k, v in d.parameters.items()}
@@ -81,8 +72,43 @@ def fixed_torque(d: Draft, joint: int, scales: list[Scale]) -> Array:
     return total
 
 
-def innovations(d: Draft, joint: int, torque: Array, inertia: float, rms: float) -> tuple[Array, float]:
-    """Innovations that `torque` causes in the steady observer, and the variance that noise gives them."""
+class Judge:
+    """Measures what torques are left over on one joint, after the refit of the given model's free parameters."""
+
+    def __init__(self, d: Draft, joint: int, scales: list[Scale], inertia: float) -> None:
+        self.scale = scales[joint]
+        self.slides = self.scale.slides
+        self.fixed = fixed_torque(d, joint, scales)
+        free = free_columns(d, joint, scales)[self.slides]
+        q, r = np.linalg.qr(free / (np.sqrt(np.mean(free**2, 0)) + 1e-300))
+        self.basis = q[:, np.abs(np.diag(r)) > 1e-9 * np.sqrt(len(q))]
+        self.numerator, self.denominator, self.variance = observer(d, joint, inertia, self.scale.torque)
+
+    def rest(self, drive: Array, extra: Array | None = None) -> Array:
+        """`drive` less what the fixed part, the free parameters and the columns `extra` explain; zero where at rest."""
+        target = self.project((drive - self.fixed)[self.slides, None])
+        if extra is not None:
+            columns = self.project(extra[self.slides])
+            columns = columns / (np.sqrt(np.mean(extra[self.slides] ** 2, 0)) + 1e-300)
+            gram = columns.T @ columns
+            target = target - columns @ (np.linalg.pinv(gram, rcond=1e-11, hermitian=True) @ (columns.T @ target))
+        out = np.zeros(self.slides.size)
+        out[self.slides] = target[:, 0]
+        return out
+
+    def project(self, columns: Array) -> Array:
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+    def measure(self, rest: Array) -> Visibility:
+        """Visibility of a torque that is left over."""
+        e = lfilter(self.numerator, self.denominator, rest)
+        ratio = 1.0 + float(np.mean(e**2)) / self.variance
+        share = float(np.sqrt(np.mean(rest**2))) / self.scale.torque
+        return Visibility(share, ratio, 0.5 * rest.size * float(np.log(ratio)))
+
+
+def observer(d: Draft, joint: int, inertia: float, rms: float) -> tuple[Array, Array, float]:
+    """The steady Kalman observer as a filter from torque to innovation, and the innovation's variance from noise."""
     dt, j = d.sample_time, d.joints[joint]
     noise = j["resolution"] ** 2 * (1 / 12 + d.noise**2)
     sigma = rms * np.hypot(PROCESS, d.nuisance)
@@ -90,23 +116,9 @@ def innovations(d: Draft, joint: int, torque: Array, inertia: float, rms: float)
     b = np.array([[0.5 * dt**2], [dt]]) / inertia
     c = np.array([[1.0, 0.0]])
     p = solve_discrete_are(a.T, c.T, b @ b.T * sigma**2, np.array([[noise]]))
-    s = float(p[0, 0]) + noise
-    gain = a @ p @ c.T / s
+    variance = float(p[0, 0]) + noise
+    gain = a @ p @ c.T / variance
     error = a - gain @ c  # x' = error x + b torque, innovation = x[0]
     denominator = np.array([1.0, -np.trace(error), np.linalg.det(error)])
     numerator = np.array([0.0, b[0, 0], (error[0, 1] * b[1, 0] - error[1, 1] * b[0, 0])])
-    return np.asarray(lfilter(numerator, denominator, torque), float), s
-
-
-def visibility(d: Draft, joint: int, scales: list[Scale], inertia: float) -> Visibility:
-    """What the concealed effects leave after the best refit, on joint `joint` (0-based)."""
-    s = scales[joint]
-    rest = left_over(free_columns(d, joint, scales), s.drive - fixed_torque(d, joint, scales))
-    return measure(d, joint, rest, s, inertia)
-
-
-def measure(d: Draft, joint: int, rest: Array, s: Scale, inertia: float) -> Visibility:
-    """Visibility of a torque that is left over."""
-    e, variance = innovations(d, joint, rest, inertia, s.torque)
-    ratio = 1.0 + float(np.mean(e**2)) / variance
-    return Visibility(float(np.sqrt(np.mean(rest**2))) / s.torque, ratio, 0.5 * rest.size * float(np.log(ratio)))
+    return numerator, denominator, variance

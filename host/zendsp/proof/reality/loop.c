@@ -101,12 +101,13 @@ static void kick(const State *s, double h, double A[14][14], const double *f, co
             double change = wish - impulse[i];
             if (change == 0.0) continue;
             for (int k = 0; k < n; k++) w[k] += B[k][i] * change;
-            if (wish > low[i] && wish < high[i]) w[i] = 0.0;
             impulse[i] = wish;
             moved = fmax(moved, fabs(change) / (high[i] - low[i]));
         }
-        if (moved < 1e-9) break;
+        if (moved < 1e-12) break;
     }
+    for (int i = 0; rough && i < n; i++) /* held: the friction needed is within its bounds, what moves is rounding */
+        if (impulse[i] > low[i] && impulse[i] < high[i]) w[i] = 0.0;
 }
 
 static void step(State *s, double h, const double *torque, const double *outside) {
