@@ -168,7 +168,9 @@ def _compile(
             (work / name).write_bytes(content)
         units = [name for name in sources if name.endswith(".c")]
         output = work / "result"
-        arguments = [*flags, *(_SHARED if shared else ()), "-I.", *(f"-I{folder}" for folder in include)]
+        # the folder is gone afterwards: what the debugger and the linker say shall be the user's own names
+        own_names = f"-ffile-prefix-map={work}=."
+        arguments = [*flags, own_names, *(_SHARED if shared else ()), "-I.", *(f"-I{folder}" for folder in include)]
         outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s)
         if outcome.ok:
             # notes first: a target without notes would be compiled again, notes without a target do no harm

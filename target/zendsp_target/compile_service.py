@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -26,7 +27,7 @@ missing = []
 for name in ("zendsp_isr_abi", "UserInit", "UserISR_INT2"):
     try:
         getattr(program, name)
-    except AttributeError:
+    except (AttributeError, KeyError):
         missing.append(name)
 print(" ".join(missing))
 """
@@ -118,8 +119,8 @@ def compile_program(sources: Mapping[str, str], flags: Sequence[str] = (), timeo
 
 
 def _own(file: str) -> str:
-    """The user's name of a file: the compiler runs where the sources stand, so theirs are plain names already."""
-    return file.removeprefix("./")
+    """The user's name of a file: the compiler runs where the sources stand, so theirs are plain names, or ``./name``."""
+    return os.path.normpath(file) if file else ""
 
 
 def _result(built: Built, ok: bool, diagnostics: list[Diagnostic]) -> CompileResult:

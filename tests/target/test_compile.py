@@ -1,0 +1,136 @@
+"""Compiling what the host sends: messages in the user's lines, limits, the cache, and what may not be asked."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from zendsp_isr.build import content_key
+from zendsp_isr.compiler import find_compiler, parse_messages
+from zendsp_protocol.errors import CompileFailed, Refused
+from zendsp_target.compile_service import compile_program, program_path
+from zendsp_target.runtime import program_text
+
+HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
+
+
+def test_an_error_names_file_line_and_column() -> None:
+    result = compile_program({"law.c": HEAD + "void UserISR_INT2(void) {\n    x = 1.0\n}\n"})
+    assert not result.ok
+    first = next(d for d in result.diagnostics if d.severity == "error")
+    assert (first.file, first.line) == ("law.c", 5)
+    assert first.column > 4
+    assert "expected" in first.message
+    with pytest.raises(Refused, match="compile it first"):
+        program_path(result.key)
+
+
+def test_a_warning_does_not_stop_and_is_kept_with_the_cached_result() -> None:
+    source = {"law.c": HEAD + f"void UserISR_INT2(void) {{\n    int unused_{time.time_ns()};\n}}\n"}
+    fresh, again = compile_program(source), compile_program(source)
+    assert fresh.ok and again.ok
+    assert (fresh.cached, again.cached) == (False, True)
+    assert [(d.severity, d.line) for d in fresh.diagnostics] == [("warning", 5)]
+    assert again.diagnostics == fresh.diagnostics
+    assert again.key == fresh.key
+
+
+def test_several_files_and_headers_make_one_program() -> None:
+    sources = {
+        "main.c": HEAD + '#include "gains.h"\nvoid UserISR_INT2(void) { x = law(GAIN); }\n',
+        "law.c": '#include "isr.h"\n#include "gains.h"\ndouble law(double u) { return u * SAMPLE_PERIOD; }\n',
+        "gains.h": "#define GAIN 2.0\ndouble law(double u);\n",
+    }
+    assert compile_program(sources).ok
+    broken = {**sources, "gains.h": "#define GAIN oops\ndouble law(double u);\n"}
+    result = compile_program(broken)
+    assert not result.ok
+    assert {d.file for d in result.diagnostics if d.severity in ("error", "note")} & {"gains.h", "main.c"}
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        ('#include "isr.h"\nvoid UserInit(void) {}\n', "lacks UserISR_INT2"),
+        ("void UserInit(void) {}\nvoid UserISR_INT2(void) {}\n", 'does not include "isr.h"'),
+        (HEAD + "extern double missing(void);\nvoid UserISR_INT2(void) { x = missing(); }\n", "undefined reference"),
+        (HEAD + "void UserISR_INT2(void) {}\n__attribute__((constructor)) static void f(void) { *(volatile int *)8 = 1; }\n", "crashes"),
+        (HEAD + "static long l;\nvoid UserISR_INT2(void) { (void)l; }\nvoid f(void) { SIGNAL(l, \"\", \"\"); }\n", "_Generic"),
+    ],
+)
+def test_what_cannot_run_is_an_error_of_the_compilation(source: str, says: str) -> None:
+    result = compile_program({"user.c": source})
+    assert not result.ok
+    assert says in " ".join(d.message for d in result.diagnostics)
+
+
+def test_an_undefined_function_is_told_with_its_line() -> None:
+    source = HEAD + "extern double missing(void);\nvoid UserISR_INT2(void) {\n    x = missing();\n}\n"
+    errors = [d for d in compile_program({"user.c": source}).diagnostics if d.severity == "error"]
+    assert ("user.c", 6) in [(d.file, d.line) for d in errors]
+
+
+def test_a_compilation_without_end_is_stopped() -> None:
+    # an include that never ends: the compiler waits on a terminal that is not there, or on itself
+    deep = "#define A(x) x x x x x x x x x x\n#define B(x) A(A(A(A(A(A(A(A(x))))))))\nstatic double y[] = { B(1.0,) };\n"
+    began = time.monotonic()
+    result = compile_program({"user.c": HEAD + deep + "void UserISR_INT2(void) { x = y[0]; }\n"}, timeout_s=1.0)
+    assert not result.ok
+    assert time.monotonic() - began < 20.0
+    assert result.diagnostics
+
+
+@pytest.mark.parametrize("name", ["../evil.c", "a/b.c", "/etc/x.c", "x.py", "-o.c", ""])
+def test_names_that_reach_outside_are_refused(name: str) -> None:
+    with pytest.raises(Refused):
+        compile_program({name: "", "ok.c": program_text("template")})
+
+
+@pytest.mark.parametrize("flag", ["-fplugin=x.so", "-o/tmp/x", "@file", "-Wl,-x", "-Wp,-x", "-include/etc/passwd", "-B.", "x.c", "-I/etc"])
+def test_flags_that_reach_outside_are_refused(flag: str) -> None:
+    with pytest.raises(Refused, match="not accepted"):
+        compile_program({"ok.c": program_text("template")}, [flag])
+
+
+def test_flags_are_part_of_the_key_and_reach_the_compiler() -> None:
+    source = {"law.c": HEAD + "#ifndef MODE\n#error no MODE\n#endif\nvoid UserISR_INT2(void) { x = MODE; }\n"}
+    assert not compile_program(source).ok
+    one, two = compile_program(source, ["-DMODE=1"]), compile_program(source, ["-DMODE=2", "-O3"])
+    assert one.ok and two.ok and one.key != two.key
+
+
+def test_the_key_depends_on_everything_that_goes_in() -> None:
+    base = ("program", {"a.c": b"1"}, {"isr.h": b"2"}, ["-O2"])
+    keys = {
+        content_key(*base),
+        content_key("machine", *base[1:]),
+        content_key(base[0], {"a.c": b"x"}, *base[2:]),
+        content_key(base[0], {"b.c": b"1"}, *base[2:]),
+        content_key(base[0], base[1], {"isr.h": b"x"}, base[3]),
+        content_key(*base[:3], ["-O3"]),
+    }
+    assert len(keys) == 6
+
+
+def test_a_compiler_that_does_not_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(CompileFailed, match="no-such-compiler"):
+        find_compiler()
+
+
+def test_messages_of_clang_are_read_from_text() -> None:
+    text = "law.c:3:5: error: use of undeclared identifier 'y'\n    y = 1;\n    ^\nlaw.c:9:2: warning: unused [-Wx]\n1 error generated.\n"
+    assert [(m.severity, m.file, m.line, m.column) for m in parse_messages(text)] == [("error", "law.c", 3, 5), ("warning", "law.c", 9, 2)]
+
+
+def test_the_target_imports_neither_textual_nor_scipy_nor_matplotlib() -> None:
+    code = (
+        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.compile_service, zendsp_target.__main__\n"
+        "zendsp_target.runtime.layout()\n"
+        "print([m for m in ('textual', 'scipy', 'matplotlib', 'pandas', 'click', 'rich', 'zendsp') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == "[]"

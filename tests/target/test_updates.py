@@ -1,0 +1,212 @@
+"""Synchronous updates under hostile writers: never mixed, never torn, whoever dies."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from zendsp_protocol.errors import Refused
+from zendsp_target.api import AcquireConfig
+from zendsp_target.runtime import Runtime
+
+Make = Callable[..., Runtime]
+
+# Every update gives all 32 scalars, the array and the table the same number; the ISR counts samples in which two of them differ.
+WITNESS = (
+    '#include "isr.h"\n'
+    + "static double "
+    + ", ".join(f"p{i}" for i in range(32))
+    + """;
+static double list[32];
+static table ref;
+static int32_t mixed, alone, changes;
+static double before;
+void UserInit(void) {
+"""
+    + "\n".join(f'    PARAMETER(p{i}, 0.0, "", NO_MIN, NO_MAX, "");' for i in range(32))
+    + """
+    PARAMETER(list, 0.0, "", NO_MIN, NO_MAX, "");
+    PARAMETER(alone, 0, "", NO_MIN, NO_MAX, "");
+    TABLE(ref, 64, 1, "", "");
+    SIGNAL(mixed, "", ""); SIGNAL(changes, "", "");
+}
+void UserISR_INT2(void) {
+    const double all[32] = {"""
+    + ", ".join(f"p{i}" for i in range(32))
+    + """};
+    bool differs = false;
+    for (int i = 0; i < 32; i++)
+        differs = differs || all[i] != p0 || list[i] != p0;
+    for (int32_t i = 0; i < ref.rows; i++)
+        differs = differs || ref.data[i] != p0;
+    mixed += differs;
+    changes += p0 != before;
+    before = p0;
+}
+"""
+)
+
+
+def values(number: float, with_table: bool) -> dict[str, object]:
+    """One update of everything."""
+    update: dict[str, object] = {f"p{i}": number for i in range(32)}
+    update["list"] = np.full(32, number)
+    if with_table:
+        update["ref"] = np.full((64, 1), number)
+    return update
+
+
+def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Make) -> None:
+    """One writer updates 32 scalars, an array and a table; two more crowd it; a fourth scribbles over uncommitted batches."""
+    runtime = make_runtime(WITNESS)
+    stop = threading.Event()
+    sent = [0, 0, 0]
+
+    def everything() -> None:
+        while not stop.is_set():
+            try:
+                runtime.write(values(float(sent[0]), with_table=True), "a")  # type: ignore[arg-type]
+            except Refused:
+                continue  # the last table is not in effect yet
+            sent[0] += 1
+
+    def bystander(which: int) -> None:
+        while not stop.is_set():
+            try:
+                runtime.write({"alone": which}, str(which))
+                sent[which] += 1
+            except Refused:
+                continue
+
+    def garbage() -> None:
+        """Scribble over batches that were never committed, as a writer that dies half-way leaves them."""
+        session = runtime._session
+        assert session is not None
+        updates = session.updates
+        noise = np.random.default_rng(1)
+        control = session.control
+        while not stop.is_set():
+            with updates._lock:
+                slot = updates._free[0] if updates._free else None
+                if slot is None:
+                    continue
+                start = int(control.batch_offset) + slot * int(control.batch_stride)
+                updates._memory[start + 8 : start + int(control.batch_stride)] = noise.integers(
+                    0, 256, int(control.batch_stride) - 8, dtype=np.uint8
+                )
+
+    threads = [threading.Thread(target=everything), threading.Thread(target=garbage)]
+    threads += [threading.Thread(target=bystander, args=(i,)) for i in (1, 2)]
+    runtime.start()
+    for thread in threads:
+        thread.start()
+    session = runtime._session
+    assert session is not None
+    try:
+        while session.tick < 1_000_000 or sent[0] < 1000:
+            assert session.alive(), session.crash
+            threading.Event().wait(0.02)
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+    runtime.pause()
+    found = runtime.read(["mixed", "changes", "tick"])[1]
+    assert found["tick"] >= 1_000_000 - 1
+    assert found["mixed"] == 0
+    assert found["changes"] >= 900  # the test has power: updates did arrive while it ran
+    assert runtime.status().state == "paused"
+
+
+def test_many_readers_see_whole_samples_while_the_loop_runs_free(make_runtime: Make) -> None:
+    code = """
+    #include "isr.h"
+    static double a[64];
+    void UserInit(void) { SIGNAL(a, "", ""); }
+    void UserISR_INT2(void) { for (int i = 0; i < 64; i++) a[i] = (double)SAMPLE_TICK; }
+    """
+    runtime = make_runtime(code)
+    runtime.start()
+    torn: list[object] = []
+
+    def reader() -> None:
+        for _ in range(3000):
+            tick, found = runtime.read(["a", "tick"])
+            a = np.asarray(found["a"])
+            if np.any(a != tick) or found["tick"] != tick:
+                torn.append((tick, a))
+
+    threads = [threading.Thread(target=reader) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert torn == []
+
+
+def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Make) -> None:
+    runtime = make_runtime(WITNESS)
+    late = runtime.write({"alone": 3}, "me", at_tick=300)
+    early = runtime.write({"alone": 1}, "me", at_tick=100)
+    same = runtime.write({"alone": 2}, "me", at_tick=100)
+    runtime.acquire_configure(0, AcquireConfig(("alone",), seconds=0.4))
+    runtime.acquire_start(0)
+    runtime.start(ticks=400)
+    runtime.wait_paused()
+    assert [runtime.wait_applied(sequence, 10.0) for sequence in (early, same, late)] == [100, 100, 300]
+    rows = runtime.acquire_read(0, 0, 400)[:, 0]
+    assert np.array_equal(rows, np.where(np.arange(400) < 100, 0.0, np.where(np.arange(400) < 300, 2.0, 3.0)))
+
+
+def test_more_updates_than_fit_are_refused_and_those_that_fit_are_all_applied(make_runtime: Make) -> None:
+    runtime = make_runtime(WITNESS)
+    sequences = []
+    for number in range(1000):
+        try:
+            sequences.append(runtime.write({"alone": number}, "me", at_tick=50))
+        except Refused as refusal:
+            assert "updates wait already" in str(refusal)
+            break
+    assert 100 <= len(sequences) <= 128
+    runtime.start(ticks=200)
+    runtime.wait_paused()
+    ticks = [runtime.wait_applied(sequence, 10.0) for sequence in sequences]
+    assert ticks == sorted(ticks)
+    assert set(ticks) == {50}
+    assert runtime.read(["alone"])[1]["alone"] == len(sequences) - 1
+    runtime.wait_applied(runtime.write({"alone": -1}, "me"), 10.0)
+
+
+def test_elements_and_types_are_written_as_declared(make_runtime: Make) -> None:
+    code = """
+    #include "isr.h"
+    static double d[3] = {1.5, 2.5, 3.5};
+    static float f = 0.0f;
+    static int32_t i;
+    static bool b[2];
+    void UserInit(void) {
+        PARAMETER_ARRAY(d, "rad", -10.0, 10.0, "array"); PARAMETER(f, 0.25, "V", -1.0, 1.0, "single");
+        PARAMETER(i, -7, "", -100, 100, "whole"); PARAMETER(b, true, "", 0, 1, "flags");
+    }
+    void UserISR_INT2(void) {}
+    """
+    runtime = make_runtime(code)
+    infos = {info.name: info for info in runtime.variables()}
+    assert [(n, v.type, v.length, v.unit, v.minimum, v.maximum, v.description) for n, v in infos.items()] == [
+        ("d", "double", 3, "rad", -10.0, 10.0, "array"),
+        ("f", "float", 1, "V", -1.0, 1.0, "single"),
+        ("i", "int32", 1, "", -100.0, 100.0, "whole"),
+        ("b", "bool", 2, "", 0.0, 1.0, "flags"),
+    ]
+    assert np.array_equal(np.asarray(infos["d"].initial), [1.5, 2.5, 3.5])
+    assert (infos["f"].initial, infos["i"].initial) == (0.25, -7)
+    assert np.array_equal(np.asarray(infos["b"].initial), [True, True])
+    assert len({info.address for info in infos.values()}) == 4
+    runtime.wait_applied(runtime.write({"d[1]": -2.0, "f": 0.5, "i": 42, "b[0]": False}, "me"), 10.0)
+    _, found = runtime.read(["d", "d[1]", "f", "i", "b"])
+    assert np.array_equal(np.asarray(found["d"]), [1.5, -2.0, 3.5])
+    assert (found["d[1]"], found["f"], found["i"]) == (-2.0, 0.5, 42)
+    assert np.array_equal(np.asarray(found["b"]), [False, True])
+    assert isinstance(found["i"], int)
