@@ -15,7 +15,7 @@
 
 #include "machine_config.h"
 
-enum { CONCEALED_EFFECTS = 16, CONCEALED_PARAMETERS = 4, CONCEALED_WORD = 32 };
+enum { CONCEALED_EFFECTS = 16, CONCEALED_PARAMETERS = 4, CONCEALED_WORD = 64 };
 
 typedef enum concealed_kind {
     VISCOUS,

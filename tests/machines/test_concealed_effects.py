@@ -1,0 +1,264 @@
+"""Every concealed effect acts as its equation says: against another integrator, with sign(qd) for friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from plants import Plant
+
+from zendsp_target.concealed import EFFECTS, Concealed, ConcealedEffect
+
+Array = np.ndarray  # type: ignore[type-arg]
+P1, P2, P3 = 3.473, 0.196, 0.242
+VISCOUS, COULOMB = np.array([5.3, 1.1]), np.array([8.45, 2.35])
+BRISTLE = np.array([12000.0, 1500.0])  # N m/rad, of imi_planar.c: a sliding bristle is bent by the Coulomb level
+SAMPLES, PERIOD, STEPS = 500, 0.001, 4
+
+
+START = np.array([0.8, 1.2])  # rad/s: both joints slide from the first instant on, so that sign(qd) = 1 throughout
+
+
+def command(t: float) -> Array:
+    """Torques that keep both joints moving one way, N m."""
+    return np.array([26.0 + 6.0 * math.sin(9.0 * t), 6.4 + 0.9 * math.sin(14.0 * t)])
+
+
+def config(effect: str, joint: int, **parameters: float) -> str:
+    hidden = Concealed("imi_planar", (ConcealedEffect(effect, joint, parameters),), "test", friction="plain")
+    return "".join(f"{k} = {v}\n" for k, v in hidden.config().items())
+
+
+def run_plant(text: str) -> Array:
+    with Plant("imi_planar", text) as plant:
+        rows = []
+        for j in range(2):
+            plant.truth.qd[j] = START[j]
+            plant.truth.z[j] = COULOMB[j] / BRISTLE[j]
+        for k in range(SAMPLES):
+            rows.append(plant.q)
+            plant.torque(command(k * PERIOD))
+        return np.array(rows)
+
+
+Extra = Callable[[float, Array, Array, Array, Array], Array]
+
+
+def run_reference(
+    torque: Extra | None = None,
+    mass: Array | None = None,
+    actuator: Callable[[float], Array] = command,
+    states: Callable[[float, Array, Array, Array], Array] | None = None,
+    x0: tuple[float, ...] = (),
+) -> Array:
+    """RK4 of M qdd + c + viscous qd + coulomb + extra = tau held over each sample; extra may have states x of its own."""
+    added = np.zeros((2, 2)) if mass is None else mass
+
+    def rate(t: float, y: Array, tau: Array) -> Array:
+        q, qd, x = y[:2], y[2:4], y[4:]
+        c, s = P3 * math.cos(q[1]), P3 * math.sin(q[1])
+        m = np.array([[P1 + 2 * c, P2 + c], [P2 + c, P2]]) + added
+        bias = np.array([-s * qd[1] * (2 * qd[0] + qd[1]), s * qd[0] ** 2]) + VISCOUS * qd + COULOMB
+        extra = np.zeros(2) if torque is None else torque(t, q, qd, tau, x)
+        qdd = np.linalg.solve(m, tau - bias - extra)
+        return np.concatenate([qd, qdd, np.zeros(0) if states is None else states(t, q, qd, x)])
+
+    y, rows, h = np.concatenate([np.zeros(2), START, x0]), [], PERIOD / STEPS
+    for k in range(SAMPLES):
+        rows.append(y[:2])
+        tau = actuator(k * PERIOD)
+        for i in range(STEPS):
+            t = k * PERIOD + i * h
+            k1 = rate(t, y, tau)
+            k2 = rate(t + h / 2, y + h / 2 * k1, tau)
+            k3 = rate(t + h / 2, y + h / 2 * k2, tau)
+            y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, y + h * k3, tau))
+    return np.array(rows)
+
+
+def on(joint: int, value: float) -> Array:
+    out = np.zeros(2)
+    out[joint - 1] = value
+    return out
+
+
+def entry(row: int, column: int, value: float) -> Array:
+    out = np.zeros((2, 2))
+    out[row - 1, column - 1] = value
+    return out
+
+
+def lagged(t: float) -> Array:
+    """Joint 2 through a lag of 10 ms, from zero: mean over the sample of the exact answer."""
+    T, u = 0.010, 0.0
+    for k in range(round(t / PERIOD)):
+        u += (command(k * PERIOD)[1] - u) * (1 - math.exp(-PERIOD / T))
+    h = PERIOD / T
+    goal = command(t)
+    return np.array([goal[0], u + (goal[1] - u) * (1 - (1 - math.exp(-h)) / h)])
+
+
+def spring(k: float, c: float, gap: float, load: float) -> tuple[Extra, Callable[[float, Array, Array, Array], Array]]:
+    def push(q: float, qd: float, x: Array) -> float:
+        bend, rate = q - x[0], qd - x[1]
+        inside = abs(bend) - gap / 2
+        if gap == 0.0:
+            return k * bend + c * rate
+        if inside <= 0.0:
+            return 0.0
+        return math.copysign(max(0.0, k * inside + c * rate * math.copysign(1, bend)), bend)
+
+    def torque(t: float, q: Array, qd: Array, tau: Array, x: Array) -> Array:
+        return on(2, push(q[1], qd[1], x))
+
+    def states(t: float, q: Array, qd: Array, x: Array) -> Array:
+        return np.array([x[1], push(q[1], qd[1], x) / load])
+
+    return torque, states
+
+
+def bouc_wen(force: float, stiffness: float) -> tuple[Extra, Callable[[float, Array, Array, Array], Array]]:
+    A = stiffness / force
+
+    def states(t: float, q: Array, qd: Array, x: Array) -> Array:
+        return np.array([A * (qd[1] - 0.5 * (abs(qd[1]) * x[0] + qd[1] * abs(x[0])))])
+
+    return (lambda t, q, qd, tau, x: on(2, force * x[0])), states
+
+
+E_K, E_C, E_J = 60.0, 0.3, 0.05
+SPRING, SPRING_STATES = spring(E_K, E_C, 0.0, E_J)
+GAP, GAP_STATES = spring(E_K, 0.1 * math.sqrt(E_K * E_J), 0.04, E_J)
+BOUC, BOUC_STATES = bouc_wen(1.5, 10.0)
+TWO_PI = 2 * math.pi
+
+# effect, joint, parameters, and the same thing for the reference
+CASES: list[tuple[str, int, dict[str, float], Callable[[], Array]]] = [
+    ("viscous", 1, {"coefficient": 4.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0]))),
+    ("viscous_asymmetry", 2, {"coefficient_pos": 0.8, "coefficient_neg": 9.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.8 * qd[1]))),
+    ("coulomb", 2, {"level": 1.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 1.0))),
+    ("coulomb_asymmetry", 1, {"level_pos": 5.0, "level_neg": 90.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 5.0))),
+    ("quadratic_drag", 2, {"coefficient": 0.9}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.9 * qd[1] * abs(qd[1])))),
+    ("load_friction", 1, {"coefficient": 0.2}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 0.2 * abs(tau[0])))),
+    ("position_friction", 2, {"amplitude": 0.9, "period": 0.5, "phase": 0.4}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.9 * math.sin(TWO_PI * q[1] / 0.5 + 0.4)))),
+    ("friction_drift", 1, {"ratio": 0.8, "time_constant": 0.3}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 0.8 * (1 - math.exp(-t / 0.3)) * (8.45 + 5.3 * qd[0])))),
+    ("gravity", 1, {"torque": 9.0, "angle": 0.5}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 9.0 * math.sin(q[0] - 0.5)))),
+    ("stiffness", 2, {"coefficient": 3.0, "neutral": 0.2}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 3.0 * (q[1] - 0.2)))),
+    ("cubic_stiffness", 2, {"coefficient": 4.0, "neutral": 0.1}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 4.0 * (q[1] - 0.1) ** 3))),
+    ("inertia", 2, {"amount": 0.1}, lambda: run_reference(mass=entry(2, 2, 0.1))),
+    ("coupling", 2, {"from_joint": 1.0, "law": 0.0, "coefficient": 0.15}, lambda: run_reference(mass=entry(2, 1, 0.15))),
+    ("coupling", 2, {"from_joint": 1.0, "law": 1.0, "coefficient": 0.6}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.6 * qd[0] ** 2))),
+    ("coupling", 1, {"from_joint": 2.0, "law": 2.0, "coefficient": 3.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 3.0 * qd[1]))),
+    ("coupling", 1, {"from_joint": 2.0, "law": 3.0, "coefficient": 6.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0))),
+    ("elasticity", 2, {"stiffness": E_K, "damping": E_C, "load_inertia": E_J}, lambda: run_reference(SPRING, entry(2, 2, -E_J), states=SPRING_STATES, x0=(0.0, 0.0))),
+    ("backlash", 2, {"gap": 0.04, "stiffness": E_K, "load_inertia": E_J}, lambda: run_reference(GAP, entry(2, 2, -E_J), states=GAP_STATES, x0=(0.0, 0.0))),
+    ("hysteresis", 2, {"force": 1.5, "stiffness": 10.0, "exponent": 1.0}, lambda: run_reference(BOUC, states=BOUC_STATES, x0=(0.0,))),
+    ("ripple", 1, {"order": 8.0, "amplitude": 6.0, "phase": 0.7}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0 * math.sin(8 * q[0] + 0.7)))),
+    ("torque_gain", 1, {"ratio": -0.15}, lambda: run_reference(actuator=lambda t: command(t) * [0.85, 1.0])),
+    ("torque_offset", 2, {"level": -0.8}, lambda: run_reference(actuator=lambda t: command(t) + [0.0, -0.8])),
+    ("dead_zone", 1, {"width": 4.0}, lambda: run_reference(actuator=lambda t: command(t) - [4.0, 0.0])),
+    ("saturation", 1, {"level": 29.0}, lambda: run_reference(actuator=lambda t: np.minimum(command(t), [29.0, 99.0]))),
+    ("lag", 2, {"time_constant": 0.010}, lambda: run_reference(actuator=lagged)),
+    ("delay", 1, {"time": 0.008}, lambda: run_reference(actuator=lambda t: np.where([t < 0.0079, False], 0.0, np.array([command(t - 0.008)[0], command(t)[1]])))),
+    ("disturbance", 2, {"level": 1.5, "begin": 0.2, "duration": 0.3}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 1.5 * math.sin(math.pi * (t - 0.2) / 0.3) ** 2 if 0.2 < t < 0.5 else 0.0))),
+]  # fmt: skip
+
+
+DRY = {"coulomb", "coulomb_asymmetry", "load_friction", "position_friction", "friction_drift", "coupling"}
+
+
+@pytest.fixture(scope="module")
+def bare() -> tuple[Array, Array]:
+    return run_plant("friction = plain\n"), run_reference()
+
+
+def test_the_bare_arm_moves_as_its_equations_say(bare: tuple[Array, Array]) -> None:
+    plant, reference = bare
+    assert np.abs(plant - reference).max() < 1e-6  # a fortieth of an encoder count: RK4 and the exponential midpoint rule differ by less
+    assert np.diff(reference, axis=0).min() > 0.0 and reference[-1].max() < 2.15
+
+
+@pytest.mark.parametrize(("effect", "joint", "parameters", "reference"), CASES, ids=[f"{c[0]}-{c[2].get('law', '')}" for c in CASES])
+def test_effect_moves_the_arm_as_its_equation_says(
+    bare: tuple[Array, Array], effect: str, joint: int, parameters: dict[str, float], reference: Callable[[], Array]
+) -> None:
+    moved = run_plant(config(effect, joint, **parameters)) - bare[0]
+    wanted = reference() - bare[1]
+    size = np.abs(wanted).max()
+    assert size > 3e-3, "the case must move the arm by much more than the tolerance"
+    # A changed dry level takes the bristle a milliradian of travel to reach; all else differs by the integrators alone.
+    assert np.abs(moved - wanted).max() < (0.02 if effect in DRY else 5e-4) * size, effect
+
+
+def test_the_table_covers_every_effect_that_this_file_does_not_test_on_its_own() -> None:
+    own = {"stribeck", "presliding", "encoder_eccentricity", "foreign"}
+    assert {case[0] for case in CASES} | own == set(EFFECTS)
+
+
+def breakaway(text: str) -> float:
+    """Torque at which joint 1 leaves its place on a slow ramp, N m."""
+    with Plant("imi_planar", text) as plant:
+        for k in range(20000):
+            tau = 0.001 * k
+            plant.torque([tau, 0.0])
+            if plant.q[0] > 0.004:
+                return tau
+    return math.inf
+
+
+def test_stribeck_raises_the_breakaway_torque_to_its_level() -> None:
+    assert breakaway("friction = plain\n") == pytest.approx(8.45, abs=0.7)  # ramp of 1 N m/s: half a second to leave
+    assert breakaway(config("stribeck", 1, breakaway=16.0, velocity=0.1)) == pytest.approx(16.0, abs=1.0)
+
+
+def test_presliding_gives_way_by_torque_over_stiffness_and_comes_back() -> None:
+    with Plant("imi_planar", config("presliding", 1, stiffness=400.0)) as plant:
+        for k in range(3000):
+            plant.torque([min(4.0, 0.004 * k), 0.0])
+        pushed = plant.q[0]
+        for k in range(3000):
+            plant.torque([max(0.0, 4.0 - 0.004 * k), 0.0])
+        assert pushed == pytest.approx(4.0 / 400.0, rel=0.4)  # the bristle softens towards the Coulomb level (Dahl)
+        assert abs(plant.q[0]) < 0.5 * pushed
+
+
+def test_encoder_eccentricity_bends_the_reading_and_not_the_motion() -> None:
+    text = config("encoder_eccentricity", 1, amplitude=0.02, phase=0.5)
+    with Plant("imi_planar", text) as plant, Plant("imi_planar", "friction = plain\n") as bare:
+        for k in range(SAMPLES):
+            q = plant.q[0]
+            shown = plant.torque(command(k * PERIOD))[0]
+            bare.torque(command(k * PERIOD))
+            assert shown == pytest.approx(q + 0.02 * math.sin(q + 0.5), abs=1.1 / plant.counts[0])
+        assert np.array_equal(plant.q, bare.q)
+
+
+@pytest.mark.parametrize("law", [0.0, 1.0, 2.0])
+def test_foreign_laws_move_the_arm_and_are_bounded(law: float, bare: tuple[Array, Array]) -> None:
+    moved = run_plant(config("foreign", 1, law=law, amplitude=6.0)) - bare[0]
+    assert 1e-3 < np.abs(moved).max() < 1.0
+
+
+def test_two_effects_act_together(bare: tuple[Array, Array]) -> None:
+    both = Concealed("imi_planar", (ConcealedEffect("viscous", 1, {"coefficient": 4.0}), ConcealedEffect("inertia", 2, {"amount": 0.1})), "test", "plain")  # fmt: skip
+    moved = run_plant("".join(f"{k} = {v}\n" for k, v in both.config().items())) - bare[0]
+    wanted = run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0]), entry(2, 2, 0.1)) - bare[1]
+    assert np.abs(moved - wanted).max() < 0.03 * np.abs(wanted).max()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("effect1 = magic joint=1", "no effect 'magic'"),
+        ("effect1 = coulomb joint=1", "coulomb lacks its parameter 'level'"),
+        ("effect1 = coulomb joint=3 level=1", "joint out of range, the machine has 2"),
+        ("effect1 = coulomb joint=1 level=abc", "level is 'abc', expected a number"),
+        ("effect1 = coulomb joint=1 level=1 depth=2", "no parameter 'depth'"),
+        ("friction = rough", "friction is 'rough'; expected full or plain"),
+    ],
+)
+def test_a_machine_refuses_a_wrong_line_and_says_why(line: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Plant("imi_planar", line + "\n")
