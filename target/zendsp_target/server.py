@@ -183,6 +183,8 @@ class Server:
         while not self._end.wait(PULSE_POLL_S):
             try:
                 status = self.service.do_status(verbs.Nothing(), "")
+            except Later:
+                continue  # it just crashed; the next round knows how
             except Exception:
                 log.exception("the status cannot be read")
                 continue

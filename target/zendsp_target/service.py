@@ -19,7 +19,7 @@ from zendsp_protocol import keys, values, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused, VariableError
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.api import AcquireConfig, CompileResult, RuntimeApi, Trigger, VariableInfo
+from zendsp_target.api import AcquireConfig, CompileResult, RuntimeApi, Status, Trigger, VariableInfo
 from zendsp_target.drives import Drives
 from zendsp_target.live import LiveStreams
 from zendsp_target.uploads import Uploads
@@ -28,6 +28,7 @@ RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
 APPLY_LIMIT_S = 5.0
+POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
 
 
 class Later(Exception):
@@ -93,7 +94,21 @@ class Service:
 
     def do_status(self, args: verbs.Nothing, by: str) -> Any:
         status = self.runtime.status()
+        if status.state == "crashed" and not status.crash:
+            raise Later(self._post_mortem)
+        return self._shown(status)
+
+    def _shown(self, status: Status) -> Any:
         return {**_with_hosts(status, self.present()), "drive": self.drives.state(status)}
+
+    def _post_mortem(self) -> Any:
+        """Status of a runner that is dead already, once it is known how it died."""
+        deadline = time.monotonic() + POST_MORTEM_S
+        status = self.runtime.status()
+        while status.state == "crashed" and not status.crash and time.monotonic() < deadline:
+            time.sleep(0.005)
+            status = self.runtime.status()
+        return self._shown(status)
 
     def do_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.stop()
