@@ -55,7 +55,11 @@ def make_case(request: Request) -> Case:
     RuntimeError
         Twelve draws in a row gave no stable, well-behaved loop.
     """
-    words = [request.seed, sum(map(ord, request.kind + request.machine + request.effect)), round(1000 * request.size)]
+    words = [
+        request.seed,
+        sum(map(ord, request.kind + request.machine + request.effect)),
+        round(1000 * request.size),
+    ]
     trouble = ""
     for attempt in range(12):
         try:
@@ -150,7 +154,9 @@ def scales_of(d: Draft, r: Run) -> list[Scale]:
     a = np.diff(r.v, axis=0) / d.sample_time
     u = np.concatenate([np.zeros((lag, d.n)), r.command])[: len(r.command) - 1]
     e, angle = (np.array([j.get(k, 0.0) for j in d.joints]) for k in ("eccentricity", "eccentricity_phase"))
-    a = a * (1 + e * np.cos(q + angle)) - e * np.sin(q + angle) * v**2  # in the sensor's coordinates, as data have them
+    a = (
+        a * (1 + e * np.cos(q + angle)) - e * np.sin(q + angle) * v**2
+    )  # in the sensor's coordinates, as data have them
     q, v = q + e * np.sin(q + angle), v * (1 + e * np.cos(q + angle))
     keep = slice(round(0.1 / d.sample_time), None)
     out = []
@@ -195,7 +201,9 @@ def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> dict[str, Any]:
 def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
     """What is sealed."""
     seen = [oracle_of(d, c, scales) if d.kind != "urdf" else {} for c in d.concealed]
-    verdict = "complete" if not d.concealed else "unexplained" if d.concealed[0].effect == "foreign" else "missing"
+    verdict = (
+        "complete" if not d.concealed else "unexplained" if d.concealed[0].effect == "foreign" else "missing"
+    )
     return {
         "kind": request.kind,
         "machine": request.machine,
@@ -216,6 +224,7 @@ def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
             for c, look in zip(d.concealed, seen, strict=True)
         ],
         "replaces": d.replaces,
+        "where": [place for c in d.concealed for place in c.where],
         "train": d.train_shape,
         "heldout": d.heldout_shape,
         "seconds": d.seconds,

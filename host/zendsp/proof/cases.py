@@ -25,7 +25,16 @@ UNFIT = {
     "linear": {"coupling", "encoder_eccentricity", "gravity", "torque_gain"},
     "planar2r": {"encoder_eccentricity", "torque_gain", "inertia", "gravity"},
 }
-BEHIND = ("coulomb", "stribeck", "ripple", "viscous_asymmetry", "dead_zone", "delay", "torque_offset", "position_friction")
+BEHIND = (
+    "coulomb",
+    "stribeck",
+    "ripple",
+    "viscous_asymmetry",
+    "dead_zone",
+    "delay",
+    "torque_offset",
+    "position_friction",
+)
 PART = ("coulomb", "stribeck", "presliding", "backlash", "coulomb_asymmetry", "dead_zone")
 
 
@@ -57,7 +66,8 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
         names = ("",)
     every = [(name, size) for size in sizes for name in names]
     return [
-        Request(seed + k, kind, machine, *every[k % len(every)]) for k in range(count if count > 0 else len(every))
+        Request(seed + k, kind, machine, *every[k % len(every)])
+        for k in range(count if count > 0 else len(every))
     ]
 
 
@@ -71,7 +81,12 @@ def write_case(order: Order) -> str:
     train = save(folder, "train", case.form, case.train, columns)
     heldout = save(folder, "heldout", case.form, case.heldout, columns)
     (folder / "model.toml").write_text(toml(case.model), encoding="utf-8")
-    listing = {"train": [train.name], "heldout": [heldout.name], "model": "model.toml", "joints": case.train.q.shape[1]}
+    listing = {
+        "train": [train.name],
+        "heldout": [heldout.name],
+        "model": "model.toml",
+        "joints": case.train.q.shape[1],
+    }
     (folder / "case.json").write_text(json.dumps(listing) + "\n", encoding="utf-8")
     truth = {**case.truth, "case": name, "seed": order.request.seed}
     write_truth(Path(order.truth), name, truth)
@@ -98,9 +113,13 @@ def write_all(requests: list[Request], cases: Path, truth: Path, *, first: int =
 @click.option("--machine", type=click.Choice(sorted(MACHINES)), default="rotary", show_default=True)
 @click.option("--sizes", default="1,0.3,0.1", show_default=True, help="Knobs of size, comma separated.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the cases.")
-@click.option("--truth", type=click.Path(path_type=Path), help="Folder of the truth; default: truth_OUT beside OUT.")
+@click.option(
+    "--truth", type=click.Path(path_type=Path), help="Folder of the truth; default: truth_OUT beside OUT."
+)
 @click.option("--jobs", type=int, default=1, show_default=True)
-def main(seed: int, count: int, kind: str, machine: str, sizes: str, out: Path, truth: Path | None, jobs: int) -> None:
+def main(
+    seed: int, count: int, kind: str, machine: str, sizes: str, out: Path, truth: Path | None, jobs: int
+) -> None:
     """Write concealed cases under OUT (added to what is there) and the truth apart."""
     truth = truth or out.parent / f"truth_{out.name}"
     numbers = [int(p.name.removeprefix("case_")) for p in out.glob("case_*")] if out.exists() else []

@@ -118,7 +118,9 @@ def hide_behind(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rn
     joint = pick_joint(d, rng)
     s = scales[joint]
     # a big one that is not of the concealed one's own family
-    choice = "quadratic_drag" if effect in ("stiffness", "cubic_stiffness", "gravity", "ripple") else "stiffness"
+    choice = (
+        "quadratic_drag" if effect in ("stiffness", "cubic_stiffness", "gravity", "ripple") else "stiffness"
+    )
     if choice == "stiffness":
         k = 3 * share(s, 1.0, rng) / float(np.sqrt(np.mean(s.q**2)))
         d.joints[joint].update(stiffness=k, neutral=0.0)
@@ -174,5 +176,3 @@ KINDS: dict[str, Kind] = {
     "nuisance_single": Kind(prepare_nuisance, hide_single),
     "foreign": Kind(no_preparation, hide_foreign),
 }
-
-

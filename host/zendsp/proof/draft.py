@@ -36,6 +36,7 @@ class Concealed:
     accepted_joints: list[int] = field(default_factory=list)
     unscored: list[str] = field(default_factory=list)  # parameters that the given structure cannot separate
     note: str = ""
+    where: list[dict[str, Any]] = field(default_factory=list)  # places that a locator should show
 
 
 @dataclass
@@ -60,13 +61,19 @@ class Draft:
     open_loop: bool = False
     fixed: set[str] = field(default_factory=set)  # mechanism parameters with free = false
     fixed_terms: bool = False
-    absent: set[str] = field(default_factory=set)  # mechanism parameters that the given model puts at zero, fixed
+    absent: set[str] = field(
+        default_factory=set
+    )  # mechanism parameters that the given model puts at zero, fixed
     exact: bool = False  # given figures without errors
     couplings: list[CouplingTruth] = field(default_factory=list)
     links: tuple[LinkTruth, ...] = ()
     concealed: list[Concealed] = field(default_factory=list)
-    known: list[Term] = field(default_factory=list)  # effects of the truth that the given model has as they are
-    disturbance: list[tuple[int, Array]] = field(default_factory=list)  # (joint 0-based, torque over t / seconds)
+    known: list[Term] = field(
+        default_factory=list
+    )  # effects of the truth that the given model has as they are
+    disturbance: list[tuple[int, Array]] = field(
+        default_factory=list
+    )  # (joint 0-based, torque over t / seconds)
     replaces: list[str] = field(default_factory=list)  # terms of the given model that the truth does not have
     nuisance: float = 0.0  # slow random torque, share of the torque's RMS
     noise: float = 0.0  # share of the resolution

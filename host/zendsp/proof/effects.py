@@ -56,6 +56,11 @@ def friction(d: Draft, joint: int) -> float:
     return float(0.5 * (j.get("coulomb_pos", 0.0) + j.get("coulomb_neg", 0.0)))
 
 
+def at_rest(joint: int) -> list[dict[str, object]]:
+    """The place of what acts at low speed."""
+    return [{"variable": "velocity", "joint": joint + 1, "value": 0.0}]
+
+
 def set_friction(d: Draft, joint: int, *, coulomb: float | None = None, viscous: float | None = None) -> None:
     if coulomb is not None:
         d.joints[joint].update(coulomb_pos=coulomb, coulomb_neg=coulomb)
@@ -102,7 +107,9 @@ def _viscous_asymmetry(d: Draft, joint: int, s: Scale, size: float, rng: Rng) ->
     pos, neg = mean + way * half, mean - way * half
     d.joints[joint].update(viscous_pos=pos, viscous_neg=neg)
     u = unit(d, per=" s/rad")
-    return Concealed("viscous_asymmetry", joint + 1, {"coefficient_pos": (pos, u), "coefficient_neg": (neg, u)}, size)
+    return Concealed(
+        "viscous_asymmetry", joint + 1, {"coefficient_pos": (pos, u), "coefficient_neg": (neg, u)}, size
+    )
 
 
 @effect("stribeck")
@@ -117,6 +124,7 @@ def _stribeck(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
         joint + 1,
         {"breakaway": (level + extra, unit(d)), "velocity": (velocity, f"{length(d)}/s")},
         size,
+        where=at_rest(joint),
     )
 
 
@@ -134,6 +142,7 @@ def _presliding(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
         {"stiffness": (stiffness, unit(d, per="/rad")), "damping": (damping, unit(d, per=" s/rad"))},
         size,
         unscored=["damping"],
+        where=at_rest(joint),
     )
 
 
@@ -176,7 +185,9 @@ def _friction_drift(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Co
     ratio = size * rng.uniform(0.5, 1.0) * (1.0 if rng.random() < 0.6 else -0.6)
     seconds = d.seconds * rng.uniform(0.15, 0.4)
     d.joints[joint].update(drift_ratio=ratio, drift_time=seconds)
-    return Concealed("friction_drift", joint + 1, {"ratio": (ratio, ""), "time_constant": (seconds, "s")}, size)
+    return Concealed(
+        "friction_drift", joint + 1, {"ratio": (ratio, ""), "time_constant": (seconds, "s")}, size
+    )
 
 
 @effect("gravity")
@@ -207,7 +218,10 @@ def _stiffness(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceal
     k = share(s, size, rng) / float(np.sqrt(np.mean((s.q - neutral) ** 2)))
     d.joints[joint].update(stiffness=k, neutral=neutral)
     return Concealed(
-        "stiffness", joint + 1, {"coefficient": (k, unit(d, per="/rad")), "neutral": (neutral, length(d))}, size
+        "stiffness",
+        joint + 1,
+        {"coefficient": (k, unit(d, per="/rad")), "neutral": (neutral, length(d))},
+        size,
     )
 
 
@@ -217,7 +231,10 @@ def _cubic(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     k = share(s, size, rng) / float(np.sqrt(np.mean((s.q - neutral) ** 6)))
     d.joints[joint].update(cubic=k, cubic_neutral=neutral)
     return Concealed(
-        "cubic_stiffness", joint + 1, {"coefficient": (k, unit(d, per="/rad^3")), "neutral": (neutral, length(d))}, size
+        "cubic_stiffness",
+        joint + 1,
+        {"coefficient": (k, unit(d, per="/rad^3")), "neutral": (neutral, length(d))},
+        size,
     )
 
 
@@ -263,7 +280,9 @@ def _elasticity(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
     damping = 2 * rng.uniform(0.02, 0.08) * np.sqrt(k * load * (total - load) / total)
     split(d, joint, load, k, damping, 0.0)
     u = {"stiffness": (k, unit(d, per="/rad")), "damping": (damping, unit(d, per=" s/rad"))}
-    return Concealed("elasticity", joint + 1, {**u, "load_inertia": load_unit(d, load)}, size, unscored=["damping"])
+    return Concealed(
+        "elasticity", joint + 1, {**u, "load_inertia": load_unit(d, load)}, size, unscored=["damping"]
+    )
 
 
 @effect("backlash")
@@ -275,7 +294,7 @@ def _backlash(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
     k = (2 * np.pi * hz) ** 2 * load * (total - load) / total
     split(d, joint, load, k, 2 * 0.1 * np.sqrt(k * load * (total - load) / total), gap)
     u = {"gap": (gap, length(d)), "stiffness": (k, unit(d, per="/rad")), "load_inertia": load_unit(d, load)}
-    return Concealed("backlash", joint + 1, u, size, unscored=["stiffness"])
+    return Concealed("backlash", joint + 1, u, size, unscored=["stiffness"], where=at_rest(joint))
 
 
 def load_unit(d: Draft, load: float) -> tuple[float, str]:
@@ -298,7 +317,11 @@ def _hysteresis(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
     return Concealed(
         "hysteresis",
         joint + 1,
-        {"force": (force, unit(d)), "stiffness": (force / bend, unit(d, per="/rad")), "exponent": (exponent, "")},
+        {
+            "force": (force, unit(d)),
+            "stiffness": (force / bend, unit(d, per="/rad")),
+            "exponent": (exponent, ""),
+        },
         size,
         unscored=["exponent"],
     )
@@ -312,7 +335,9 @@ def _ripple(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     else:
         order = float(rng.choice([3, 4, 6, 7, 8, 11, 12, 14, 18, 24]))
     phase = rng.uniform(-np.pi, np.pi)
-    d.joints[joint].update(ripple_order=(order, 0.0), ripple_amplitude=(amplitude, 0.0), ripple_phase=(phase, 0.0))
+    d.joints[joint].update(
+        ripple_order=(order, 0.0), ripple_amplitude=(amplitude, 0.0), ripple_phase=(phase, 0.0)
+    )
     return Concealed(
         "ripple",
         joint + 1,
@@ -406,7 +431,12 @@ def _coupling(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
     law = str(rng.choice(["inertia", "coriolis", "viscous", "coulomb"]))
     torque = share(s, size, rng)
     # s is the joint that suffers; its neighbour's motion is of the same order by construction of the references
-    size_of = {"inertia": float(np.std(s.a)), "coriolis": float(np.mean(s.v**2)), "viscous": s.v_rms, "coulomb": 1.0}
+    size_of = {
+        "inertia": float(np.std(s.a)),
+        "coriolis": float(np.mean(s.v**2)),
+        "viscous": s.v_rms,
+        "coulomb": 1.0,
+    }
     c = torque / size_of[law]
     per = {"inertia": "kg m^2", "coriolis": "N m s^2/rad^2", "viscous": "N m s/rad", "coulomb": "N m"}[law]
     d.couplings.append(CouplingTruth(joint, other, law, c))
@@ -434,8 +464,17 @@ def add_disturbance(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Co
         torque += either(rng) * rng.uniform(0.6, 1.4) * np.sin(np.pi * inside) ** 2
     torque *= 5 * share(s, size, rng)
     d.disturbance.append((joint, torque))
-    where = [round(float(v) * d.seconds, 3) for v in (x[np.abs(torque) > 0].min(), x[np.abs(torque) > 0].max())]
-    return Concealed("disturbance", joint + 1, {}, size, note=f"pushes between {where[0]} s and {where[1]} s")
+    where = [
+        round(float(v) * d.seconds, 3) for v in (x[np.abs(torque) > 0].min(), x[np.abs(torque) > 0].max())
+    ]
+    return Concealed(
+        "disturbance",
+        joint + 1,
+        {},
+        size,
+        note=f"pushes between {where[0]} s and {where[1]} s",
+        where=[{"variable": "time", "interval": where}],
+    )
 
 
 EFFECTS["disturbance"] = add_disturbance

@@ -61,7 +61,10 @@ def add_foreign(d: Draft, joint: int, s: Scale, size: float, rng: np.random.Gene
     if form in (2, 6):
         a *= either_way(form, rng)
     d.joints[joint].update(foreign_kind=float(form), foreign_a=a, foreign_b=b, foreign_c=c)
-    return Concealed("foreign", joint + 1, {}, size, note=FORMS[form])
+    spots = {3: ("velocity", (b, -b)), 4: ("position", (1.3 * b, -1.3 * b)), 6: ("position", (b,))}
+    variable, values = spots.get(form, ("", ()))
+    where = [{"variable": variable, "joint": joint + 1, "value": x} for x in values]
+    return Concealed("foreign", joint + 1, {}, size, note=FORMS[form], where=where)
 
 
 def either_way(form: int, rng: np.random.Generator) -> float:

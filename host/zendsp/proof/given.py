@@ -41,7 +41,9 @@ def given_parameters(d: Draft, rng: np.random.Generator) -> dict[str, float]:
     return out
 
 
-def fit_terms(d: Draft, parameters: dict[str, float], scales: list[Scale], rng: np.random.Generator) -> list[dict[str, Any]]:
+def fit_terms(
+    d: Draft, parameters: dict[str, float], scales: list[Scale], rng: np.random.Generator
+) -> list[dict[str, Any]]:
     """Friction of the given laws by least squares on the true motion, wrong inertia and concealed effect included."""
     out: list[dict[str, Any]] = []
     inertial = inertial_torque(d, parameters, scales) if d.kind != "urdf" else None
@@ -86,7 +88,9 @@ def known_torque(d: Draft, joint: int, s: Scale) -> Array:
     return total
 
 
-def model_file(d: Draft, scales: list[Scale], columns: dict[str, Any], rng: np.random.Generator, name: str) -> dict[str, Any]:
+def model_file(
+    d: Draft, scales: list[Scale], columns: dict[str, Any], rng: np.random.Generator, name: str
+) -> dict[str, Any]:
     """The given model as the table that ``model.toml`` holds."""
     parameters = given_parameters(d, rng)
     table: dict[str, Any] = {"name": name, "sample_time": d.sample_time}
@@ -107,7 +111,9 @@ def model_file(d: Draft, scales: list[Scale], columns: dict[str, Any], rng: np.r
     for term in d.known:
         entry = {"kind": term.kind, "joint": term.joint, **term.extra}
         for key, value in term.values.items():
-            wrong = 1.0 if d.exact or key in ("order", "neutral", "phase") else 1 + 0.03 * rng.standard_normal()
+            wrong = (
+                1.0 if d.exact or key in ("order", "neutral", "phase") else 1 + 0.03 * rng.standard_normal()
+            )
             entry[key] = {"value": value * wrong}
         table["effect"].append(entry)
     if not table["effect"]:
@@ -123,6 +129,10 @@ def model_file(d: Draft, scales: list[Scale], columns: dict[str, Any], rng: np.r
     resolution = [j["resolution"] for j in d.joints]
     table["sensor"] = {"position_resolution": resolution if d.n > 1 else resolution[0]}
     if d.show_controller and not d.open_loop:
-        table["controller"] = {"kind": "pd", "kp": d.kp if d.n > 1 else d.kp[0], "kd": d.kd if d.n > 1 else d.kd[0]}
+        table["controller"] = {
+            "kind": "pd",
+            "kp": d.kp if d.n > 1 else d.kp[0],
+            "kd": d.kd if d.n > 1 else d.kd[0],
+        }
     table["columns"] = columns
     return table

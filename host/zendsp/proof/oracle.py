@@ -91,7 +91,9 @@ class Judge:
             columns = self.project(extra[self.slides])
             columns = columns / (np.sqrt(np.mean(extra[self.slides] ** 2, 0)) + 1e-300)
             gram = columns.T @ columns
-            target = target - columns @ (np.linalg.pinv(gram, rcond=1e-11, hermitian=True) @ (columns.T @ target))
+            target = target - columns @ (
+                np.linalg.pinv(gram, rcond=1e-11, hermitian=True) @ (columns.T @ target)
+            )
         out = np.zeros(self.slides.size)
         out[self.slides] = target[:, 0]
         return out

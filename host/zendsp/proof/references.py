@@ -35,7 +35,9 @@ def sines(t: Array, amplitude: float, speed: float, rng: np.random.Generator) ->
     """Three sines without a common period."""
     f = np.array([0.17, 0.43, 1.1]) * rng.uniform(0.8, 1.25, 3)
     phase = rng.uniform(0, 2 * np.pi, 3)
-    return scaled(t, (np.array([1.0, 0.6, 0.25]) * np.sin(2 * np.pi * np.outer(t, f) + phase)).sum(1), amplitude, speed)
+    return scaled(
+        t, (np.array([1.0, 0.6, 0.25]) * np.sin(2 * np.pi * np.outer(t, f) + phase)).sum(1), amplitude, speed
+    )
 
 
 def circle(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
@@ -64,7 +66,9 @@ def moves(t: Array, amplitude: float, speed: float, rng: np.random.Generator, re
         seconds = abs(goal - now) / cruise + blend
         x = np.clip((t - clock) / seconds, 0, 1)
         r = blend / seconds
-        ramp = np.where(x < r, x**2 / (2 * r), np.where(x < 1 - r, x - r / 2, 1 - r - (1 - x) ** 2 / (2 * r))) / (1 - r)
+        ramp = np.where(
+            x < r, x**2 / (2 * r), np.where(x < 1 - r, x - r / 2, 1 - r - (1 - x) ** 2 / (2 * r))
+        ) / (1 - r)
         out += (goal - now) * ramp
         now, clock = goal, clock + seconds + rest * rng.uniform(0.3, 1.5) + dt
     return out
@@ -136,9 +140,7 @@ SHAPES: dict[str, Shape] = {
 RICH = ("multisine", "multisine", "sines", "triangles", "chirp", "moves")
 
 
-def make_reference(
-    name: str, t: Array, amplitude: float, speed: float, rng: np.random.Generator
-) -> Array:
+def make_reference(name: str, t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
     """One joint's reference by name, starting at rest.
 
     Parameters

@@ -72,25 +72,47 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
     yield "stiffness", Rival(lambda _: stack(q, one))
     yield "cubic_stiffness", Rival(lambda _: stack(q**3, q**2, q, one))
     yield "torque_offset", Rival(lambda _: stack(one))
-    yield "stribeck", Rival(lambda x: stack(sign, sign * np.exp(-((v / x) ** 2))), grid=spaced(0.02 * s.v_rms, s.v_rms, 10))
+    yield (
+        "stribeck",
+        Rival(
+            lambda x: stack(sign, sign * np.exp(-((v / x) ** 2))), grid=spaced(0.02 * s.v_rms, s.v_rms, 10)
+        ),
+    )
     yield "presliding", Rival(lambda x: stack(sign, bristle(q, x)), grid=spaced(1e-3 * reach, 0.1 * reach, 8))
     yield "hysteresis", Rival(lambda x: stack(bouc_wen(q, x)), grid=spaced(3e-3 * reach, 0.2 * reach, 7))
-    yield "position_friction", Rival(lambda x: stack(sign, sign * np.sin(x * q), sign * np.cos(x * q)), grid=turns)
+    yield (
+        "position_friction",
+        Rival(lambda x: stack(sign, sign * np.sin(x * q), sign * np.cos(x * q)), grid=turns),
+    )
     yield "ripple", Rival(lambda x: stack(np.sin(x * q), np.cos(x * q)), grid=turns)
-    yield "friction_drift", Rival(
-        lambda x: stack(sign, v, sign * np.exp(-t / x), v * np.exp(-t / x)), grid=spaced(0.05 * t[-1], t[-1], 7)
+    yield (
+        "friction_drift",
+        Rival(
+            lambda x: stack(sign, v, sign * np.exp(-t / x), v * np.exp(-t / x)),
+            grid=spaced(0.05 * t[-1], t[-1], 7),
+        ),
     )
     if d.fixed & set(d.parameters):
         yield "inertia", Rival(lambda _: stack(a))
         yield "torque_gain", Rival(lambda _: stack(judge.fixed))
     if d.kind != "linear":
-        yield "encoder_eccentricity", Rival(
-            lambda _: stack(np.cos(q) * a - np.sin(q) * v**2, np.sin(q) * a + np.cos(q) * v**2)
+        yield (
+            "encoder_eccentricity",
+            Rival(lambda _: stack(np.cos(q) * a - np.sin(q) * v**2, np.sin(q) * a + np.cos(q) * v**2)),
         )
-    yield "delay", Rival(drive=lambda x: np.asarray(np.interp(t - x, t, s.drive)), grid=(0.0, *spaced(0.1 * dt, 20 * dt, 9)))
+    yield (
+        "delay",
+        Rival(
+            drive=lambda x: np.asarray(np.interp(t - x, t, s.drive)),
+            grid=(0.0, *spaced(0.1 * dt, 20 * dt, 9)),
+        ),
+    )
     yield "lag", Rival(drive=lambda x: lagged(s.drive, x, dt), grid=spaced(0.1 * dt, 20 * dt, 9))
     peak = float(np.max(np.abs(s.drive)))
-    yield "dead_zone", Rival(drive=lambda x: s.drive - np.clip(s.drive, -x, x), grid=spaced(1e-3 * peak, 0.3 * peak, 9))
+    yield (
+        "dead_zone",
+        Rival(drive=lambda x: s.drive - np.clip(s.drive, -x, x), grid=spaced(1e-3 * peak, 0.3 * peak, 9)),
+    )
     yield "saturation", Rival(drive=lambda x: np.clip(s.drive, -x, x), grid=spaced(0.2 * peak, peak, 9))
 
 

@@ -54,7 +54,9 @@ def open_truth(folder: Path, expected: str | None = None) -> dict[str, dict[str,
         raise BrokenSeal(f"{folder} holds no {SEALS}: the truth was never sealed; make the cases again")
     if expected is not None and digest(listed) != expected:
         raise BrokenSeal(f"{listed} was rewritten: its hash is {digest(listed)}, sealed was {expected}")
-    seals = {line.split("  ")[1]: line.split("  ")[0] for line in listed.read_text(encoding="utf-8").splitlines()}
+    seals = {
+        line.split("  ")[1]: line.split("  ")[0] for line in listed.read_text(encoding="utf-8").splitlines()
+    }
     present = {path.name: path for path in folder.glob("*.json")}
     if set(present) != set(seals):
         odd = sorted(set(present) ^ set(seals))

@@ -158,14 +158,20 @@ def run(
     ffi, lib = library()
     rows, n = reference.shape
     zero = np.zeros((rows, n))
-    given = [np.ascontiguousarray(zero if a is None else a, float) for a in (reference, feedforward, torque, noise)]
+    given = [
+        np.ascontiguousarray(zero if a is None else a, float) for a in (reference, feedforward, torque, noise)
+    ]
     if any(a.shape != (rows, n) for a in given) or n != len(truth.joints):
-        raise ValueError(f"arrays of shape {[a.shape for a in given]} for {len(truth.joints)} joints; expected ({rows}, n)")
+        raise ValueError(
+            f"arrays of shape {[a.shape for a in given]} for {len(truth.joints)} joints; expected ({rows}, n)"
+        )
     made = [np.empty((rows, n)) for _ in range(4)] + [np.empty(rows)]
     pointers = [ffi.cast("double *", ffi.from_buffer(a)) for a in given + made]
     stopped = lib.simulate(to_c(ffi, truth), rows, *pointers)
     if stopped:
-        raise RuntimeError(f"the simulated machine ran away at row {stopped - 1} of {rows}: its loop is unstable")
+        raise RuntimeError(
+            f"the simulated machine ran away at row {stopped - 1} of {rows}: its loop is unstable"
+        )
     measured, command, q, v, energy = made
     return Run(np.arange(rows) * truth.sample_time, measured, command, given[0], q, v, energy)
 

@@ -1,0 +1,165 @@
+"""What a diagnosis answered, read from ``report.json`` strictly by the contract of DIAGNOSIS.md."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+VERDICTS = ("complete", "missing", "unexplained")
+
+
+class ContractError(ValueError):
+    """A report is not what the contract says; the message names the key."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that a method names."""
+
+    effect: str
+    joint: int
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)
+    confidence: float = math.nan
+    indistinguishable: tuple[str, ...] = ()
+    replaces: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where the mismatch concentrates."""
+
+    joint: int
+    variable: str
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer of a method to one case; `trouble` says why there is none."""
+
+    verdict: str  # complete | missing | unexplained | "" where it failed
+    findings: tuple[Finding, ...] = ()
+    regions: tuple[Region, ...] = ()
+    times: tuple[tuple[float, float], ...] = ()
+    calibrated: float = math.nan  # held-out error, quantity of the report
+    improved: float = math.nan
+    noise_floor: float = math.nan
+    seconds: float = math.nan  # wall clock of the whole command
+    trouble: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain tables for a results file."""
+        return asdict(self)
+
+    @staticmethod
+    def from_json(table: Mapping[str, Any]) -> Answer:
+        findings = tuple(
+            Finding(
+                f["effect"],
+                f["joint"],
+                {k: Estimate(**v) for k, v in f["parameters"].items()},
+                f["confidence"],
+                tuple(f["indistinguishable"]),
+                tuple(f["replaces"]),
+            )
+            for f in table["findings"]
+        )
+        regions = tuple(Region(r["joint"], r["variable"], tuple(r["interval"])) for r in table["regions"])
+        rest = {k: v for k, v in table.items() if k not in ("findings", "regions", "times")}
+        return Answer(findings=findings, regions=regions, times=tuple(map(tuple, table["times"])), **rest)
+
+
+def need(table: Mapping[str, Any], key: str, where: str) -> Any:
+    if key not in table:
+        raise ContractError(f"report.json: {where} has no {key!r}")
+    return table[key]
+
+
+def number(value: Any, where: str) -> float:
+    """A number, or the root mean square of one number per joint."""
+    if isinstance(value, bool) or value is None:
+        raise ContractError(f"report.json: {where} is {value!r}, expected a number")
+    if isinstance(value, int | float):
+        return float(value)
+    if isinstance(value, Sequence) and not isinstance(value, str) and value:
+        return math.sqrt(sum(number(v, where) ** 2 for v in value) / len(value))
+    raise ContractError(f"report.json: {where} is {value!r}, expected a number")
+
+
+def read_finding(table: Mapping[str, Any], index: int) -> Finding:
+    where = f"findings[{index}]"
+    parameters = {}
+    for name, entry in need(table, "parameters", where).items():
+        if not isinstance(entry, Mapping) or isinstance(entry.get("value"), str):
+            continue  # words, such as the law of a coupling
+        spot = f"{where}.parameters.{name}"
+        std = entry.get("std")
+        parameters[name] = Estimate(
+            number(need(entry, "value", spot), spot), math.nan if std is None else number(std, spot)
+        )
+    confidence = number(need(table, "confidence", where), f"{where}.confidence")
+    if not 0.0 <= confidence <= 1.0:
+        raise ContractError(f"report.json: {where}.confidence is {confidence}, expected 0 to 1")
+    return Finding(
+        str(need(table, "effect", where)),
+        int(need(table, "joint", where)),
+        parameters,
+        confidence,
+        tuple(names(need(table, "indistinguishable", where))),
+        tuple(names(need(table, "replaces", where))),
+    )
+
+
+def names(entries: Sequence[Any]) -> list[str]:
+    """Effect names, given as words or as tables with a key ``effect``."""
+    return [str(e["effect"]) if isinstance(e, Mapping) else str(e) for e in entries]
+
+
+def read_report(path: Path, seconds: float) -> Answer:
+    """Read a report; `seconds` is the wall clock of the command that wrote it.
+
+    Raises
+    ------
+    ContractError
+        A key is missing or of the wrong kind, or verdict and findings contradict each other.
+    """
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise ContractError(f"{path}: no readable report.json: {error}") from error
+    verdict = need(table, "verdict", "the report")
+    if verdict not in VERDICTS:
+        raise ContractError(f"report.json: verdict is {verdict!r}, expected one of {', '.join(VERDICTS)}")
+    findings = tuple(read_finding(f, i) for i, f in enumerate(need(table, "findings", "the report")))
+    if verdict == "complete" and findings:
+        raise ContractError("report.json: verdict is complete but there are findings")
+    if verdict == "missing" and not findings:
+        raise ContractError("report.json: verdict is missing but there is no finding")
+    where = need(table, "where", "the report")
+    regions = tuple(
+        Region(int(r["joint"]), str(r["variable"]), (float(r["interval"][0]), float(r["interval"][1])))
+        for r in need(where, "state", "where")
+    )
+    times = tuple((float(a), float(b)) for a, b in need(where, "time", "where"))
+    fit = need(table, "fit", "the report")
+    held = need(fit, "heldout", "fit")
+    return Answer(
+        verdict,
+        findings,
+        regions,
+        times,
+        number(need(held, "calibrated", "fit.heldout"), "fit.heldout.calibrated"),
+        number(need(held, "improved", "fit.heldout"), "fit.heldout.improved"),
+        number(need(fit, "noise_floor", "fit"), "fit.noise_floor"),
+        seconds,
+    )
