@@ -289,6 +289,20 @@ class ChunkHeader(Message, frozen=True, kw_only=True):
     bad: str = ""
 
 
+class Seal(Message, frozen=True, kw_only=True):
+    """Commitment to what a simulated machine conceals, told before the diagnosis."""
+
+    sha256: str  # of the record's UTF-8 bytes, hexadecimal
+
+
+class Revealed(Message, frozen=True, kw_only=True):
+    """What a simulated machine conceals, told after the diagnosis."""
+
+    record: str  # JSON: machine, source, friction, nonce, effects [{effect, joint, parameters {name: {value, unit}}}]
+    sha256: str
+    tick: int  # at which it was told
+
+
 class Empty(Message, frozen=True, kw_only=True):
     """Nothing but the fact that it was done."""
 

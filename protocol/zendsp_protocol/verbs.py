@@ -181,6 +181,8 @@ _ROWS = (
     Verb("acknowledge", Nothing, m.Empty, "quick"),
     Verb("drive", Drive, m.Said, "quick", repeatable=False),
     Verb("drive_status", Nothing, m.DriveStatus, "quick"),
+    Verb("seal", Nothing, m.Seal, "quick"),
+    Verb("reveal", Nothing, m.Revealed, "quick"),
     Verb("log", Log, tuple[m.Change, ...], "quick"),
     Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False),
     Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False),

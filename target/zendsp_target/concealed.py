@@ -11,7 +11,7 @@ import json
 import secrets
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +152,7 @@ def verify_seal(record_text: str, seal: str) -> bool:
     return hashlib.sha256(record_text.encode()).hexdigest() == seal
 
 
-def load_concealed(spec: str | None, machine: str) -> Concealed:
+def load_concealed(spec: str | None, machine: str, config: Mapping[str, Any] | None = None) -> Concealed:
     """What a machine shall conceal.
 
     Parameters
@@ -163,6 +163,8 @@ def load_concealed(spec: str | None, machine: str) -> Concealed:
         (``kind``, ``joint`` and the parameters), and optionally ``friction``.
     machine : str
         Name of the machine.
+    config : mapping, optional
+        Settings of the machine: a ``friction`` there overrules that of the spec.
 
     Returns
     -------
@@ -180,12 +182,15 @@ def load_concealed(spec: str | None, machine: str) -> Concealed:
     True
     """
     if spec is None or spec in ("", "none"):
-        return Concealed(machine, (), "none")
-    if spec.startswith("seed:"):
+        loaded = Concealed(machine, (), "none")
+    elif spec.startswith("seed:"):
         from zendsp_target.concealed_draw import draw_from_text
 
-        return draw_from_text(spec, machine)
-    return _from_file(Path(spec), machine)
+        loaded = draw_from_text(spec, machine)
+    else:
+        loaded = _from_file(Path(spec), machine)
+    friction = (config or {}).get("friction")
+    return loaded if friction is None else replace(loaded, friction=str(friction))
 
 
 def _from_file(path: Path, machine: str) -> Concealed:

@@ -35,6 +35,7 @@ from zendsp_target.api import (
     VariableInfo,
 )
 from zendsp_target.compile_service import compile_program, program_path
+from zendsp_target.concealed import load_concealed
 from zendsp_target.layout import layout, text_of
 from zendsp_target.runner import Settings, ffi_address, split_options
 from zendsp_target.session import Session
@@ -78,7 +79,7 @@ class Runtime:
     machine_config : mapping, optional
         Settings of the machine (start position …).
     concealed : str, optional
-        Handed to the machine and to nobody else: ``"seed:17"`` or a file.
+        Handed to the machine and to nobody else before `reveal`: ``"seed:17"`` or a file, see `zendsp_target.concealed`.
     **options
         Further fields of `zendsp_target.runner.Settings` (realtime, priority, cpu, spin_us, speed, hang_s, load_s), also as
         text; and ``machine.KEY`` for settings of the machine.
@@ -101,10 +102,11 @@ class Runtime:
         **options: Any,
     ) -> None:
         config = dict(machine_config or {})
-        if concealed is not None:
-            config["concealed"] = concealed
         own, for_machine = split_options(options)
-        self._settings = Settings(machine, {**config, **for_machine}, rate_hz, clock, **own)
+        config |= for_machine
+        self._concealed = load_concealed(concealed, machine, config)
+        config |= self._concealed.config()
+        self._settings = Settings(machine, config, rate_hz, clock, **own)
         layout()
         build_runner()
         build_machine(machine)  # what does not compile shall say so now, not at the first load
@@ -544,6 +546,16 @@ class Runtime:
         except (RunnerDied, Refused):
             return {}
         return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
+
+    # ---- what the machine conceals -----------------------------------------------------------------------------------------
+
+    def seal(self) -> str:
+        """SHA-256 of what the machine conceals: tells nothing, and proves afterwards that nothing was changed."""
+        return self._concealed.seal()
+
+    def reveal(self) -> str:
+        """The sealed record itself, as JSON text: the truth, to be asked for when the diagnosis is made."""
+        return self._concealed.record_text()
 
     # ---- end ----------------------------------------------------------------------------------------------------------------
 

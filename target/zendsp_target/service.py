@@ -151,6 +151,15 @@ class Service:
         self.runtime.acknowledge()
         return m.Empty()
 
+    # what a simulated machine conceals ----------------------------------------------------------------------------------
+
+    def do_seal(self, args: verbs.Nothing, by: str) -> m.Seal:
+        return m.Seal(sha256=self.runtime.seal())
+
+    def do_reveal(self, args: verbs.Nothing, by: str) -> m.Revealed:
+        record, sha256 = self.runtime.reveal(), self.runtime.seal()
+        return m.Revealed(record=record, sha256=sha256, tick=self.runtime.status().tick)
+
     # programs --------------------------------------------------------------------------------------------------------
 
     def do_compile(self, args: verbs.Compile, by: str) -> CompileResult:

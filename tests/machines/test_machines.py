@@ -147,7 +147,7 @@ def test_pendulum_electrics_lie_on_the_papers_straight_line() -> None:
     with Plant("pendulum", "drive = voltage\nbrake = 0.0\n") as plant:
         for volts in (4.0, 8.0, 12.0, -5.0, -9.0):
             rows = []
-            for k in range(3000):
+            for _ in range(3000):
                 angle = plant.sample([volts * 10000.0 / 24.0])[0]
                 rows.append((angle, plant.sensors.adc[0], plant.sensors.adc[1]))
             last = np.array(rows[1000:])

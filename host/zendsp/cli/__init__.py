@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "params": ("zendsp.cli.params:command", "Save, compare and restore parameters."),
     "acquire": ("zendsp.cli.acquire:command", "Record channels into a file."),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
+    "reveal": ("zendsp.cli.reveal:command", "Tell what a simulated machine conceals, after the fact."),
     "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),
     "tui": ("zendsp.cli.tui:command", "Console, Execute and Reference in the terminal, or in a browser."),
     "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from zendsp.link.acquire import Acquisition
+from zendsp.link.concealed import Concealment
 from zendsp.link.drives import Drives
 from zendsp.link.link import Link
 from zendsp.link.live import LiveViews
@@ -14,7 +15,7 @@ from zendsp.link.tables import Tables
 from zendsp_protocol import messages as m
 
 
-class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence):
+class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Concealment):
     """A target that runs somewhere: load programs, tune variables, record, watch.
 
     Made by :func:`zendsp.connect` and :func:`zendsp.local`. Safe to use from several threads.

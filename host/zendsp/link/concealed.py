@@ -1,0 +1,68 @@
+"""What a simulated machine conceals: its seal before the diagnosis, the truth after it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from zendsp.errors import LinkError
+from zendsp.link.requests import Requests
+from zendsp_protocol import messages as m
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a machine concealed, once it is revealed.
+
+    Attributes
+    ----------
+    effects : tuple of mapping
+        Each with "effect", "joint" (1-based) and "parameters" {name: {"value", "unit"}}, as a report's findings.
+    source : str
+        "seed:17", the name of a file, or "none".
+    friction : str
+        "full" or "plain", see docs/machines_simulated.md.
+    sha256 : str
+        Seal of the record.
+    tick : int
+        Sample at which it was told.
+    """
+
+    effects: tuple[Mapping[str, Any], ...]
+    source: str
+    friction: str
+    sha256: str
+    tick: int
+
+
+class Concealment(Requests):
+    """Methods of a target whose simulated machine may carry physics that no model has."""
+
+    def seal(self) -> str:
+        """Ask for the SHA-256 of what the machine conceals; keep it until the reveal."""
+        answer: m.Seal = self.request("seal")
+        return answer.sha256
+
+    def reveal(self) -> Truth:
+        """Ask for what the machine conceals, after the fact, and check it against its seal.
+
+        Returns
+        -------
+        Truth
+            Effects with their parameters.
+
+        Raises
+        ------
+        LinkError
+            The record is not the one that was sealed.
+        """
+        answer: m.Revealed = self.request("reveal")
+        if hashlib.sha256(answer.record.encode()).hexdigest() != answer.sha256:
+            raise LinkError(
+                f"the target revealed a record that does not fit its seal {answer.sha256[:12]}…: do not trust it, start the target again"
+            )
+        record = json.loads(answer.record)
+        return Truth(tuple(record["effects"]), record["source"], record["friction"], answer.sha256, answer.tick)
