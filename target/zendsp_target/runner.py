@@ -66,7 +66,7 @@ class Settings:
     cpu: int = -1
     spin_us: float = 60.0
     speed: float = 0.0
-    hang_s: float = 2.0
+    hang_s: float = 1.0
     load_s: float = 10.0
 
     def __post_init__(self) -> None:
@@ -142,6 +142,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
     control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST
     control.realtime = settings.realtime
     control.priority, control.cpu = settings.priority, settings.cpu
+    control.monitor = os.getpid()
     control.spin_us, control.speed = settings.spin_us, settings.speed
     config = "".join(f"{key} = {value}\n" for key, value in settings.machine_config.items())
     for name, text in (

@@ -107,7 +107,7 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
     runtime = make_runtime(code)
     runtime.start()
     wait_for(lambda: runtime.status().crash != "", runtime.status)
-    assert "SIGSEGV" in runtime.status().crash
+    assert "SIGSEGV in UserBackground" in runtime.status().crash
 
 
 @pytest.mark.parametrize(

@@ -165,6 +165,8 @@ typedef struct control {
     int32_t realtime; /* 1: ask for SCHED_FIFO, locked memory and a CPU of its own */
     int32_t priority;
     int32_t cpu;      /* -1: choose */
+    int32_t monitor;  /* process id of the monitor: when it is no longer the parent, nobody watches */
+    int32_t reserved0;
     double spin_us;   /* wait awake for the last stretch; only under SCHED_FIFO, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
     char data_path[LAYOUT_PATH];

@@ -19,6 +19,7 @@
 #include "runner.h"
 
 runner the_runner;
+_Thread_local int32_t this_thread_is;
 
 static control *map_control(const char *path) {
     struct stat status;
@@ -135,7 +136,7 @@ static void on_crash(int number, siginfo_t *info, void *context) {
     (void)context;
 #endif
     r->control->crash_signal = number;
-    r->control->crash_within = (int32_t)r->control->within;
+    r->control->crash_within = this_thread_is ? this_thread_is : (int32_t)r->control->within;
     r->control->crash_address = at >= r->image && at < r->image_end ? at - r->image : 0;
     /* SA_RESETHAND: returning repeats the fault, now with its default action */
     if (number == SIGABRT)

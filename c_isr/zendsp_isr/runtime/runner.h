@@ -99,6 +99,7 @@ typedef struct runner {
 } runner;
 
 extern runner the_runner;
+extern _Thread_local int32_t this_thread_is; /* WITHIN_BACKGROUND in the background thread, else 0 */
 
 /* dictionary.c */
 void dictionary_declare(const zendsp_declaration *declaration); /* called by user code in UserInit */

@@ -107,10 +107,9 @@ static void end_orphan(runner *r) {
 
 static void *service(void *argument) {
     runner *r = argument;
-    const pid_t monitor = getppid();
     for (;;) {
         serve_streams(r);
-        if (getppid() != monitor)
+        if (getppid() != r->control->monitor)
             end_orphan(r);
         sleep_ns(1000000);
     }
@@ -122,6 +121,7 @@ static void *background(void *argument) {
     static unsigned char own_stack[65536];
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL);
+    this_thread_is = WITHIN_BACKGROUND;
     setpriority(PRIO_PROCESS, (id_t)syscall(SYS_gettid), 10);
     for (;;) {
         if (load32(&r->control->running) == RUN_ISR)
