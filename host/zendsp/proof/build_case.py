@@ -14,7 +14,7 @@ from zendsp.proof.files import NAMES, columns_of, format_for
 from zendsp.proof.given import model_file
 from zendsp.proof.machines import MACHINES
 from zendsp.proof.oracle import Judge
-from zendsp.proof.reality import Run, run
+from zendsp.proof.reality import Run, inverse_dynamics, run
 from zendsp.proof.references import make_reference
 from zendsp.proof.rivals import inseparable
 
@@ -92,13 +92,15 @@ def attempt_case(request: Request, rng: Rng) -> Case:
 def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool = False) -> Run:
     """One recording of the draft's machine; `quiet` leaves out what no state explains."""
     rows = round(d.seconds / d.sample_time)
-    t = np.arange(rows) * d.sample_time
+    t = np.arange(rows, dtype=np.float64) * d.sample_time
     reference, feed = np.zeros((rows, d.n)), np.zeros((rows, d.n))
     if d.open_loop:
         feed[:, 0] = open_loop_command(t, d, rng)
     else:
         for i in range(d.n):
-            reference[:, i] = make_reference(shape, t, d.amplitude[i], d.speed[i], rng)
+            reference[:, i] = d.centre[i] + make_reference(shape, t, d.amplitude[i], d.speed[i], rng)
+        if d.kind == "urdf":
+            feed = gravity_torque(d, reference)
         if d.feedforward:
             feed = feedforward(d, reference)
     torque, noise = np.zeros((rows, d.n)), np.zeros((rows, d.n))
@@ -130,6 +132,12 @@ def open_loop_command(t: Array, d: Draft, rng: Rng) -> Array:
     phase = rng.uniform(0, 2 * np.pi, 3)
     rise = g * rng.uniform(-0.3, 0.3) * (1 - np.exp(-1.8 * t))
     return np.asarray((size * np.sin(np.outer(t, w) + phase)).sum(1) * np.minimum(1.0, t / 0.5) + rise)
+
+
+def gravity_torque(d: Draft, reference: Array) -> Array:
+    """Gravity compensation along the reference, as arms have it."""
+    still = np.zeros_like(reference)
+    return inverse_dynamics(d.mechanism_alone(), reference, still, still)
 
 
 def feedforward(d: Draft, reference: Array) -> Array:
@@ -200,7 +208,7 @@ def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> dict[str, Any]:
 
 def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
     """What is sealed."""
-    seen = [oracle_of(d, c, scales) if d.kind != "urdf" else {} for c in d.concealed]
+    seen = [oracle_of(d, c, scales) for c in d.concealed]
     verdict = (
         "complete" if not d.concealed else "unexplained" if d.concealed[0].effect == "foreign" else "missing"
     )

@@ -16,6 +16,7 @@ from zendsp.proof.effects import SINGLE
 from zendsp.proof.files import save, toml
 from zendsp.proof.machines import MACHINES
 from zendsp.proof.seal import seal, write_truth
+from zendsp.proof.wam import urdf
 
 SIZES = (1.0, 0.3, 0.1)
 # what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have no command to saturate
@@ -24,6 +25,15 @@ UNFIT = {
     "pendulum": {"coupling", "encoder_eccentricity", "saturation", "dead_zone", "elasticity", "backlash"},
     "linear": {"coupling", "encoder_eccentricity", "gravity", "torque_gain"},
     "planar2r": {"encoder_eccentricity", "torque_gain", "inertia", "gravity"},
+    "urdf": {
+        "encoder_eccentricity",
+        "torque_gain",
+        "inertia",
+        "gravity",
+        "elasticity",
+        "backlash",
+        "saturation",
+    },
 }
 BEHIND = (
     "coulomb",
@@ -81,6 +91,8 @@ def write_case(order: Order) -> str:
     train = save(folder, "train", case.form, case.train, columns)
     heldout = save(folder, "heldout", case.form, case.heldout, columns)
     (folder / "model.toml").write_text(toml(case.model), encoding="utf-8")
+    if order.request.machine == "urdf":
+        (folder / "arm.urdf").write_text(urdf(), encoding="utf-8")
     listing = {
         "train": [train.name],
         "heldout": [heldout.name],

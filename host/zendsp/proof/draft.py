@@ -80,6 +80,7 @@ class Draft:
     train_shape: str = "multisine"
     heldout_shape: str = "sines"
     down: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    centre: list[float] = field(default_factory=lambda: [0.0] * 7)  # of the motion, per joint
     stated_gain: list[float] = field(default_factory=list)  # torque per command unit that the model states
     notes: list[str] = field(default_factory=list)
 
@@ -106,6 +107,22 @@ class Draft:
             tuple([0.0] * self.n if self.open_loop else self.kd),
             ki=(0.0,) * self.n,
             velocity_filter=self.velocity_filter,
+            q0=tuple([0.0] * self.n if self.open_loop else self.centre[: self.n]),
+            v0=(0.0,) * self.n,
+        )
+
+    def mechanism_alone(self) -> MachineTruth:
+        """The chain without anything that acts in its joints."""
+        plain = tuple(JointTruth() for _ in self.joints)
+        return MachineTruth(
+            self.kind,
+            plain,
+            tuple(self.parameters.values()),
+            links=self.links,
+            down=self.down,
+            kp=(0.0,) * self.n,
+            kd=(0.0,) * self.n,
+            ki=(0.0,) * self.n,
             q0=(0.0,) * self.n,
             v0=(0.0,) * self.n,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from zendsp.proof.draft import Concealed, Draft, Scale
+from zendsp.proof.draft import Array, Concealed, Draft, Scale
 
 FORMS = {
     1: "viscosity that grows with the square of position",
@@ -14,7 +14,6 @@ FORMS = {
     5: "a torque that follows the sign of position times velocity",
     6: "one sticky place in the travel",
     7: "a resistance that is a sine of speed",
-    8: "a torque that grows with the square of the actuator's torque",
 }
 
 
@@ -36,20 +35,22 @@ def parameters_of(form: int, s: Scale, rng: np.random.Generator) -> tuple[float,
     return s.v_rms / rng.uniform(2.0, 3.0), 1.0
 
 
-def value(form: int, b: float, c: float, s: Scale) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def value(form: int, b: float, c: float, s: Scale) -> Array:
     """The torque with a = 1 along the run `s`; the same forms as in ``joint.c``."""
     q, v = s.q, s.v
-    table = {
-        1: lambda: q**2 * v / b**2,
-        2: lambda: np.sin(b * q) * v,
-        3: lambda: np.exp(-(((np.abs(v) - b) / c) ** 2)) * np.sign(v),
-        4: lambda: np.where(q > b, q - b, np.where(q < -b, q + b, 0.0)),
-        5: lambda: np.tanh(q * v / b),
-        6: lambda: np.exp(-(((q - b) / c) ** 2)) * v,
-        7: lambda: np.sin(v / b),
-        8: lambda: np.abs(s.drive) * s.drive,
-    }
-    return np.asarray(table[form](), float)
+    if form == 1:
+        return q**2 * v / b**2
+    if form == 2:
+        return np.sin(b * q) * v
+    if form == 3:
+        return np.asarray(np.exp(-(((np.abs(v) - b) / c) ** 2)) * np.sign(v))
+    if form == 4:
+        return np.where(q > b, q - b, np.where(q < -b, q + b, 0.0))
+    if form == 5:
+        return np.tanh(q * v / b)
+    if form == 6:
+        return np.asarray(np.exp(-(((q - b) / c) ** 2)) * v)
+    return np.sin(v / b)
 
 
 def add_foreign(d: Draft, joint: int, s: Scale, size: float, rng: np.random.Generator) -> Concealed:

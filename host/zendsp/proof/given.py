@@ -7,17 +7,25 @@ from typing import Any
 import numpy as np
 
 from zendsp.proof.draft import Array, Draft, Scale
+from zendsp.proof.reality import inverse_dynamics
 
-FEATURES = {
-    "viscous": ("coefficient", lambda v: v),
-    "coulomb": ("level", np.sign),
-    "quadratic_drag": ("coefficient", lambda v: v * np.abs(v)),
-}
+PARAMETER = {"viscous": "coefficient", "coulomb": "level", "quadratic_drag": "coefficient"}
+TRUTH = {"viscous": "viscous_pos", "coulomb": "coulomb_pos", "quadratic_drag": "drag"}
+
+
+def feature(law: str, v: Array) -> Array:
+    """Torque of a friction law with coefficient 1."""
+    if law == "viscous":
+        return v
+    return np.sign(v) if law == "coulomb" else v * np.abs(v)
 
 
 def inertial_torque(d: Draft, parameters: dict[str, float], scales: list[Scale]) -> list[Array]:
     """M(q) a + bias of the given mechanism along the true motion, per joint."""
     s = scales[0]
+    if d.kind == "urdf":
+        q, v, a = (np.stack([getattr(x, name) for x in scales], 1) for name in "qva")
+        return list(inverse_dynamics(d.mechanism_alone(), q, v, a).T)
     if d.kind == "linear":
         return [parameters["mass"] * s.a]
     if d.kind == "rotary":
@@ -46,23 +54,22 @@ def fit_terms(
 ) -> list[dict[str, Any]]:
     """Friction of the given laws by least squares on the true motion, wrong inertia and concealed effect included."""
     out: list[dict[str, Any]] = []
-    inertial = inertial_torque(d, parameters, scales) if d.kind != "urdf" else None
+    inertial = inertial_torque(d, parameters, scales)
     for i, s in enumerate(scales):
         names = sorted(d.terms[i], reverse=True)
         if not names:
             continue
-        columns = np.stack([FEATURES[name][1](s.v) for name in names], 1)
-        if inertial is None or d.exact or d.fixed_terms:
-            truth = {"viscous": "viscous_pos", "coulomb": "coulomb_pos", "quadratic_drag": "drag"}
-            fit = np.array([d.joints[i].get(truth[name], 0.0) for name in names])
+        columns = np.stack([feature(name, s.v) for name in names], 1)
+        if d.exact or d.fixed_terms:
+            fit = np.array([d.joints[i].get(TRUTH[name], 0.0) for name in names])
             if not (d.exact or d.fixed_terms):
                 fit = fit * (1 + 0.05 * rng.standard_normal(len(names)))
         else:
             target = s.drive - inertial[i] - known_torque(d, i, s)
             fit = np.linalg.lstsq(columns, target, rcond=None)[0]
         for name, value in zip(names, fit, strict=True):
-            key = FEATURES[name][0]
-            floor = 1e-3 * s.torque / float(np.sqrt(np.mean(FEATURES[name][1](s.v) ** 2)))
+            key = PARAMETER[name]
+            floor = 1e-3 * s.torque / float(np.sqrt(np.mean(feature(name, s.v) ** 2)))
             entry = {"value": max(float(value), floor)}
             if d.fixed_terms:
                 entry["free"] = False

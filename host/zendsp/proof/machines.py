@@ -8,6 +8,7 @@ import numpy as np
 
 from zendsp.proof.draft import Draft
 from zendsp.proof.references import RICH
+from zendsp.proof.wam import wam
 
 Rng = np.random.Generator
 
@@ -185,4 +186,5 @@ MACHINES: dict[str, Callable[[Rng], Draft]] = {
     "linear": linear,
     "pendulum": pendulum,
     "planar2r": planar2r,
+    "urdf": wam,
 }

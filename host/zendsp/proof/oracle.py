@@ -14,7 +14,7 @@ from scipy.linalg import solve_discrete_are
 from scipy.signal import lfilter
 
 from zendsp.proof.draft import Array, Draft, Scale
-from zendsp.proof.given import FEATURES, inertial_torque
+from zendsp.proof.given import TRUTH, feature, inertial_torque
 
 # torque that no method can expect to model: hold, sampling, rounding; share of the torque's RMS per sample
 PROCESS = 0.003
@@ -46,7 +46,7 @@ def free_columns(d: Draft, joint: int, scales: list[Scale]) -> Array:
         one = {key: float(key == name) for key in d.parameters}
         columns.append(inertial_torque(d, one, scales)[joint])
     if not d.fixed_terms:
-        columns += [FEATURES[name][1](s.v) for name in sorted(d.terms[joint])]
+        columns += [feature(name, s.v) for name in sorted(d.terms[joint])]
     for term in d.known:
         if term.joint != joint + 1:
             continue
@@ -66,9 +66,8 @@ def fixed_torque(d: Draft, joint: int, scales: list[Scale]) -> Array:
     held = {k: (v if k in d.fixed and k not in d.absent else 0.0) for k, v in d.parameters.items()}
     total = inertial_torque(d, held, scales)[joint]
     if d.fixed_terms:
-        truth = {"viscous": "viscous_pos", "coulomb": "coulomb_pos", "quadratic_drag": "drag"}
         for name in d.terms[joint]:
-            total = total + d.joints[joint].get(truth[name], 0.0) * FEATURES[name][1](scales[joint].v)
+            total = total + d.joints[joint].get(TRUTH[name], 0.0) * feature(name, scales[joint].v)
     return total
 
 

@@ -13,14 +13,14 @@ Array = npt.NDArray[np.float64]
 def soft_start(t: Array, seconds: float = 0.6) -> Array:
     """Window from 0 to 1 with zero slope at both ends, so that a run starts at rest."""
     x = np.clip(t / seconds, 0.0, 1.0)
-    return x**3 * (10 - 15 * x + 6 * x**2)
+    return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
 
 
 def scaled(t: Array, shape: Array, amplitude: float, speed: float) -> Array:
     """`shape` scaled so that neither its peak exceeds `amplitude` nor its peak slope `speed`."""
     shape = shape - shape.mean()
     slope = np.max(np.abs(np.gradient(shape, t)))
-    return shape * min(amplitude / np.max(np.abs(shape)), speed / slope)
+    return np.asarray(shape * min(amplitude / np.max(np.abs(shape)), speed / slope))
 
 
 def multisine(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
@@ -92,7 +92,7 @@ def triangles(t: Array, amplitude: float, speed: float, rng: np.random.Generator
     width = max(1, round(0.06 / (t[1] - t[0])))
     padded = np.concatenate([np.full(width, shape[0]), shape, np.full(width, shape[-1])])
     kernel = np.hanning(2 * width + 1)
-    return np.convolve(padded, kernel / kernel.sum(), "valid")
+    return np.asarray(np.convolve(padded, kernel / kernel.sum(), "valid"))
 
 
 def steps(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
@@ -100,7 +100,7 @@ def steps(t: Array, amplitude: float, speed: float, rng: np.random.Generator) ->
     levels = rng.uniform(-amplitude, amplitude, 200)
     index = np.minimum((t / rng.uniform(0.8, 1.5)).astype(int), 199)
     raw = levels[index] * (t > 0.4)
-    out, first, second, dt = np.empty_like(raw), 0.0, 0.0, t[1] - t[0]
+    out, first, second, dt = np.zeros(t.size), 0.0, 0.0, float(t[1] - t[0])
     blend = 1 - np.exp(-dt * speed / amplitude * 1.5)
     for k, value in enumerate(raw):
         first += blend * (value - first)
@@ -122,7 +122,7 @@ def mostly_fast(t: Array, amplitude: float, speed: float, rng: np.random.Generat
     gate = np.clip(12 * np.minimum(x, 1 - x), 0, 1)
     gate = gate**2 * (3 - 2 * gate)
     creep = 0.08 * amplitude * np.sin(2 * np.pi * (t - start) * rng.uniform(0.5, 1.0))
-    return (1 - gate) * fast + gate * creep
+    return np.asarray((1 - gate) * fast + gate * creep)
 
 
 Shape = Callable[[Array, float, float, np.random.Generator], Array]

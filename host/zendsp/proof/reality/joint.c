@@ -25,7 +25,7 @@ static double friction_level(const Joint *j, double q, double v, double torque, 
     return level > 0.0 ? level * drift(j, t) : 0.0;
 }
 
-static double foreign(const Joint *j, double q, double v, double torque) {
+static double foreign(const Joint *j, double q, double v) {
     double a = j->foreign_a, b = j->foreign_b, c = j->foreign_c;
     switch ((int)j->foreign_kind) {
     case 1: return a * q * q * v / (b * b);                            /* viscosity that grows with position squared */
@@ -35,18 +35,17 @@ static double foreign(const Joint *j, double q, double v, double torque) {
     case 5: return a * tanh(q * v / b);                                /* towards or away from the middle */
     case 6: return a * exp(-pow((q - b) / c, 2)) * v;                  /* a sticky place */
     case 7: return a * sin(v / b);                                     /* resonance of speed */
-    case 8: return a * fabs(torque) * torque;                          /* actuator compresses */
     default: return 0.0;
     }
 }
 
 /* torques of the load's position and velocity */
-static double resist_load(const Joint *j, double q, double v, double torque) {
+static double resist_load(const Joint *j, double q, double v) {
     double f = 0.0;
     if (j->gravity != 0.0) f += j->gravity * sin(q - j->gravity_angle);
     f += j->stiffness * (q - j->neutral);
     if (j->cubic != 0.0) f += j->cubic * pow(q - j->cubic_neutral, 3);
-    if (j->foreign_kind != 0.0) f += foreign(j, q, v, torque);
+    if (j->foreign_kind != 0.0) f += foreign(j, q, v);
     return f;
 }
 

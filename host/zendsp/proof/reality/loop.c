@@ -24,7 +24,7 @@ static void forces(const State *s, const double *x, const double *w, const Hidde
     for (int i = 0; i < m->n; i++) {
         const Joint *j = &m->joint[i];
         int c = s->motor[i];
-        f[i] = -bias[i] - resist_load(j, x[i], w[i], torque[i]) - outside[i];
+        f[i] = -bias[i] - resist_load(j, x[i], w[i]) - outside[i];
         double drive = torque[i] - resist_motor(j, &hidden[i], x[c], w[c], torque[i], t);
         if (c == i) {
             f[i] += drive;

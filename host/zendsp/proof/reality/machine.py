@@ -173,7 +173,19 @@ def run(
             f"the simulated machine ran away at row {stopped - 1} of {rows}: its loop is unstable"
         )
     measured, command, q, v, energy = made
-    return Run(np.arange(rows) * truth.sample_time, measured, command, given[0], q, v, energy)
+    return Run(
+        np.arange(rows, dtype=np.float64) * truth.sample_time, measured, command, given[0], q, v, energy
+    )
+
+
+def inverse_dynamics(truth: MachineTruth, q: Array, v: Array, a: Array) -> Array:
+    """M(q) a + Coriolis, centrifugal and gravity torque of the mechanism alone, (rows, n), N m or N."""
+    ffi, lib = library()
+    rows, n = q.shape
+    given = [np.ascontiguousarray(x, float) for x in (q, v, a)]
+    out = np.empty((rows, n))
+    lib.inverse(to_c(ffi, truth), rows, *[ffi.cast("double *", ffi.from_buffer(x)) for x in (*given, out)])
+    return out
 
 
 def to_c(ffi: object, truth: MachineTruth) -> object:

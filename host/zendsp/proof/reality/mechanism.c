@@ -116,3 +116,14 @@ static void mechanism(const Machine *m, const double *q, const double *v, double
         if (c->law == 0) M[c->to][c->from] += c->coefficient;
     }
 }
+
+void inverse(const Machine *m, int rows, const double *q, const double *v, const double *a, double *tau) {
+    double M[7][7], bias[7];
+    for (int k = 0; k < rows; k++, q += m->n, v += m->n, a += m->n, tau += m->n) {
+        mechanism(m, q, v, M, bias);
+        for (int i = 0; i < m->n; i++) {
+            tau[i] = bias[i];
+            for (int j = 0; j < m->n; j++) tau[i] += M[i][j] * a[j];
+        }
+    }
+}

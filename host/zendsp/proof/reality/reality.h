@@ -77,3 +77,6 @@ typedef struct {
    Returns 0, or 1 + the row at which the machine ran away. */
 int simulate(const Machine *m, int rows, const double *reference, const double *feedforward, const double *torque,
              const double *noise, double *measured, double *command, double *q, double *v, double *energy);
+
+/* tau = M(q) a + bias(q, v) of the mechanism alone; rows x n each */
+void inverse(const Machine *m, int rows, const double *q, const double *v, const double *a, double *tau);
