@@ -75,12 +75,14 @@ def table(rows: list[list[str]], header: list[str]) -> str:
 
 
 def _looks_numeric(text: str) -> bool:
-    return text[:1] in "0123456789-+." and text not in ("-", "")
+    return text[:1] in "0123456789-+.–" and text not in ("-", "")
 
 
 def show(value: Any) -> str:
     """Write a variable's value shortly."""
     value = plain(value)
+    if value is None:  # a limit that is not there, or no number
+        return "–"
     if isinstance(value, list):
         inner = ", ".join(show(item) for item in value[:8])
         return f"[{inner}{', …' if len(value) > 8 else ''}]"
