@@ -64,7 +64,7 @@ def _table() -> tuple[Action, ...]:
         A("console", "build", "b", "Build", "Compile the source and download it.", footer=True),
         A("console", "open_source", "O", "Open file", "Choose the C file to build."),
         A("console", "source", "g", "Source", "Show the source, at the first error if there is one."),
-        A("console", "filter", "slash", "Filter", "Show only variables whose name, unit or text contains …"),
+        A("console", "filter", "slash", "Filter", "Show only variables whose name, unit or description contains some text."),
         A("console", "edit", "enter", "Edit", "Write one variable at once (asynchronous)."),
         A("console", "stage", "t", "Stage", "Put a new value aside for the next synchronous update."),
         A("console", "update", "u", "Update", "Review the staged values and apply them all in one sample.", footer=True),

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 from textual.theme import Theme
 
-# After Okabe and Ito (2008), "Color Universal Design": hues that stay apart under the three common colour-vision
-# deficiencies; brightened for dark and darkened for light backgrounds so that each keeps a contrast of at least 3:1.
-DARK = ("#56B4E9", "#E69F00", "#2CC59B", "#F0E442", "#E08CBB", "#FF7A3D", "#9DA8FF", "#E4E4E4")
-LIGHT = ("#0072B2", "#C04A00", "#007A5A", "#A23B78", "#7A6200", "#5A45B5", "#1E7F9C", "#303030")
+# From the palette of Okabe and Ito (2008), "Color Universal Design", moved apart by search so that every pair stays distinct
+# under full protanopia and deuteranopia (Machado et al. 2009) and keeps a contrast of 3:1 against its background
+# (tests/tui/test_scope.py measures both).
+DARK = ("#5AD0FA", "#FB7B00", "#42DB91", "#FFF24A", "#C66FA0", "#DB543F", "#8087FF", "#EDF5F3")
+LIGHT = ("#0067B6", "#E52521", "#036B45", "#A23B78", "#558124", "#3B32D1", "#2987A8", "#303030")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from textual.pilot import Pilot
 from zendsp.reference import make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import open_port, start_machine
+from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp.tui.svg import portable
 
 PATIENCE_S = 30.0
@@ -70,10 +71,15 @@ async def _execute(folder: Path, work: Path) -> list[Path]:
     async with app.run_test(size=(160, 48)) as pilot:
         await _enabled(app, pilot)
         app.chosen = (work / "references" / "circle.mat",)
-        await _keys(pilot, "f3", "s")
+        await _keys(pilot, "f3")
+        await pilot.pause(1.0)
+        await _keys(pilot, "s")
         await _until(pilot, lambda: app.session.snapshot.t > 4.0)
         made.append(_write(app, folder / "execute.svg"))
-        await _until(pilot, lambda: any((work / "runs").glob("*/run.json")))
+        screen = app.screen
+        assert isinstance(screen, ExecuteScreen)
+        await _until(pilot, lambda: bool(screen.runs))
+        await pilot.pause(1.0)
         await _keys(pilot, "space")
         made.append(_write(app, folder / "execute-runs.svg"))
     return made
@@ -89,10 +95,11 @@ async def _reference(folder: Path, work: Path) -> list[Path]:
         assert isinstance(screen, ReferenceScreen)
         await _until(pilot, lambda: screen.plan is not None)
         made.append(_write(app, folder / "reference.svg"))
-        screen._open(work / "references" / "circle.mat")
+        screen.open_reference(work / "references" / "circle.mat")
         screen.view = "path"
+        await pilot.pause(1.0)
         screen.refresh_plan()
-        await pilot.pause(0.3)
+        await pilot.pause(0.5)
         made.append(_write(app, folder / "reference-path.svg"))
     return made
 

@@ -28,7 +28,7 @@ class DrivePanel(Vertical):
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
         self.border_title = "Drives"
-        self._ladder = Static("", markup=False)
+        self._ladder = Static("", id="ladder", markup=False)
         self._flags = Static("", id="drive-flags", markup=False)
 
     def compose(self) -> ComposeResult:
@@ -64,7 +64,7 @@ class DrivePanel(Vertical):
         if s.drive in ("stopped", "tripped"):
             text.append("  ")
             colour = c["error"] if s.drive == "tripped" else c["warning"]
-            text.append(f" {s.drive}: ^k acknowledges ", Style(bold=True, reverse=True, color=colour))
+            text.append(f" {s.drive}  ^k ", Style(bold=True, reverse=True, color=colour))
         return text
 
     def flags(self, s: Snapshot) -> Text:

@@ -144,7 +144,9 @@ class VariableActions(LabScreen):
             self.say("nothing is staged: t stages the marked variable, w a parameter set", "warning")
             return
         text = self.review(self.staged)
-        text.append(f"\nAll {len(self.staged)} take effect at the start of one sample, or none does.")
+        n = len(self.staged)
+        text.append("\nIt takes" if n == 1 else f"\nAll {n} take")
+        text.append(" effect at the start of one sample." if n == 1 else " effect at the start of one sample, or none does.")
         self.app.push_screen(Message("Update", text, agree="Apply"), lambda yes: self._apply(dict(self.staged)) if yes else None)
 
     def _apply(self, values: dict[str, Any], undoing: bool = False) -> None:

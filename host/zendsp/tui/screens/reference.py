@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -90,16 +91,17 @@ class ReferenceScreen(LabScreen):
 
     # -- the form -----------------------------------------------------------------------------------------------------
 
-    async def _fill_form(self) -> None:
+    async def _fill_form(self, values: Mapping[str, Any] | None = None) -> None:
+        """Make a line for each parameter, with its default unless ``values`` has it."""
         kind = KINDS[self.kind]
         self.query_one("#about", Static).update(kind.description)
         fields = self.query_one("#fields", VerticalScroll)
         await fields.remove_children()
-        await fields.mount(*[self._line(p) for p in kind.parameters])
+        await fields.mount(*[self._line(p, (values or {}).get(p.name)) for p in kind.parameters])
         self._plan_soon()
 
-    def _line(self, p: Parameter) -> Horizontal:
-        value = p.default_for(self.machine)
+    def _line(self, p: Parameter, value: Any = None) -> Horizontal:
+        value = p.default_for(self.machine) if value is None else value
         widget: Input | Select[str] | Switch
         if p.type == "choice":
             widget = Select([(c, c) for c in p.choices], value=str(value), allow_blank=False, compact=True, name=p.name)
@@ -286,9 +288,10 @@ class ReferenceScreen(LabScreen):
         if not options:
             self.say("no saved reference yet: save one with Ctrl+S", "warning")
             return
-        self.app.push_screen(Choose("Reference", options), lambda keys: self._open(Path(keys[0])) if keys else None)
+        self.app.push_screen(Choose("Reference", options), lambda keys: self.open_reference(Path(keys[0])) if keys else None)
 
-    def _open(self, path: Path) -> None:
+    def open_reference(self, path: Path) -> None:
+        """Show a saved reference, and its parameters in the form where they are known."""
         try:
             reference = load_reference(path)
             machine = load_machine(reference.machine) if reference.machine else self.machine
@@ -299,7 +302,14 @@ class ReferenceScreen(LabScreen):
         self.machine = machine
         with self.prevent(Select.Changed):
             self.query_one("#machine", Select).value = machine.name
+            if reference.kind in KINDS and KINDS[reference.kind].fits(machine):
+                self.kind = reference.kind
+                kinds = self.query_one("#kind", Select)
+                kinds.set_options(self._kinds())
+                kinds.value = self.kind
+                self.call_later(self._fill_form, dict(reference.parameters))
         self._show_plan(plan, (self.machine.name, self.kind))
+        self.say(f"opened {path.name}", "good")
 
 
 def words(value: Any) -> str:

@@ -1,0 +1,113 @@
+"""A real target process for the terminal's tests, on the fast clock."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+
+from zendsp.errors import ZendspError
+from zendsp.link import Target, local
+from zendsp.reference import make_reference, save_reference
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.link_port import find_targets, open_port, start_machine
+
+PATIENCE_S = 40.0  # the machine that runs the tests is busy with others at the same time
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "covers(*names): actions of the table that a test carries out")
+
+
+@pytest.fixture(scope="session")
+def shared_target() -> Iterator[Target]:
+    # 20 machine seconds a second: quick, and leaves the CPU to the others
+    target = local("imi_planar", clock="fast", options=["--option", "speed=20"], timeout=PATIENCE_S)
+    yield target
+    target.close()
+
+
+@pytest.fixture
+def target(shared_target: Target) -> Iterator[Target]:
+    """The shared target, empty, with nobody in command."""
+    yield shared_target
+    for verb, arguments in (
+        ("drive", {"action": "take", "force": True}),
+        ("drive", {"action": "acknowledge"}),
+        ("pause", {}),
+        ("drive", {"action": "host_lost", "policy": "stop"}),
+        ("drive", {"action": "auto"}),
+        ("unload", {}),
+        ("drive", {"action": "release"}),
+    ):
+        with contextlib.suppress(ZendspError):
+            shared_target.request(verb, **arguments)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A working folder with one planned circle and a copy of pd.c."""
+    from importlib import resources
+
+    (tmp_path / "references").mkdir()
+    save_reference(make_reference("circle", "imi_planar", duration=3.0), tmp_path / "references" / "circle.mat")
+    source = resources.files("zendsp_isr").joinpath("programs", "pd.c").read_text()
+    (tmp_path / "pd.c").write_text(source)
+    return tmp_path
+
+
+@pytest.fixture
+def lab(target: Target, folder: Path) -> ZendspApp:
+    """The application, about to connect to the target."""
+    return ZendspApp(
+        open_port, find_targets=find_targets, start_machine=start_machine, machines=("imi_planar",),
+        target=target.name, folder=folder, source=folder / "pd.c",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def until() -> Until:
+    """Wait for a condition, with a deadline and a name for what did not come."""
+
+    async def wait(pilot: Pilot[None], condition: Callable[[], object], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            if time.monotonic() > deadline:
+                app = pilot.app
+                events = [e.text for e in app.session.events.since(0)[1]] if isinstance(app, ZendspApp) else []
+                raise AssertionError(f"did not happen: {what}; events: {events[-8:]}")
+            await pilot.pause(0.02)
+
+    return wait
+
+
+@pytest.fixture
+def built(until: Until) -> Callable[[ZendspApp, Pilot[None]], Awaitable[None]]:
+    """Connect and build pd.c through the Console."""
+
+    async def run(app: ZendspApp, pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: app.session.snapshot.link == "up", "the link is up")
+        await pilot.press("b")
+        await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables, "built")
+        await until(pilot, lambda: app.session.channels, "the usual curves are followed")
+
+    return run
+
+
+@pytest.fixture
+def enabled(built: Callable[[ZendspApp, Pilot[None]], Awaitable[None]], until: Until) -> Callable[[ZendspApp, Pilot[None]], Awaitable[None]]:
+    """Power and enable as well."""
+
+    async def run(app: ZendspApp, pilot: Pilot[None]) -> None:
+        await built(app, pilot)
+        await pilot.press("o")
+        await until(pilot, lambda: app.session.snapshot.drive == "homed" and app.session.snapshot.explicit, "powered")
+        await pilot.press("e")
+        await until(pilot, lambda: app.session.snapshot.drive == "enabled", "enabled")
+
+    return run

@@ -1,0 +1,160 @@
+"""One table of actions feeds keys, footer, help and palette."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from zendsp.errors import LinkError
+from zendsp.tui.actions import ACTIONS, SCREENS, actions
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
+from zendsp.tui.panels.source import SourceView
+from zendsp.tui.port import Port
+from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.screens.base import LabScreen
+
+
+def _nobody(name: str) -> Port:
+    raise LinkError(f"no target {name}")
+
+
+@pytest.fixture
+def app(tmp_path: Path) -> ZendspApp:
+    return ZendspApp(_nobody, folder=tmp_path)
+
+
+def test_no_key_has_two_meanings_on_a_screen() -> None:
+    for screen in SCREENS:
+        keys = Counter(key for a in ACTIONS if a.scope in ("app", screen) for key in a.keys.split(","))
+        assert not [key for key, n in keys.items() if n > 1]
+
+
+def test_every_action_says_what_it_does() -> None:
+    for a in ACTIONS:
+        assert a.label and a.help.endswith("."), a
+        assert a.scope in ("app", *SCREENS)
+
+
+@pytest.mark.parametrize("screen", SCREENS)
+async def test_footer_help_and_palette_come_from_the_table(app: ZendspApp, screen: str) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        await app.action_show(screen)
+        await pilot.pause()
+        assert isinstance(app.screen, LabScreen) and screen == app.screen.NAME
+        for a in ACTIONS:
+            if a.scope in ("app", screen):
+                node = app if a.scope == "app" else app.screen
+                assert hasattr(node, f"action_{a.name.split('(')[0]}"), a
+        shown = {b.binding.description for b in app.screen.active_bindings.values() if b.binding.show}
+        assert {a.label for a in ACTIONS if a.scope in ("app", screen) and a.footer} <= shown
+        text = app.screen.help_text().plain
+        assert all(a.help in text for a in ACTIONS if a.scope in ("app", screen))
+        commands = [c.title for c in app.get_system_commands(app.screen)]
+        wanted = [a for a in ACTIONS if a.scope in ("app", screen) and a.name != "command_palette"]
+        assert commands == [f"{a.label} ({a.shown_key})" for a in wanted]
+
+
+def test_stop_has_priority_and_is_always_in_the_footer() -> None:
+    stop = next(a for a in actions("app") if a.name == "stop")
+    assert stop.priority and stop.footer and "f9" in stop.keys.split(",")
+
+
+async def test_stop_works_under_every_dialog(app: ZendspApp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pressed: list[str] = []
+    monkeypatch.setattr(app.session, "stop", lambda: pressed.append(over))
+    source = tmp_path / "pd.c"
+    source.write_text("int x;\n")
+    dialogs = {
+        "nothing": None,
+        "form": Form("f", [Field("a", "a", "1")]),
+        "choose": Choose("c", [Option("a", "a")], several=True),
+        "message": Message("m", "text", agree="yes"),
+        "source": SourceView(source, (), lambda _: None),
+        "process": ProcessView("p", ["--help"], tmp_path),
+    }
+    async with app.run_test(size=(100, 30)) as pilot:
+        for over, dialog in dialogs.items():
+            if dialog is not None:
+                await app.push_screen(dialog)
+            await pilot.pause()
+            await pilot.press("f9", "ctrl+@")
+            await pilot.pause()
+            assert pressed == [over, over]
+            pressed.clear()
+            if dialog is not None:
+                await pilot.press("escape")
+                await pilot.pause()
+        over = "palette"
+        app.action_command_palette()
+        await pilot.pause()
+        await pilot.press("f9")
+        await pilot.pause()
+        assert pressed == [over]
+
+
+async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> None:
+    async with app.run_test() as pilot:
+        await app.push_screen(Form("f", [Field("a", "a", "1")]))
+        await pilot.press("f4")
+        await pilot.pause()
+        assert app.current_mode == "console"
+        await pilot.press("escape", "f4")
+        await pilot.pause()
+        assert app.current_mode == "reference"
+
+
+async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp) -> None:
+    results: list[object] = []
+    async with app.run_test() as pilot:
+        app.push_screen(Form("f", [Field("x", "Level", "1", unit="[V]", check=float)]), results.append)
+        await pilot.press("end", "x", "enter")
+        await pilot.pause()
+        assert results == []
+        assert "Level" in str(app.screen.query_one("#problem").render())
+        assert "[V]" in "".join(str(w.render()) for w in app.screen.query(".unit"))
+        await pilot.press("backspace", "enter")
+        await pilot.pause()
+        assert results == [{"x": 1.0}] or results == [{"x": 11.0}]
+
+
+async def test_toasts_and_lists_keep_units_in_brackets(app: ZendspApp) -> None:
+    async with app.run_test(size=(100, 30)) as pilot:
+        app.toast("q [rad] above 2.15 [rad]", "error")
+        await app.push_screen(Choose("Curves", [Option("q", "q [rad]", "[N m]")]))
+        await pilot.pause()
+        picture = app.export_screenshot()
+        assert picture.count("[rad]") >= 1 and "[N&#160;m]" in picture
+
+
+async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        for screen in SCREENS:
+            await app.action_show(screen)
+            for size in ((80, 24), (100, 30), (160, 48), (220, 60), (80, 24)):
+                await pilot.resize_terminal(*size)
+                await pilot.pause()
+                bar, footer = app.screen.query_one("StatusBar"), app.screen.query_one("Footer")
+                assert bar.region.y == 0 and bar.region.width == size[0]
+                assert footer.region.bottom == size[1]
+                body = [w for w in app.screen.children if w not in (bar, footer) and w.region.height and w.display]
+                assert body, screen
+                assert all(w.region.y >= bar.region.bottom and w.region.bottom <= footer.region.y for w in body), (screen, size)
+                assert app.screen.query_one("StopButton").region.width >= 12
+                assert all(w.region.height >= 5 for w in app.screen.query("Scope") if w.display), (screen, size)
+
+
+async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:
+    from zendsp.tui.scope import Scope
+
+    async with app.run_test() as pilot:
+        await pilot.pause()
+        before = app.theme
+        await pilot.press("ctrl+t")
+        await pilot.pause()
+        assert app.theme == "zendsp-day" != before
+        scope = app.screen.query_one(Scope)
+        scope.render_line(0)
+        assert scope._pens[0].color is not None and scope._pens[0].color.name.lower() == "#0067b6"

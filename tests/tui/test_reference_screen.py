@@ -1,0 +1,141 @@
+"""Reference: every kind of motion can be planned, checked and saved without a target."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Button, Input, Select, Static
+
+from zendsp.errors import LinkError
+from zendsp.reference import KINDS, load_machine, load_reference, make_reference, save_reference
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.port import Port
+from zendsp.tui.preview import views_of
+from zendsp.tui.scope import Scope
+from zendsp.tui.scope.path import PathPlot
+from zendsp.tui.screens.reference import ReferenceScreen
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+
+
+def _nobody(name: str) -> Port:
+    raise LinkError(f"no target {name}")
+
+
+@pytest.fixture
+def app(tmp_path: Path) -> ZendspApp:
+    return ZendspApp(_nobody, folder=tmp_path, first="reference")
+
+
+def _screen(app: ZendspApp) -> ReferenceScreen:
+    assert isinstance(app.screen, ReferenceScreen)
+    return app.screen
+
+
+def _field(screen: ReferenceScreen, name: str) -> Input:
+    return next(w for w in screen.query("#fields Input").results(Input) if w.name == name)
+
+
+@pytest.mark.covers("reference.machine", "reference.kind", "reference.view")
+async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Until) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        await until(pilot, lambda: screen.plan is not None, "the first motion is planned")
+        for name, kind in KINDS.items():
+            if name in ("from_file", "swing") or not kind.fits(screen.machine):
+                continue  # the one needs a file, the other solves an optimal control problem for seconds
+            screen.query_one("#kind", Select).value = name
+            await until(pilot, lambda name=name: screen.kind == name and len(screen.query("#fields .parameter")) == len(KINDS[name].parameters), f"form of {name}")  # type: ignore[misc]
+            await until(pilot, lambda name=name: screen.plan is not None and screen.plan.reference.kind == name, f"{name} planned")  # type: ignore[misc]
+            units = [str(w.render()) for w in screen.query("#fields .unit").results(Static)]
+            assert units == [p.unit for p in kind.parameters]
+        await pilot.press("escape")
+        assert screen.plan is not None
+        screen.query_one("#curves", Scope).focus()
+        seen = []
+        for _ in views_of(screen.plan.reference):
+            await pilot.press("v")
+            seen.append(screen.view)
+            await pilot.pause()
+            assert screen.query_one("#path", PathPlot).display == (screen.view == "path")
+        assert sorted(seen) == sorted(views_of(screen.plan.reference))
+        await pilot.press("k")
+        assert screen.query_one("#kind", Select).expanded
+        await pilot.press("escape", "m")
+        assert screen.query_one("#machine", Select).expanded
+        await pilot.press("escape")
+        screen.query_one("#machine", Select).value = "wam7"
+        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.joints == 7, "seven joints planned")
+        assert "all" not in views_of(screen.plan.reference)
+
+
+@pytest.mark.covers("reference.save", "reference.load", "reference.execute")
+async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(app: ZendspApp, until: Until, tmp_path: Path) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        screen.query_one("#kind", Select).value = "circle"
+        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "circle", "planned")
+        assert screen.plan is not None
+        planned = screen.plan.reference
+        await pilot.press("ctrl+s")
+        await pilot.pause()
+        for _ in range(40):
+            await pilot.press("backspace")
+        await pilot.press(*"my_circle", "enter")
+        await until(pilot, lambda: (tmp_path / "references" / "my_circle.mat").is_file(), "saved")
+        saved = load_reference(tmp_path / "references" / "my_circle.mat")
+        assert np.array_equal(saved.q, planned.q) and saved.machine == "imi_planar"
+        screen.query_one("#curves", Scope).focus()
+        screen.query_one("#kind", Select).value = "lspb"
+        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "lspb", "another is planned")
+        await pilot.press("l", "enter")
+        await until(pilot, lambda: screen.kind == "circle", "loaded with its kind")
+        screen.query_one("#curves", Scope).focus()
+        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "circle", "planned anew")
+        assert screen.plan is not None and np.allclose(screen.plan.reference.q, planned.q, atol=1e-9)
+        await pilot.press("x", "enter")
+        await until(pilot, lambda: app.current_mode == "execute" and len(app.chosen) == 1, "on Execute")
+
+
+async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(app: ZendspApp, until: Until) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        await until(pilot, lambda: screen.plan is not None, "planned")
+        _field(screen, "goal").value = "3.0 0"
+        await until(pilot, lambda: screen.plan is not None and screen.plan.violations, "the violation is found")
+        text = str(screen.query_one("#check", Static).render())
+        assert "joint 1: position 3 rad" in text and "limit 2.15 rad" in text
+        assert screen.query_one("#save", Button).disabled
+        screen.action_save()
+        await pilot.pause()
+        assert app.screen is screen, "no dialog asks for a name"
+
+
+async def test_a_mistyped_number_is_named_and_nothing_is_planned(app: ZendspApp, until: Until) -> None:
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = _screen(app)
+        await until(pilot, lambda: screen.plan is not None, "planned")
+        _field(screen, "goal").value = "1.0 zwei"
+        await until(pilot, lambda: "goal" in str(screen.query_one("#problem", Static).render()), "the field is named")
+        assert screen.plan is None and screen.query_one("#save", Button).disabled
+
+
+def test_peaks_are_shares_of_the_machine_s_limits() -> None:
+    from zendsp.tui.preview import peaks_of
+
+    machine = load_machine("imi_planar")
+    reference = make_reference("circle", machine)
+    lines = peaks_of(machine, reference, machine.torque(reference))
+    share, words = lines[1][1]
+    assert share == pytest.approx(float(np.abs(reference.qd[:, 0]).max()) / 6.28)
+    assert "rad/s" in words
+
+
+def test_saving_checks_the_limits_below_the_screen_as_well(tmp_path: Path) -> None:
+    machine = load_machine("imi_planar")
+    with pytest.raises(ValueError, match="limit"):
+        save_reference(make_reference("point_to_point", machine, goal=[3.0, 0.0]), tmp_path / "x.mat", machine)
