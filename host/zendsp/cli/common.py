@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 import msgspec
 
+from zendsp_protocol.values import Packed, from_wire
+
 if TYPE_CHECKING:
     from zendsp.link import Target
 
@@ -49,6 +51,8 @@ def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
 
 def plain(value: Any) -> Any:
     """Turn messages, arrays and infinities into what JSON holds (an infinite limit becomes null)."""
+    if isinstance(value, Packed):
+        value = from_wire(value)
     if isinstance(value, msgspec.Struct):
         value = msgspec.structs.asdict(value)
     if isinstance(value, Mapping):

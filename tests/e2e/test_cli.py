@@ -1,0 +1,165 @@
+"""The command line as a user has it: real commands, real exit codes, JSON that parses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import DEADLINE_S, running, until
+
+import zendsp
+from zendsp.cli import COMMANDS
+from zendsp.link import Target
+
+OURS = (
+    "demo",
+    "target",
+    "ls",
+    "info",
+    "compile",
+    "run",
+    "pause",
+    "stop",
+    "get",
+    "set",
+    "watch",
+    "params",
+    "acquire",
+    "stats",
+)
+
+
+def zendsp_(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from zendsp.cli import main; main()", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=2 * DEADLINE_S, **options)
+
+
+def answer(*arguments: str) -> Any:
+    done = zendsp_(*arguments, "--json")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture
+def target(fast: Target) -> Iterator[Target]:
+    yield fast
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_every_command_has_help_with_an_example(name: str) -> None:
+    from click.testing import CliRunner
+
+    from zendsp.cli import cli
+
+    shown = CliRunner().invoke(cli, [name, "--help"])
+    assert shown.exit_code == 0 and f"Example:  zendsp {name}" in shown.output and COMMANDS[name][1]
+
+
+def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
+    assert [found["name"] for found in answer("ls")] == [target.name]
+    assert answer("compile", "pd.c")["ok"] is True
+    assert answer("run", "pd.c", "--set", "Kp1=900", "--seconds", "0.5")["tick"] == 500
+    assert answer("get", "Kp1")["values"] == {"Kp1": 900.0}
+    assert answer("set", "Kp1=450", "use_table=false")["tick"] == 500
+    parameters = tmp_path / "good.json"
+    assert answer("params", "save", str(parameters))["count"] == 12
+    assert answer("params", "diff", str(parameters)) == []
+    answer("set", "Kp1=1")
+    differs = zendsp_("params", "diff", str(parameters), "--json")
+    assert differs.returncode == 1 and json.loads(differs.stdout) == [
+        {"name": "Kp1", "file": 450.0, "other": 1.0}
+    ]
+    answer("params", "restore", str(parameters))
+    out = tmp_path / "run.npz"
+    assert answer("acquire", "q", "tau", "-s", "1", "-o", str(out), "--start")["rows"] == 1000
+    assert zendsp.Recording.load(out).parameters["Kp1"] == 450.0
+    assert answer("info")["machine"]["name"] == "imi_planar"
+    assert answer("stats")["timing"]["ticks"] >= 1500
+    assert "execution" in zendsp_("stats").stdout
+    assert answer("pause")["state"] == "paused"
+    assert answer("run")["state"] == "running"
+    assert answer("stop")["state"] in ("running", "stopped")
+    until(lambda: target.status().state == "stopped", "the STOP is in force")
+    assert answer("stop", "--acknowledge")["trip"] is None
+
+
+def test_failures_are_one_sentence_and_an_exit_code(target: Target, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.c"
+    bad.write_text('#include "isr.h"\nvoid UserInit(void) { oops }\n')
+    for arguments, code, words in (
+        (["compile", str(bad)], 1, "bad.c:2:"),
+        (["run", str(bad)], 1, "bad.c:2:"),
+        (["get", "Kp1"], 2, "no program is loaded"),
+        (["set", "Kp1"], 2, "expected NAME=VALUE"),
+        (["set", "Kp1=x"], 2, "is not a value"),
+        (["info", "-t", "nobody"], 2, "no target named 'nobody'"),
+        (["ls", "x*"], 1, ""),
+        (["params", "restore", str(bad)], 2, "not a parameter set"),
+    ):
+        done = zendsp_(*arguments)
+        assert done.returncode == code, (arguments, done.returncode, done.stderr)
+        assert words in done.stderr and "Traceback" not in done.stderr, (arguments, done.stderr)
+
+
+def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
+    target.download("pd.c")
+    target.start()
+    command = [
+        sys.executable,
+        "-c",
+        "from zendsp.cli import main; main()",
+        "watch",
+        "q",
+        "--interval",
+        "0.05",
+    ]
+    watch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert watch.stdout is not None and "q[0]" in watch.stdout.readline()
+    watch.send_signal(signal.SIGINT)
+    _, said = watch.communicate(timeout=DEADLINE_S)
+    assert watch.returncode == 130 and said.strip() == "interrupted"
+    assert target.status().state == "running"
+
+
+def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
+    command = [
+        sys.executable,
+        "-c",
+        "from zendsp.cli import main; main()",
+        "target",
+        "--name",
+        "bench",
+        "--clock",
+        "fast",
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert (
+        process.stdout is not None and "target bench listens on tcp/127.0.0.1:" in process.stdout.readline()
+    )
+    with zendsp.connect("bench") as bench:
+        assert bench.info.clock == "fast"
+    process.send_signal(signal.SIGINT)
+    assert process.wait(DEADLINE_S) == 0
+    assert not running(process.pid) and zendsp.discover() == []
+    assert os.listdir(os.environ["ZENDSP_RUNTIME_DIR"]) == []
+    process.stdout.close()
+
+
+def test_the_demo_moves_the_arm_and_draws_it(tmp_path: Path) -> None:
+    done = zendsp_("demo", "--clock", "fast", "--out", str(tmp_path / "demo"), "--json")
+    assert done.returncode == 0, done.stderr
+    body = json.loads(done.stdout)
+    assert body["lost"] == 0 and body["rows"] == 14_000
+    assert all(Path(file).stat().st_size > 20_000 for file in body["files"])
+    rec = zendsp.Recording.load(tmp_path / "demo" / "circle.mat")
+    assert {change.tick for change in rec.log} == {5000, 9500}
+    # Stiffness divided by ten (5000 to 500 N m/rad) must show as an error several times larger.
+    error = abs(rec["e"][:, 0])
+    assert error[10_500:].max() > 4.0 * error[6000:9500].max()
