@@ -1,0 +1,358 @@
+"""Console: every action of its table, against a real target process on the fast clock."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Input, TextArea
+
+from zendsp.errors import Refused
+from zendsp.link import ParameterSet, Target, connect
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Choose, Form, Message
+from zendsp.tui.panels.source import SourceView
+from zendsp.tui.runs import list_runs
+from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.screens.console import ConsoleScreen
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
+
+
+def _console(app: ZendspApp) -> ConsoleScreen:
+    assert isinstance(app.screen, ConsoleScreen)
+    return app.screen
+
+
+def _events(app: ZendspApp) -> str:
+    return "\n".join(e.text for e in app.session.events.since(0)[1])
+
+
+async def _mark(app: ZendspApp, pilot: Pilot[None], name: str) -> None:
+    """Put the cursor of the table on a variable."""
+    table = _console(app).variables.table
+    table.focus()
+    table.move_cursor(row=table.get_row_index(name))
+    await pilot.pause()
+    assert _console(app).variables.marked == name
+
+
+async def _type(pilot: Pilot[None], text: str) -> None:
+    """Replace what a form's first field holds."""
+    field = pilot.app.screen.query(Input).first()
+    field.value = text
+    await pilot.pause()
+    await pilot.press("enter")
+    await pilot.pause()
+
+
+@pytest.mark.covers(
+    "app.command", "app.acknowledge", "console.power", "console.home", "console.enable", "console.start", "console.pause",
+    "console.host_lost", "console.build",
+)  # fmt: skip
+async def test_the_safe_sequence_by_keys(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        snap = lambda: lab.session.snapshot  # noqa: E731
+        await pilot.press("o")
+        await until(pilot, lambda: snap().explicit and snap().mine, "powered; who powers, commands")
+        await pilot.press("s")
+        await until(pilot, lambda: "starting is refused: enabled" in _events(lab), "start without enable is refused by name")
+        await pilot.press("h")
+        await until(pilot, lambda: "home: homed" in _events(lab) or "homed" in _events(lab).split("\n")[-1], "homed")
+        assert target.status().homed
+        await pilot.press("e")
+        await until(pilot, lambda: snap().drive == "enabled", "enabled")
+        await pilot.press("s")
+        await until(pilot, lambda: snap().drive == "running" and target.status().state == "running", "running")
+        await pilot.press("p")
+        await until(pilot, lambda: snap().state == "paused", "paused")
+        await pilot.press("e")
+        await until(pilot, lambda: snap().drive == "homed", "disabled")
+        await pilot.press("H", "down", "enter")
+        await until(pilot, lambda: target.drive_status().host_lost == "hold", "policy")
+        await pilot.press("ctrl+r")
+        await until(pilot, lambda: target.drive_status().commander == "", "given back")
+        target.take_command()
+        await until(pilot, lambda: snap().commander and not snap().mine, "somebody else commands")
+        await pilot.press("e")
+        await until(pilot, lambda: "exclusive right" in _events(lab), "refused, and it says who commands")
+        await pilot.press("ctrl+r")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        await pilot.press("enter")
+        await until(pilot, lambda: snap().mine, "taken over deliberately")
+        await pilot.press("f9")
+        await until(pilot, lambda: snap().drive == "stopped", "stopped")
+        await pilot.press("ctrl+k")
+        await until(pilot, lambda: snap().drive == "homed" and snap().trip is None, "acknowledged")
+        await pilot.press("o")
+        await until(pilot, lambda: snap().drive == "off", "power off")
+
+
+async def test_a_refused_enable_names_each_condition(lab: ZendspApp, target: Target, until: Until) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        await pilot.press("o")
+        await until(pilot, lambda: lab.session.snapshot.explicit, "powered")
+        await pilot.press("e")
+        await until(pilot, lambda: "enabling is refused" in _events(lab), "refused")
+        text = _events(lab)
+        assert "program: no code is loaded" in text and "homed: the position is unknown" in text
+        assert target.drive_status().state in ("ready", "off")
+
+
+@pytest.mark.covers("console.filter", "console.edit", "console.stage", "console.update", "console.undo", "console.initial", "console.initial_all")
+async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        console = _console(lab)
+        await _mark(lab, pilot, "Kp1")
+        await pilot.press("enter")
+        await pilot.pause()
+        assert isinstance(lab.screen, Form)
+        await _type(pilot, "99999")
+        assert isinstance(lab.screen, Form) and "outside" in str(lab.screen.query_one("#problem").render())
+        await _type(pilot, "1500")
+        await until(pilot, lambda: target["Kp1"] == 1500.0, "written at once")
+        await until(pilot, lambda: console.key_to_applied_s == console.key_to_applied_s, "the sample is reported")
+
+        for name, value in (("Kp2", "250"), ("Kd2", "10")):
+            await _mark(lab, pilot, name)
+            await pilot.press("t")
+            await _type(pilot, value)
+        assert console.staged == {"Kp2": 250.0, "Kd2": 10.0}
+        assert target["Kp2"] == 300.0, "staged is not applied"
+        await pilot.press("u")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        await pilot.press("enter")
+        await until(pilot, lambda: not console.staged and target["Kp2"] == 250.0, "applied")
+        ticks = {change.tick for change in target.log() if change.name in ("Kp2", "Kd2")}
+        assert len(ticks) == 1, "both in one sample"
+
+        await pilot.press("z")
+        await until(pilot, lambda: target["Kp2"] == 300.0 and target["Kd2"] == 12.0, "undone together")
+        await until(pilot, lambda: lab.session.snapshot.values["Kp2"] == 300.0, "seen")
+        await pilot.press("z")
+        await until(pilot, lambda: target["Kp1"] == 2000.0, "and the one before")
+        target["Kd1"] = 77.0
+        await until(pilot, lambda: lab.session.snapshot.values["Kd1"] == 77.0, "seen")
+        await _mark(lab, pilot, "Kd1")
+        await pilot.press("i")
+        assert console.staged == {"Kd1": 120.0}
+        await pilot.press("z")
+        assert console.staged == {}
+        await pilot.press("I")
+        assert console.staged == {"Kd1": 120.0}, "only what differs"
+
+        await pilot.press("slash", *"gain")
+        await until(pilot, lambda: console.variables.table.row_count == 4, "four gains by their description")
+        await pilot.press("enter", "slash")
+        lab.screen.query_one("#filter", Input).value = ""
+        await until(pilot, lambda: console.variables.table.row_count == len(lab.session.snapshot.variables), "all again")
+
+
+async def test_a_signal_cannot_be_written_and_units_stay_whole(lab: ZendspApp, built: Step, until: Until) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        await _mark(lab, pilot, "q1")
+        await pilot.press("enter")
+        await until(pilot, lambda: "q1 is a signal" in _events(lab), "refused in words")
+        row = _console(lab).variables.table.get_row("Kp1")
+        assert [str(c) for c in row][3] == "N m/rad"
+
+
+@pytest.mark.covers("console.sets")
+async def test_parameter_sets_save_diff_and_stage(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        await until(pilot, lambda: "Kp1" in lab.session.snapshot.values, "values")
+        await pilot.press("w")
+        await pilot.pause()
+        assert isinstance(lab.screen, Choose)
+        await pilot.press("enter")
+        await pilot.pause()
+        await _type(pilot, "calm")
+        await until(pilot, lambda: (folder / "sets" / "calm.json").is_file(), "saved")
+        assert ParameterSet.load(folder / "sets" / "calm.json").values["Kp1"] == 2000.0
+        target.update(Kp1=900.0, Kd1=50.0)
+        await until(pilot, lambda: lab.session.snapshot.values["Kp1"] == 900.0, "changed")
+        await pilot.press("w", "down", "enter")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        shown = str(lab.screen.query_one(".words").render())
+        assert "Kp1" in shown and "Kd1" in shown and "Kp2" not in shown
+        await pilot.press("enter")
+        await pilot.pause()
+        assert _console(lab).staged == {"Kp1": 2000.0, "Kd1": 120.0}
+
+
+@pytest.mark.covers("console.open_source", "console.source")
+async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
+    bad = folder / "bad.c"
+    bad.write_text('#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\nvoid UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n')
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        before = target.status().program
+        await pilot.press("O")
+        await pilot.pause()
+        assert isinstance(lab.screen, Choose)
+        await pilot.press("enter")  # bad.c is the first by name
+        await until(pilot, lambda: lab.source == bad, "chosen")
+        await pilot.press("b")
+        await until(pilot, lambda: "bad.c:3:" in _events(lab), "file and line are in the event log")
+        assert target.status().program == before, "the running program is not touched"
+        await pilot.press("g")
+        await pilot.pause()
+        assert isinstance(lab.screen, SourceView) and lab.screen.cursor_line == 3
+        area = lab.screen.query_one(TextArea)
+        area.text = area.text.replace("a = 1.0 }", "a = 1.0; }")
+        await pilot.press("ctrl+b")
+        await until(pilot, lambda: target.status().program not in ("", before), "built and downloaded")
+        assert "a = 1.0; }" in bad.read_text()
+
+
+@pytest.mark.covers(
+    "console.plot", "console.channels", "console.mode", "console.trigger", "console.single", "console.freeze",
+    "console.autoscale", "console.lanes", "console.cursors", "console.swap_cursor", "console.next_curve",
+    "console.zoom(-1)", "console.zoom(1)", "console.pan(0.25)", "console.pan(-0.25)", "console.events",
+)  # fmt: skip
+async def test_every_key_of_the_scope(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        target.start()
+        console = _console(lab)
+        scope = console.scope
+        await until(pilot, lambda: scope.history.count > 2000, "live curves")
+        names = lambda: [c.name for c in scope.channels]  # noqa: E731
+        assert names()[:2] == ["q[0]", "q[1]"]
+        await _mark(lab, pilot, "r1")
+        await pilot.press("space")
+        assert names()[-1] == "r1"
+        await pilot.press("space")
+        assert "r1" not in names()
+        await pilot.press("c")
+        await pilot.pause()
+        assert isinstance(lab.screen, Choose)
+        await pilot.press("space", "escape")
+        await pilot.pause()
+        console.plot_names(["q1", "e1"])
+        await until(pilot, lambda: scope.history.count > 500, "live after the change")
+        console.variables.table.focus()
+        await pilot.press("m")
+        assert scope.settings.mode == "trigger"
+        await pilot.press("T")
+        await pilot.pause()
+        assert isinstance(lab.screen, Form)
+        lab.screen.query_one("#f-level", Input).value = "0.2"
+        lab.screen.query_one("#f-level", Input).focus()
+        await pilot.press("enter")
+        await pilot.pause()
+        assert scope.settings.level == 0.2 and scope.settings.mode == "trigger"
+        await pilot.press("n")
+        await until(pilot, lambda: scope.paused, "the circle crosses 0.2 rad: one shot, frozen")
+        t, y = scope.history.newest()
+        assert scope.picture is not None
+        assert float(np.interp(scope.picture.zero, t, y[:, 0])) == pytest.approx(0.2, abs=0.05)
+        await pilot.press("m")
+        assert scope.settings.mode == "roll" and not scope.paused
+        await pilot.press("f")
+        assert scope.paused
+        await pilot.pause()
+        end = scope.picture.end
+        await pilot.press("left_square_bracket")
+        await pilot.pause()
+        assert scope.picture.end < end
+        await pilot.press("right_square_bracket", "f")
+        assert not scope.paused
+        window = scope.settings.window
+        await pilot.press("plus")
+        assert scope.settings.window < window
+        await pilot.press("minus")
+        assert scope.settings.window == window
+        await pilot.press("a")
+        assert not scope.settings.auto
+        await pilot.press("a", "l")
+        assert scope.settings.auto and not scope.settings.lanes
+        await pilot.press("y")
+        assert scope.settings.selected == 1
+        await pilot.press("x")
+        assert scope.settings.cursors
+        a, b = scope.settings.cursor_a, scope.settings.cursor_b
+        await pilot.press("right", "v", "left")
+        assert scope.settings.cursor_a > a and scope.settings.cursor_b < b
+        await pilot.press("E")
+        assert console.has_class("-events")
+
+
+@pytest.mark.covers("console.record", "console.simulate", "console.diagnose")
+async def test_record_then_open_simulation_and_diagnosis(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await built(lab, pilot)
+        target.start()
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "running")
+        await pilot.press("r")
+        await pilot.pause()
+        await _type(pilot, "1.5")
+        await until(pilot, lambda: list_runs(folder / "runs"), "the run is kept")
+        run = list_runs(folder / "runs")[0]
+        recording = run.recording()
+        assert len(recording) == 1500 and recording.lost == 0 and "pd.c" in recording.sources
+        for key in ("S", "D"):
+            await pilot.press(key)
+            await pilot.pause()
+            view = lab.screen
+            assert isinstance(view, ProcessView)
+            await until(pilot, lambda view=view: view.status is not None, "the worker process ends and says so")  # type: ignore[misc]
+            await pilot.press("escape")
+            await pilot.pause()
+
+
+@pytest.mark.covers("app.show('console')", "app.show('execute')", "app.show('reference')", "app.help", "app.next_theme", "app.command_palette", "app.quit")
+async def test_keys_that_work_everywhere(lab: ZendspApp, until: Until) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        for key, name in (("f3", "execute"), ("f4", "reference"), ("f2", "console")):
+            await pilot.press(key)
+            await until(pilot, lambda name=name: lab.current_mode == name, name)  # type: ignore[misc]
+        await pilot.press("f1")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        await pilot.press("escape", "ctrl+t")
+        assert lab.theme == "zendsp-day"
+        await pilot.press("ctrl+p")
+        await pilot.pause()
+        assert type(lab.screen).__name__ == "CommandPalette"
+        await pilot.press("escape")
+        await pilot.pause()
+        await pilot.press("ctrl+q")
+        await until(pilot, lambda: not lab.is_running or lab._exit, "it ends")
+
+
+@pytest.mark.covers("app.connect")
+async def test_connect_offers_running_targets_and_machines(lab: ZendspApp, target: Target, until: Until) -> None:
+    lab._target = ""
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await pilot.press("ctrl+o")
+        await until(pilot, lambda: isinstance(lab.screen, Choose), "the list")
+        await pilot.press("slash", *target.name)
+        await pilot.press("enter", "enter")
+        await until(pilot, lambda: lab.session.snapshot.link == "up" and lab.session.snapshot.target == target.name, "connected")
+
+
+async def test_a_second_host_cannot_command_what_the_terminal_commands(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        with connect(target.name) as other:
+            with pytest.raises(Refused, match="exclusive right"):
+                other.start()
+            with pytest.raises(Refused, match="exclusive right"):
+                other["Kp1"] = 1.0
+            assert other["Kp1"] == 2000.0, "reading is free"
+            other.stop()
+        await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "STOP is free as well")
