@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from zendsp_protocol.errors import VariableError
 from zendsp_target.api import Value, VariableInfo
 from zendsp_target.layout import text_of
 
+SCALARS = {"double": struct.Struct("<d"), "float": struct.Struct("<f"), "int32": struct.Struct("<i"), "bool": struct.Struct("?")}
 _TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
     1: ("double", np.dtype("<f8")),
     2: ("float", np.dtype("<f4")),
@@ -47,15 +49,30 @@ class Place:
 
     entry: Entry
     element: int | None = None
+    offset: int = 0  # bytes into the variable
+
+    @property
+    def scalar(self) -> bool:
+        """One number, rather than an array or a table."""
+        return self.element is not None or (self.entry.info.length == 1 and self.entry.info.kind != "table")
 
 
-def _value(entry_dtype: np.dtype[Any], length: int, raw: npt.NDArray[np.uint8], offset: int) -> Value:
-    array = raw[offset : offset + length * entry_dtype.itemsize].view(entry_dtype)
-    if length > 1:
-        copy: npt.NDArray[Any] = array.copy()
-        return copy
-    scalar: Value = array[0].item()
-    return scalar
+def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes, offset: int) -> Value:
+    """Decode a value at an offset: a Python number, or a copy of an array.
+
+    Parameters
+    ----------
+    entry : Entry
+    scalar : bool
+        One element rather than the whole array.
+    raw : bytes-like
+    offset : int
+        Bytes.
+    """
+    if scalar:
+        number: Value = SCALARS[entry.info.type].unpack_from(raw, offset)[0]
+        return number
+    return np.frombuffer(raw, dtype=entry.dtype, count=entry.info.length, offset=offset).copy()
 
 
 class Dictionary:
@@ -83,7 +100,8 @@ class Dictionary:
         if kind == "table":
             start = np.zeros((0, raw.columns))
         else:
-            start = _value(dtype, raw.length, initial, raw.snapshot)
+            array = initial[raw.snapshot : raw.snapshot + raw.size].view(dtype)
+            start = array.copy() if raw.length > 1 else array[0].item()
         info = VariableInfo(
             name=text_of(raw.name), type=type_name, length=raw.length * raw.columns, kind=kind, unit=text_of(raw.unit),
             minimum=raw.minimum, maximum=raw.maximum, initial=start, description=text_of(raw.text), address=raw.address,
@@ -122,7 +140,7 @@ class Dictionary:
         if entry.info.kind == "table" or index >= entry.info.length:
             what = "is a table, which is read and written whole" if entry.info.kind == "table" else f"has {entry.info.length} elements"
             raise VariableError(f"{name}: {entry.info.name} {what}")
-        self._places[name] = Place(entry, index)
+        self._places[name] = Place(entry, index, index * entry.dtype.itemsize)
         return self._places[name]
 
     def _nearest(self, name: str) -> str:
@@ -148,11 +166,5 @@ def decode(places: Mapping[str, Place], values: npt.NDArray[np.uint8]) -> dict[s
     dict of name to value
         Scalars as Python numbers, arrays as copies.
     """
-    found: dict[str, Value] = {}
-    for name, place in places.items():
-        entry = place.entry
-        if place.element is None:
-            found[name] = _value(entry.dtype, entry.info.length, values, entry.offset)
-        else:
-            found[name] = _value(entry.dtype, 1, values, entry.offset + place.element * entry.dtype.itemsize)
-    return found
+    raw = values.tobytes()
+    return {name: value_of(place.entry, place.scalar, raw, place.entry.offset + place.offset) for name, place in places.items()}

@@ -6,11 +6,13 @@ nothing. The loop exchanges values when it applies a batch, so the old ones come
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,12 +20,12 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import Change, Value
-from zendsp_target.dictionary import Dictionary, Place
+from zendsp_target.dictionary import SCALARS, Dictionary, Place, value_of
 from zendsp_target.layout import layout
 from zendsp_target.shm import SharedFile
 from zendsp_target.values import encode, encode_table
 
-_ENTRY = np.dtype([("variable", "<i4"), ("offset", "<i4"), ("size", "<i4"), ("reserved", "<i4")])
+_ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
 _MAX_LOG = 200_000  # lines kept; older ones are dropped
 _MAX_ACKS = 4096
@@ -33,7 +35,6 @@ _MAX_ACKS = 4096
 class _Piece:
     name: str
     place: Place
-    offset: int
     data: bytes
 
 
@@ -45,26 +46,51 @@ class _Flight:
     pieces: tuple[_Piece, ...]
     author: str
     host_time: float
+    bytes: int
 
 
 class ChangeLog:
-    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a target."""
+    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a target.
+
+    A batch is kept as bytes when it comes back and put into words later: whoever waits for the acknowledgement does not wait for
+    that.
+    """
 
     def __init__(self) -> None:
         self._lines: deque[Change] = deque(maxlen=_MAX_LOG)
+        self._raw: deque[tuple[_Flight, int, bytes]] = deque()
         self._dropped = 0
         self._lock = threading.Lock()
 
-    def append(self, change: Change) -> None:
-        """Add a line."""
+    def append(self, flight: _Flight, tick: int, old: bytes) -> None:
+        """Add a batch that took effect at a sample, with the old values in the form of a batch."""
+        self._raw.append((flight, tick, old))
+
+    def settle(self) -> None:
+        """Put what has come in into words."""
         with self._lock:
-            self._dropped += len(self._lines) == _MAX_LOG
-            self._lines.append(change)
+            while self._raw:
+                flight, tick, old = self._raw.popleft()
+                for change in _changes(flight, tick, old):
+                    self._dropped += len(self._lines) == _MAX_LOG
+                    self._lines.append(change)
 
     def since(self, number: int) -> tuple[Change, ...]:
         """Lines from number `number` on (0: all that are kept)."""
+        self.settle()
         with self._lock:
-            return tuple(self._lines)[max(0, number - self._dropped) :]
+            return tuple(islice(self._lines, max(0, number - self._dropped), None))
+
+
+def _changes(flight: _Flight, tick: int, old: bytes) -> list[Change]:
+    found: list[Change] = []
+    at = 0
+    for piece in flight.pieces:
+        at += _ENTRY.size
+        before, after = _shown(piece.place, old, at), _shown(piece.place, piece.data, 0)
+        found.append(Change(tick, flight.host_time, piece.name, before, after, flight.author))
+        at += len(piece.data) + -len(piece.data) % 8
+    return found
 
 
 class Updates:
@@ -86,6 +112,7 @@ class Updates:
         ffi, lib = layout()
         self._ffi, self._lib, self._control, self._data = ffi, lib, control, data
         self._memory = np.frombuffer(data.map, dtype=np.uint8)
+        self._view = memoryview(data.map)
         self._dictionary, self._log, self._alive = dictionary, log, alive
         self._lock = threading.RLock()
         self._free = list(range(lib.LAYOUT_BATCHES))[::-1]
@@ -147,8 +174,7 @@ class Updates:
                 if place.entry.info.kind == "table":
                     tables.append((name, place, encode_table(name, place, value)))
                 else:
-                    offset = (place.element or 0) * place.entry.dtype.itemsize
-                    pieces.append(_Piece(name, place, offset, encode(name, place, value)))
+                    pieces.append(_Piece(name, place, encode(name, place, value)))
             except VariableError as error:
                 problems.append(str(error))
         if problems:
@@ -173,7 +199,7 @@ class Updates:
         start = place.entry.banks[bank]
         self._memory[start : start + rows.nbytes] = rows.reshape(-1).view(np.uint8)
         self._bank[index] = bank
-        return _Piece(name, place, 0, np.array([bank, rows.shape[0]], dtype="<i4").tobytes())
+        return _Piece(name, place, np.array([bank, rows.shape[0]], dtype="<i4").tobytes())
 
     def _commit(self, slot: int, pieces: list[_Piece], author: str, at_tick: int | None) -> int:
         control = self._control
@@ -181,8 +207,8 @@ class Updates:
         body = bytearray()
         for piece in pieces:
             size = len(piece.data)
-            header = np.array((piece.place.entry.index, piece.offset, size, 0), dtype=_ENTRY)
-            body += header.tobytes() + piece.data + b"\0" * (-size % 8)
+            body += _ENTRY.pack(piece.place.entry.index, piece.place.offset, size, 0)
+            body += piece.data if size % 8 == 0 else piece.data + bytes(-size % 8)
         room = int(control.batch_stride) - self._ffi.sizeof("batch")
         if len(body) > room:
             raise Refused(f"the update takes {len(body)} bytes, {room} fit: write whole arrays in place of their elements")
@@ -190,8 +216,8 @@ class Updates:
         self._sequence += 1
         batch.entries, batch.sequence, batch.at_tick = len(pieces), self._sequence, at_tick or 0
         first = start + self._ffi.sizeof("batch")
-        self._memory[first : first + len(body)] = np.frombuffer(body, dtype=np.uint8)
-        self._flights[self._sequence] = _Flight(slot, tuple(pieces), author, time.time())
+        self._view[first : first + len(body)] = body
+        self._flights[self._sequence] = _Flight(slot, tuple(pieces), author, time.time(), len(body))
         self._lib.monitor_commit(self._ffi.addressof(control), batch, slot)
         return self._sequence
 
@@ -240,6 +266,7 @@ class Updates:
         """Take back the batches that were applied, and write the log."""
         with self._lock:
             self._harvest()
+        self._log.settle()
 
     def _harvest(self) -> None:
         for sequence in list(self._flights):
@@ -249,7 +276,8 @@ class Updates:
             if self._lib.monitor_load32(self._ffi.addressof(batch[0], "state")) != self._lib.BATCH_APPLIED:
                 continue
             tick = int(batch.applied)
-            self._note(flight, tick, start + self._ffi.sizeof("batch"))
+            body = start + self._ffi.sizeof("batch")
+            self._log.append(flight, tick, bytes(self._view[body : body + flight.bytes]))
             batch.state = self._lib.BATCH_FREE
             del self._flights[sequence]
             self._free.append(flight.slot)
@@ -257,22 +285,10 @@ class Updates:
             if len(self._applied) > _MAX_ACKS:
                 del self._applied[next(iter(self._applied))]
 
-    def _note(self, flight: _Flight, tick: int, at: int) -> None:
-        for piece in flight.pieces:
-            at += _ENTRY.itemsize
-            size = len(piece.data)
-            old = _shown(piece.place, self._memory[at : at + size].tobytes())
-            new = _shown(piece.place, piece.data)
-            self._log.append(Change(tick, flight.host_time, piece.name, old, new, flight.author))
-            at += size + -size % 8
 
-
-def _shown(place: Place, data: bytes) -> Value:
+def _shown(place: Place, data: memoryview | bytes, offset: int) -> Value:
     """A value for the log; a table is logged by its number of rows."""
     if place.entry.info.kind == "table":
-        return int(np.frombuffer(data, dtype="<i4")[1])
-    array = np.frombuffer(data, dtype=place.entry.dtype)
-    if array.size == 1:
-        scalar: Value = array[0].item()
-        return scalar
-    return array.copy()
+        rows: int = SCALARS["int32"].unpack_from(data, offset + 4)[0]
+        return rows
+    return value_of(place.entry, place.scalar, data, offset)

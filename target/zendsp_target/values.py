@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
-from zendsp_target.dictionary import Place
+from zendsp_target.dictionary import SCALARS, Place
 
 _INT32 = np.iinfo(np.int32)
 _LARGEST = float(np.finfo(np.float64).max)
@@ -38,11 +37,9 @@ def encode(name: str, place: Place, value: object) -> bytes:
     """
     info = place.entry.info
     _check_kind(name, place)
-    if type(value) in (float, int, bool) and (info.length == 1 or place.element is not None):
-        number = float(value)  # type: ignore[arg-type]
-        # the common case, a hundred times a second from a slider: no arrays. What is not plainly right goes the long way
-        if info.type == "double" and info.minimum <= number <= info.maximum and abs(number) <= _LARGEST:
-            return struct.pack("<d", number)
+    # the common case, a hundred times a second from a slider: no arrays. What is not plainly right goes the long way
+    if type(value) is float and info.type == "double" and place.scalar and info.minimum <= value <= info.maximum and abs(value) <= _LARGEST:
+        return SCALARS["double"].pack(value)
     array = _as_elements(name, place, _numbers(name, value))
     _check_limits(name, place, array)
     return _typed(name, place, array).tobytes()
