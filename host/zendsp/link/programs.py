@@ -162,7 +162,7 @@ def gather(source: Source) -> dict[str, str]:
     if not path.exists() and path.name == str(path):
         example = resources.files("zendsp_isr").joinpath("programs", path.name)
         if example.is_file():
-            return {path.name: example.read_text(encoding="utf-8")}
+            path = Path(str(example))  # with the headers beside it
     sources: dict[str, str] = {}
     waiting = [path]
     while waiting:

@@ -134,6 +134,22 @@ class Reference:
             object.__setattr__(self, name, value)  # frozen: the arrays are settled here once
         object.__setattr__(self, "sample_time", float(self.sample_time))
 
+    def tables(self) -> dict[str, Array]:
+        """What a control program plays, in the order in which to send it: ``ref_tau``, then ``ref``, which begins the motion.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (N, joints)
+            Torque (one row of zeros where there is none) and positions; docs/references.md has the convention.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> list(Reference(np.zeros(3), 0.001).tables())
+        ['ref_tau', 'ref']
+        """
+        return {"ref_tau": np.zeros((1, self.joints)) if self.tau is None else self.tau, "ref": self.q}
+
     @property
     def t(self) -> Array:
         """Time of each row, s, from 0."""

@@ -1,0 +1,117 @@
+/* motion.h: what control programs of N joints share: measured motion, and a reference to follow.
+ *
+ *     #include "isr.h"
+ *     #define N 2
+ *     #include "motion.h"
+ *
+ *     void UserInit(void)     { MotionInit(); … }
+ *     void UserISR_INT2(void) { MotionStep(); … q, qd; r, rd, rdd; tau_ff … }
+ *
+ * The host downloads the table `ref`, one row a step, N columns of positions (the q of a reference file), and with it, if the
+ * program wants a torque as well, `ref_tau`. Both in one synchronous update; the motion begins when they switch over, when `play`
+ * changes, or when the drives come on: from where the machine stands, over `approach_time`, into the first row. Between rows the
+ * position is interpolated; its speed and acceleration are differences over one row. docs/references.md has the convention.
+ */
+#ifndef ZENDSP_MOTION_H
+#define ZENDSP_MOTION_H
+
+#ifndef N
+#error "define N, the number of joints, before #include \"motion.h\""
+#endif
+#ifndef MOTION_CUTOFF
+#define MOTION_CUTOFF 80.0 /* Hz, initial value of the velocity filter */
+#endif
+#ifndef MOTION_ROWS
+#define MOTION_ROWS 60000 /* 60 s at 1 kHz */
+#endif
+
+static table ref, ref_tau;
+static bool use_table;
+static int32_t row_rate, play;
+static double approach_time, cutoff;
+
+static double q[N], qd[N];         /* measured, rad and rad/s */
+static double r[N], rd[N], rdd[N]; /* reference */
+static double e[N], tau_ff[N];     /* r - q; torque of the reference, N m */
+static double play_time;           /* s since the first row; negative while approaching */
+static bool playing;
+
+static struct motion {
+    bool known, begun;
+    double last[N], start[N], t0; /* positions one sample ago and at the beginning, and when that was */
+    uint32_t seen;
+    int32_t played;
+} motion;
+
+static inline void MotionInit(void) {
+    PARAMETER(use_table, 1, "", 0, 1, "follow the table ref; 0 holds the position");
+    PARAMETER(row_rate, 1000, "1/s", 1, 100000, "rows of ref a second");
+    PARAMETER(approach_time, 1.0, "s", 0.0, 60.0, "time from where the machine stands to the first row");
+    PARAMETER(play, 0, "", 0, 2147483647, "any change plays ref again from where the machine stands");
+    PARAMETER(cutoff, MOTION_CUTOFF, "Hz", 1.0, 1000.0, "velocity filter");
+    TABLE(ref, MOTION_ROWS, N, "rad", "reference positions, one row a step");
+    TABLE(ref_tau, MOTION_ROWS, N, "N m", "torque that goes with them");
+    SIGNAL(q, "rad", "positions");
+    SIGNAL(qd, "rad/s", "velocities, filtered");
+    SIGNAL(r, "rad", "reference");
+    SIGNAL(rd, "rad/s", "its velocity");
+    SIGNAL(rdd, "rad/s^2", "its acceleration");
+    SIGNAL(e, "rad", "errors r - q");
+    SIGNAL(tau_ff, "N m", "torque of the reference");
+    SIGNAL(play_time, "s", "time in the reference");
+    SIGNAL(playing, "", "true from the first row to the last");
+}
+
+/* Fifth-order step, at rest at both ends. */
+static inline double MotionSmooth(double s) {
+    if (s <= 0.0)
+        return 0.0;
+    return s < 1.0 ? s * s * s * (10.0 + s * (6.0 * s - 15.0)) : 1.0;
+}
+
+/* Reference of joint j at time t since the beginning. */
+static inline double MotionAt(double t, int32_t j) {
+    const double from = motion.start[j];
+    if (!use_table || ref.rows == 0)
+        return from;
+    const double goal = TableValue(&ref, (t - approach_time) * row_rate, j); /* before row 0 and after the last: these hold */
+    return from + (approach_time > 0.0 ? MotionSmooth(t / approach_time) : 1.0) * (goal - from);
+}
+
+static inline void MotionMeasure(void) {
+    const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
+    for (int32_t j = 0; j < N; j++) {
+        q[j] = READ_POSITION(j);
+        qd[j] = motion.known ? qd[j] + a * ((q[j] - motion.last[j]) / SAMPLE_PERIOD - qd[j]) : 0.0;
+        motion.last[j] = q[j];
+    }
+    motion.known = true;
+}
+
+static inline void MotionBegin(void) {
+    for (int32_t j = 0; j < N; j++) /* while the drives are on, from the reference, so that nothing jumps */
+        motion.start[j] = motion.begun && DRIVE_ENABLED ? r[j] : q[j];
+    motion.t0 = SAMPLE_TIME;
+    motion.seen = ref.version;
+    motion.played = play;
+    motion.begun = true;
+}
+
+static inline void MotionStep(void) {
+    MotionMeasure();
+    if (!motion.begun || !DRIVE_ENABLED || motion.seen != ref.version || motion.played != play)
+        MotionBegin();
+    const double t = SAMPLE_TIME - motion.t0, h = 1.0 / row_rate;
+    play_time = t - approach_time;
+    playing = use_table && ref.rows > 0 && play_time >= 0.0 && play_time <= (ref.rows - 1) * h;
+    for (int32_t j = 0; j < N; j++) {
+        const double before = MotionAt(t - h, j), after = MotionAt(t + h, j);
+        r[j] = MotionAt(t, j);
+        rd[j] = (after - before) / (2.0 * h);
+        rdd[j] = (after - 2.0 * r[j] + before) / (h * h);
+        e[j] = r[j] - q[j];
+        tau_ff[j] = playing ? TableValue(&ref_tau, floor(play_time * row_rate + 1e-6), j) : 0.0; /* a torque is held, not interpolated */
+    }
+}
+
+#endif

@@ -1,0 +1,36 @@
+/* wam_pd_gravity.c: joint PD with gravity compensation on the WAM, as in the 7-DOF whole-arm paper; follows the table ref.
+ *
+ *     tau = Kp (r - q) + Kd (rd - qd) + g(q)
+ */
+#include "isr.h"
+#define N 7
+#include "motion.h"
+#include "wam_gravity.h"
+
+static double Kp[N] = {900.0, 1200.0, 300.0, 200.0, 25.0, 25.0, 6.0};  /* N m/rad */
+static double Kd[N] = {40.0, 50.0, 8.0, 6.0, 0.3, 0.3, 0.02};          /* N m s/rad */
+static double limit[N] = {77.3, 160.6, 95.6, 29.4, 11.6, 11.6, 2.7};   /* N m, of the drives */
+static bool compensate;
+static double g[N], tau[N];
+
+void UserInit(void) {
+    MotionInit();
+    PARAMETER_ARRAY(Kp, "N m/rad", 0.0, 10000.0, "position gain");
+    PARAMETER_ARRAY(Kd, "N m s/rad", 0.0, 1000.0, "velocity gain");
+    PARAMETER_ARRAY(limit, "N m", 0.0, 200.0, "largest torque");
+    PARAMETER(compensate, 1, "", 0, 1, "add the gravity torque");
+    SIGNAL(g, "N m", "gravity torque of the model");
+    SIGNAL(tau, "N m", "commands");
+}
+
+void UserISR_INT2(void) {
+    MotionStep();
+    WamGravity(q, g);
+    for (int32_t j = 0; j < N; j++) {
+        const double wanted = Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]) + (compensate ? g[j] : 0.0);
+        tau[j] = wanted > limit[j] ? limit[j] : wanted < -limit[j] ? -limit[j] : wanted;
+        WRITE_TORQUE(j, tau[j]);
+    }
+}
+
+void UserBackground(void) {}
