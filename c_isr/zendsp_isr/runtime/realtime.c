@@ -52,6 +52,13 @@ static void own_cpu(control *c) {
         say(c, ", CPU %d refused (%s)", cpu, strerror(errno));
 }
 
+/* Have the pages of the stack before the loop needs them. */
+static void touch_stack(void) {
+    volatile unsigned char pages[256 * 1024];
+    for (size_t i = 0; i < sizeof pages; i += 4096)
+        pages[i] = 0;
+}
+
 /* Called by the loop's thread, after the other threads have been started with normal scheduling. */
 void realtime_enter(runner *r) {
     control *c = r->control;
@@ -71,7 +78,9 @@ void realtime_enter(runner *r) {
         say(c, "SCHED_FIFO %d", c->priority);
     else
         say(c, "normal scheduling (SCHED_FIFO refused: %s)", strerror(errno));
-    if (mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0)
+    touch_stack();
+    /* not MCL_FUTURE: under a limit, mapping an acquisition later would fail; service.c locks each by itself */
+    if (mlockall(MCL_CURRENT | MCL_ONFAULT) == 0)
         say(c, ", memory locked");
     else
         say(c, ", memory not locked (%s)", strerror(errno));

@@ -66,6 +66,8 @@ static stream *map(const control *c, const char *path, int *failed) {
         void *at = mmap(NULL, s->bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
         s->head = at == MAP_FAILED ? NULL : at;
         *failed = s->head ? resolve(c, s) : errno;
+        if (s->head && c->clock == CLOCK_REAL)
+            mlock(s->head, s->bytes); /* beyond a limit it is refused: then it is present, though not locked */
     } else {
         *failed = ENOMEM;
     }
