@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.physics.bounds import parameter_bounds
 from zendsp.physics.effects import get_effect
 from zendsp.physics.joint import JointRecord, run
 from zendsp.physics.model import Model, Quantity, Term
@@ -28,6 +29,17 @@ class Handle:
     place: str
     index: int
     key: str = ""
+
+
+def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
+    """The free numbers that act on one joint (1-based): its terms, its sensor's zero, the mechanism parameters in its equation."""
+    keys = set(data.records[0][joint - 1].basis) | {"gravity"}
+    out = []
+    for h in free_handles(model, joints=(joint,)):
+        if h.place == "mechanism" and (h.key not in keys or (h.index != joint - 1 and len(model.mechanism[h.key]) > 1)):
+            continue
+        out.append(h)
+    return tuple(out)
 
 
 def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = True) -> tuple[Handle, ...]:
@@ -163,9 +175,11 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
         if h.place == "term":
             term = model.terms[h.index]
             parameter = get_effect(term.effect).parameter(h.key)
-            s = data.records[0][term.joint - 1].scale.of(parameter.size)
-            low.append(parameter.lower)
-            high.append(parameter.upper)
+            record = max((rec[term.joint - 1] for rec in data.records), key=lambda r: r.n)
+            s = record.scale.of(parameter.size)
+            lower, upper = parameter_bounds(term.effect, h.key, record)
+            low.append(lower)
+            high.append(upper)
             size.append(max(abs(term.parameters[h.key].value), 0.02 * s) if parameter.size not in ("angle", "number", "ratio") else 1.0)
             if parameter.size == "ratio":
                 size[-1] = 0.1
@@ -298,7 +312,7 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
     count = len(scores)
     sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
-    grow = np.sqrt(np.maximum(1.0, np.diag(classic) / np.maximum(np.diag(sandwich), 1e-300)))
+    grow = np.sqrt(np.maximum(1.0, np.diag(classic) / np.maximum(np.diag(sandwich), 1e-12 * np.maximum(np.diag(classic), 1e-300))))
     return sandwich * np.outer(grow, grow)
 
 

@@ -78,6 +78,12 @@ class JointRecord:
             self._integral = np.ascontiguousarray(np.r_[0.0, np.cumsum(self.command)] * self.sample_time)
         return self._integral
 
+    @property
+    def counted(self) -> npt.NDArray[np.bool_]:
+        """Samples that count in a likelihood, (n,): on a plateau of the quantiser only the code change does."""
+        mask: npt.NDArray[np.bool_] = self.measurement.half == 0
+        return mask
+
     def gains(self, bandwidth: float) -> tuple[Array, Array, Array]:
         """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process noise of that strength."""
         key = round(bandwidth, 6)

@@ -154,13 +154,17 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         double J = M->inertia[k] + j_extra, bias = M->bias[k] + (M->extra ? M->extra[k] : 0);
         zs s; memset(&s, 0, sizeof s);
         s.lag_t = h;
-        double usum = 0;
+        double usum = 0, u = 0, tau = 0;
+        int steady = !lag_on && delay == 0.0; /* the command is held over the sample */
+        if (steady) { u = (M->ucum[k + 1] - M->ucum[k]) / M->T; s.t = M->t0 + k * M->T; tau = act(M, u, &s); }
         for (int i = 0; i < M->sub; i++) {
             double tl = k * M->T + i * h; /* record time for the command, absolute time for effects */
-            double u = (cum(M, tl + h - delay) - cum(M, tl - delay)) / h;
             s.t = M->t0 + tl + 0.5 * h;
-            if (lag_on) { if (k == 0 && i == 0) a = u; double ex = exp(-h / lag); double mean = u + (a - u) * (lag / h) * (1 - ex); a = u + (a - u) * ex; u = mean; }
-            double tau = act(M, u, &s);
+            if (!steady) {
+                u = (cum(M, tl + h - delay) - cum(M, tl - delay)) / h;
+                if (lag_on) { if (k == 0 && i == 0) a = u; double ex = exp(-h / lag); double mean = u + (a - u) * (lag / h) * (1 - ex); a = u + (a - u) * ex; u = mean; }
+                tau = act(M, u, &s);
+            }
             usum += tau;
             s.u = u; s.tau = tau;
             forces f;

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -168,11 +167,12 @@ class Native:
         return self.ffi.cast("double *", self.ffi.from_buffer(array))
 
 
-@cache
-def _open(names: tuple[str, ...]) -> Native:
-    return Native(library())
+_opened: dict[int, Native] = {}
 
 
 def native() -> Native:
     """The library for the present set of effects, compiled at first use."""
-    return _open(tuple(library()))
+    effects = library()
+    if len(effects) not in _opened:
+        _opened[len(effects)] = Native(effects)
+    return _opened[len(effects)]

@@ -40,7 +40,7 @@ def library() -> dict[str, Effect]:
     >>> library()["coulomb"].equation
     'Fc sign(q̇)'
     """
-    return {**_shipped(), **_extra}
+    return {**_shipped(), **_extra} if _extra else _shipped()
 
 
 def get_effect(name: str) -> Effect:
@@ -52,7 +52,7 @@ def get_effect(name: str) -> Effect:
         Where the library has none of that name.
     """
     try:
-        return library()[name]
+        return _shipped().get(name) or _extra[name]
     except KeyError:
         raise ModelError(f"no physical effect is called {name!r}; known: {', '.join(library())}") from None
 

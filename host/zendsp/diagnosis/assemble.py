@@ -1,0 +1,97 @@
+"""One calibrated and one improved model of the whole machine from the searches of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from zendsp.diagnosis.score import Scored
+from zendsp.diagnosis.search import JointSearch
+from zendsp.physics.fit import Data, Fit, fit, free_handles
+from zendsp.physics.model import Model, Quantity, Term
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """Models in kernel form; ``fits[j]`` holds the numbers of joint j with their covariance; ``data`` has the observers of the end."""
+
+    calibrated: Model
+    improved: Model
+    fits: dict[int, Fit]
+    data: Data
+    shared: bool
+
+
+def shared_mechanism(model: Model) -> bool:
+    """Whether one free mechanism parameter acts on several joints."""
+    if model.joints == 1:
+        return False
+    return any(len(items) == 1 and items[0].free and items[0].value != 0 for items in model.mechanism.values())
+
+
+def _merge(given: Model, parts: Sequence[Scored]) -> Model:
+    terms: list[Term] = []
+    mechanism = {key: list(items) for key, items in given.mechanism.items()}
+    offset = [given.sensor.offset[j] if j < len(given.sensor.offset) else (given.sensor.offset or (0.0,))[0] for j in range(given.joints)]
+    gain = [given.actuator.gain[j] if j < len(given.actuator.gain) else given.actuator.gain[0] for j in range(given.joints)]
+    changed_offset = bool(given.sensor.offset)
+    for j, part in enumerate(parts):
+        model = part.model
+        terms += model.at(j + 1)
+        for key, items in mechanism.items():
+            source = model.mechanism[key]
+            if len(items) > 1:
+                items[j] = source[j]
+            elif len(parts) == 1:
+                items[0] = source[0]
+        if model.sensor.offset:
+            offset[j] = model.sensor.offset[j] if j < len(model.sensor.offset) else model.sensor.offset[0]
+            changed_offset = True
+        gain[j] = model.actuator.gain[j] if j < len(model.actuator.gain) else model.actuator.gain[0]
+    return replace(
+        given,
+        terms=tuple(terms),
+        mechanism={key: tuple(items) for key, items in mechanism.items()},
+        sensor=replace(given.sensor, offset=tuple(offset)) if changed_offset else given.sensor,
+        actuator=replace(given.actuator, gain=tuple(gain)) if len(set(gain)) > 1 or len(given.actuator.gain) == 1 and gain[0] != given.actuator.gain[0] else given.actuator,
+    )
+
+
+def assemble(train: Data, test: Data, given: Model, searches: Sequence[JointSearch], jobs: int) -> Assembled:
+    """Put the joints together; parameters that joints share are refitted on all of them at once."""
+    bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
+    data = replace(train, bandwidth=bandwidth)
+    if not shared_mechanism(given):
+        improved = _merge(given, [s.final for s in searches])
+        calibrated = _merge(given, [s.base for s in searches])
+        fits = {s.joint: s.final.fit for s in searches}
+        return Assembled(_noted(calibrated, {s.joint: s.base.fit for s in searches}), _noted(improved, fits), fits, data, False)
+    everything = tuple(range(1, given.joints + 1))
+    base_data = replace(train, bandwidth=tuple(s.base.data.bandwidth[s.joint - 1] for s in searches))
+    start = _merge(given, [s.base for s in searches])
+    calibrated = fit(base_data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
+    start = _merge(given, [s.final for s in searches])
+    whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
+    fits = dict.fromkeys(everything, whole)
+    return Assembled(calibrated, _noted(whole.model, {1: whole}), fits, data, True)
+
+
+def _noted(model: Model, fits: dict[int, Fit]) -> Model:
+    """Write the standard deviations of the fits into the model."""
+    mechanism = {key: list(items) for key, items in model.mechanism.items()}
+    terms = {id(t): dict(t.parameters) for t in model.terms}
+    for fitted in fits.values():
+        for h, s in zip(fitted.handles, fitted.std, strict=True):
+            if h.place == "mechanism":
+                mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], std=float(s))
+            elif h.place == "term":
+                source = fitted.model.terms[h.index]
+                for t in model.terms:
+                    if t is source or (t.effect == source.effect and t.joint == source.joint and t.parameters == source.parameters):
+                        old: Quantity = terms[id(t)][h.key]
+                        terms[id(t)][h.key] = replace(old, std=float(s))
+    return replace(
+        model,
+        mechanism={key: tuple(items) for key, items in mechanism.items()},
+        terms=tuple(Term(t.effect, t.joint, terms[id(t)]) for t in model.terms),
+    )

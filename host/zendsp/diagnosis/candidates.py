@@ -1,0 +1,101 @@
+"""The hypotheses for one joint: what a screen can rank, and what only a simulation with its own states can judge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from zendsp.diagnosis.screen import Candidate, Screen, make_term
+from zendsp.physics.effects import Effect, library
+from zendsp.physics.fit import Data, fit, joint_handles
+from zendsp.physics.joint import JointRecord
+from zendsp.physics.model import Model, Term
+
+DRY = ("coulomb", "coulomb_asymmetry", "stribeck", "load_friction", "position_friction")
+
+
+def screened(data: Data, model: Model, joint: int, *, jobs: int = 1) -> list[tuple[float, Candidate]]:
+    """Candidates with the share of the cost that each promises to remove, best first.
+
+    Screened with a slower observer than that of the data: it sees what a fast one follows.
+
+    Parameters
+    ----------
+    data : Data
+        Tuned to the model.
+    model : Model
+        Calibrated.
+    joint : int
+        1-based.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    list of (float, Candidate)
+    """
+    handles = joint_handles(data, model, joint)
+    here = data.bandwidth[joint - 1]
+    best: dict[object, tuple[float, Candidate]] = {}
+    around = data.at_bandwidth(joint, max(8.0, here / 4) if here > 8.0 else here)
+    result = fit(around, model, handles, joints=(joint,), iterations=3, jobs=jobs)
+    for candidate in Screen(around, result, joint, (joint,)).candidates():
+        if _absorbed(candidate.effect, model, joint):
+            continue
+        share = candidate.gain / max(result.cost, 1e-300)
+        key = (candidate.effect, candidate.terms[0].value("law", -1.0), candidate.terms[0].value("from_joint", -1.0))
+        if key not in best or share > best[key][0]:
+            best[key] = (share, candidate)
+    return sorted(best.values(), key=lambda item: -item[0])
+
+
+def _absorbed(effect: str, model: Model, joint: int) -> bool:
+    """Whether a free parameter of the given model is the same thing."""
+    if effect == "inertia":
+        key = {"rotary": "inertia", "linear": "mass"}.get(model.kind, "")
+        items = model.mechanism.get(key, ())
+        return bool(items) and items[min(joint, len(items)) - 1].free
+    return False
+
+
+def simulated(data: Data, model: Model, joint: int) -> list[list[Candidate]]:
+    """Hypotheses with states of their own, each with its start values."""
+    record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
+    present = {t.effect for t in model.at(joint)}
+    out = []
+    for effect in library().values():
+        if not effect.starts or effect.name in ("lag", "delay") or effect.name in present:
+            continue
+        if effect.family == "transmission" and present & {"elasticity", "backlash"}:
+            continue
+        if effect.name == "presliding" and not present & set(DRY):
+            continue
+        out.append([Candidate(effect.name, joint, (term,), (), math.nan) for term in starts(effect, joint, record, model)])
+    return out
+
+
+def starts(effect: Effect, joint: int, record: JointRecord, model: Model) -> Iterable[Term]:
+    """Start values in SI units: resonances are given as -frequency in Hz, gaps as a share of the span, the rest in scales."""
+    s = record.scale
+    inertia = float(np.mean(record.inertia_and_bias(model)[0]))
+    dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
+    for start in effect.starts:
+        values = {}
+        for name, number in start.items():
+            if name == "stiffness" and number < 0:
+                values[name] = (2 * np.pi * -number) ** 2 * inertia * 0.24
+            elif name == "stiffness" and effect.name == "presliding":
+                values[name] = number * dry / s.position
+            else:
+                values[name] = number * s.of(effect.parameter(name).size)
+        if effect.name == "elasticity":
+            values["damping"] = 0.05 * math.sqrt(values["stiffness"] * values["load_inertia"])
+        if effect.name == "presliding":
+            values["damping"] = 0.1 * math.sqrt(values["stiffness"] * inertia)
+        yield make_term(effect, joint, values)
+        if effect.name == "hysteresis":
+            yield make_term(effect, joint, {**values, "exponent": 2.0})
+
+

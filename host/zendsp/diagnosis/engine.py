@@ -1,0 +1,203 @@
+"""The diagnosis: read, check, calibrate, search each joint, judge on held-out recordings, name, and say what remains."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.diagnosis.assemble import Assembled, assemble
+from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.evidence import compare, torque_share
+from zendsp.diagnosis.findings import file_model, kernel_model
+from zendsp.diagnosis.naming import name_findings
+from zendsp.diagnosis.prepare import prepare
+from zendsp.diagnosis.propose import propose
+from zendsp.diagnosis.reading import Signals, read_signals, split
+from zendsp.diagnosis.result import Diagnosis, FitTable
+from zendsp.diagnosis.score import Scored
+from zendsp.diagnosis.search import JointSearch, Rival, Searcher, calibrate_joint
+from zendsp.diagnosis.verdict import judge
+from zendsp.diagnosis.where import intervals, mismatch, regions
+from zendsp.diagnosis.windows import model_error, noise_floor
+from zendsp.errors import RecordingError
+from zendsp.physics.fit import Data
+from zendsp.physics.model import Model
+from zendsp.physics.model_file import load_model, parse_model
+from zendsp.recording import Recording, Table
+
+Source = str | Path | Recording | Table
+Progress = Callable[[str], None]
+
+MIN_TRAIN_GAIN = 40.0  # deviance beyond the price of the parameters
+MIN_HELD_GAIN = 20.0
+MIN_Z = 2.5
+MIN_SHARE = 0.0015  # of the RMS torque: smaller effects are called negligible (the figures are measured: docs/diagnosis.md)
+
+
+class Acceptance:
+    """The gates of a claim: likelihood beyond its price, held-out gain, z over blocks, and a size that matters."""
+
+    def __init__(self, test: Data) -> None:
+        self.test = test
+
+    def __call__(self, before: Scored, rival: Rival) -> bool:
+        gain = before.deviance - rival.value
+        if gain < MIN_TRAIN_GAIN:
+            return False
+        held = compare(before, rival.scored, self.test, rival.joint)
+        if held.gain < MIN_HELD_GAIN or held.z < MIN_Z:
+            strong = gain > 400 and held.gain > 0.02 * gain and held.z > 0.5  # active in a small part of the record
+            if not strong:
+                return False
+        return torque_share(before, rival.scored, rival.joint) > MIN_SHARE
+
+
+def diagnose(
+    recordings: Source | Sequence[Source],
+    model: Model | str | Path | dict[str, Any],
+    heldout: Source | Sequence[Source] | None = None,
+    *,
+    seed: int = 0,
+    jobs: int = 2,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find the physics that a model leaves out of real recordings.
+
+    Parameters
+    ----------
+    recordings : path, Recording, Table, or a sequence of them
+        To calibrate and to search on; several are fitted jointly. SI units, columns as the model names them.
+    model : Model, path or dict
+        The given model (DIAGNOSIS.md).
+    heldout : like ``recordings``, optional
+        To judge on; where none is given, the last third of each recording is held out.
+    seed : int
+        Of what is drawn at random (the proposed reference).
+    jobs : int
+        Threads.
+    progress : callable, optional
+        Receives a sentence at each stage.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    RecordingError, ModelError
+        Unusable input: which file, which column or key, what was expected.
+
+    Examples
+    --------
+    >>> import zendsp
+    >>> d = zendsp.diagnose("run.csv", "bench.toml")  # doctest: +SKIP
+    >>> d.verdict, [f.effect for f in d.findings]     # doctest: +SKIP
+    ('missing', ['coulomb'])
+    """
+    begin = time.perf_counter()
+    tell = progress or (lambda _text: None)
+    given_file = _as_model(model)
+    given = kernel_model(given_file)
+    if given.kind == "python":
+        from zendsp.diagnosis.blackbox import diagnose_simulator
+
+        return diagnose_simulator(_sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell)
+    tell("reading the recordings")
+    train_signals, test_signals, notes = _read(recordings, heldout, given)
+    tell("smoothing the motion")
+    train, test = prepare(train_signals, given, 64.0), prepare(test_signals, given, 64.0)
+    names = [s.name for s in (*train_signals, *test_signals)]
+    notes += check_motion(Data((*train.records, *test.records), train.bandwidth), given, names)
+    notes += check_excitation(train)
+    tell("calibrating the given model")
+    searches = _search(train, test, given, jobs, tell)
+    tell("fitting the improved model")
+    whole = assemble(train, test, given, searches, jobs)
+    outcome = judge(train, test, given, searches, whole, jobs)
+    findings, rejected = name_findings(train, test, given, searches, whole, outcome, jobs, tell)
+    improved = whole.improved if outcome.verdict != "unexplained" or findings else whole.improved
+    lacking = {j: mismatch(train, whole.calibrated, j) for j in range(1, given.joints + 1)}
+    places, times = _where(lacking)
+    tell("proposing the next recording")
+    proposal = propose(train_signals, given, whole, searches, findings, outcome, seed)
+    floor = noise_floor(test)
+    return Diagnosis(
+        verdict=outcome.verdict,
+        findings=findings,
+        regions=places if outcome.verdict != "complete" else (),
+        times=times if outcome.verdict != "complete" else (),
+        unit="m" if given.joint_kind(1) == "linear" else "rad",
+        estimation=_table(train, given, whole.calibrated, improved),
+        heldout=_table(test, given, whole.calibrated, improved),
+        noise_floor=floor,
+        rejected=rejected,
+        next_recording=proposal,
+        seconds=time.perf_counter() - begin,
+        notes=tuple(notes),
+        given=given_file,
+        calibrated=file_model(whole.calibrated),
+        improved=file_model(improved),
+        unexplained=outcome.sentence,
+        missing=lacking,
+        remaining={j: mismatch(train, improved, j) for j in range(1, given.joints + 1)},
+        details={"searches": searches, "whole": whole, "train": train, "test": test, "outcome": outcome},
+    )
+
+
+def _as_model(model: Model | str | Path | dict[str, Any]) -> Model:
+    if isinstance(model, Model):
+        return model
+    return parse_model(model) if isinstance(model, dict) else load_model(model)
+
+
+def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
+    if given is None:
+        return []
+    return [given] if isinstance(given, str | Path | Recording | Table) else list(given)
+
+
+def _read(recordings: Source | Sequence[Source], heldout: Source | Sequence[Source] | None, model: Model) -> tuple[list[Signals], list[Signals], list[str]]:
+    signals = [read_signals(source, model) for source in _sources(recordings)]
+    if not signals:
+        raise RecordingError("no recording given")
+    held = [read_signals(source, model) for source in _sources(heldout)]
+    notes = check_signals([*signals, *held], model)
+    if held:
+        return signals, held, notes
+    train, test = split(signals)
+    notes.append("no held-out recording given: the last third of each recording is held out")
+    return train, test, notes
+
+
+def _search(train: Data, test: Data, given: Model, jobs: int, tell: Progress) -> list[JointSearch]:
+    out = []
+    for joint in range(1, given.joints + 1):
+        tell(f"joint {joint}: calibrating the given model")
+        base = calibrate_joint(train, given, joint, jobs)
+        searcher = Searcher(train, joint, Acceptance(test), jobs, tell)
+        out.append(searcher.search(base))
+    return out
+
+
+def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
+    places: list[Any] = []
+    times: list[tuple[float, float, float]] = []
+    for joint, parts in lacking.items():
+        for part in parts:
+            places += regions(part, joint)[:2]
+            times += intervals(part)
+    places.sort(key=lambda r: r.time_share - r.share)
+    times.sort(key=lambda s: -s[2])
+    return tuple(places[:6]), tuple((a, b) for a, b, _ in times[:6])
+
+
+def _table(data: Data, given: Model, calibrated: Model, improved: Model) -> FitTable:
+    return FitTable(*(float(np.float64(model_error(data, m))) for m in (given, calibrated, improved)))
+
+
+__all__ = ["Acceptance", "Assembled", "diagnose", "replace"]

@@ -1,0 +1,119 @@
+"""Held-out evidence: how much better a hypothesis predicts recordings that it was not fitted to, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.score import Scored
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import run
+from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
+
+BLOCK = 0.25  # s
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Gain in deviance of one hypothesis over another on some recordings: total, and mean over standard error of the blocks."""
+
+    gain: float
+    z: float
+    blocks: Array
+
+    @property
+    def positive(self) -> float:
+        """Share of blocks that gain."""
+        return float(np.mean(self.blocks > 0)) if len(self.blocks) else 0.0
+
+
+def point_deviance(data: Data, model: Model, joint: int, scale: float) -> list[Array]:
+    """-2 log density of each sample that counts, per recording; 0 for the others. ``scale``: variance of the weighted innovations."""
+    out = []
+    for rec in data.records:
+        record = rec[joint - 1]
+        bandwidth = data.bandwidth[joint - 1]
+        r = run(record, model, bandwidth, inner=data.inner).innovations
+        w = record.gains(bandwidth)[2]
+        counted = record.counted
+        value = np.minimum(r**2, 1e8) / scale
+        value[counted] += np.log(scale) - 2 * np.log(w[counted])
+        out.append(value)
+    return out
+
+
+def noise_scale(scored: Scored, joint: int) -> float:
+    """Variance of the weighted innovations in the recordings of the fit."""
+    r = scored.fit.residual
+    count = sum(int(rec[joint - 1].counted.sum()) for rec in scored.data.records)
+    return max(float(r @ r) / max(count, 1), 1e-9)
+
+
+def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
+    """Evidence for ``after`` over ``before`` on recordings that neither was fitted to.
+
+    Parameters
+    ----------
+    before, after : Scored
+        Each predicts with its own observer and noise scale, as found in its own fit.
+    test : Data
+    joint : int
+        1-based.
+
+    Returns
+    -------
+    Evidence
+    """
+    a = _points(before, test, joint)
+    b = _points(after, test, joint)
+    return evidence([x - y for x, y in zip(a, b, strict=True)], test)
+
+
+def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
+    data = test.at_bandwidth(joint, scored.data.bandwidth[joint - 1])
+    return point_deviance(data, scored.model, joint, noise_scale(scored, joint))
+
+
+def evidence(differences: Sequence[Array], data: Data) -> Evidence:
+    """Blocks of summed differences, their total and z."""
+    blocks = []
+    for d, rec in zip(differences, data.records, strict=True):
+        size = max(10, round(BLOCK / rec[0].sample_time))
+        skip = min(size, len(d) // 10)  # the observer settles
+        usable = d[skip:]
+        count = len(usable) // size
+        if count:
+            blocks.append(usable[: count * size].reshape(count, size).sum(axis=1))
+    values = np.concatenate(blocks) if blocks else np.zeros(1)
+    if len(values) < 2:
+        return Evidence(float(values.sum()), 0.0, values)
+    # a few blocks where either model loses the track must not decide: values beyond ten median deviations are drawn in
+    width = 10 * max(float(np.median(np.abs(values))), 1e-12)
+    drawn = np.clip(values, -width, width)
+    error = float(np.std(drawn, ddof=1)) * np.sqrt(len(drawn))
+    return Evidence(float(drawn.sum()), float(drawn.sum()) / error if error > 0 else 0.0, values)
+
+
+def torque_share(before: Scored, after: Scored, joint: int, bandwidth: float = 32.0) -> float:
+    """How large the difference between two hypotheses is as a torque, relative to the torque in the recording (RMS over RMS).
+
+    An observer's correction of the velocity is a torque; the two hypotheses are corrected by the same observer.
+    """
+    squares, count, scale = 0.0, 0, 1.0
+    for rec in before.data.records:
+        record = rec[joint - 1]
+        _, k2, w = record.gains(bandwidth)
+        inertia, _ = record.inertia_and_bias(before.model)
+        a = run(record, before.model, bandwidth, inner=before.data.inner).innovations
+        b = run(record, after.model, bandwidth, inner=before.data.inner).innovations
+        difference = np.where(w > 0, (a - b) / np.maximum(w, 1e-300), 0.0) * k2 * inertia / record.sample_time
+        skip = min(record.n // 10, round(0.5 / record.sample_time))
+        squares += float(np.sum(difference[skip:] ** 2))
+        count += record.n - skip
+        scale = max(record.scale.torque, 1e-300)
+    return float(np.sqrt(squares / max(count, 1))) / scale

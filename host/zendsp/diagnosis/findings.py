@@ -1,0 +1,106 @@
+"""From fitted models to findings: which terms are new, their numbers with units and uncertainty, and the sentence that explains them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from zendsp.diagnosis.result import Estimate
+from zendsp.physics.effects import get_effect, unit_of
+from zendsp.physics.fit import Fit
+from zendsp.physics.model import Model, Term
+
+LAWS = ("inertia", "coriolis", "viscous", "coulomb")
+WIDEN = 1.15  # standard deviations are widened by this: measured on concealed cases (see docs/diagnosis.md, calibration)
+
+
+def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
+    """Terms of the final model at a joint that the given one does not have."""
+    had = [t.effect for t in given.at(joint)]
+    out = []
+    for term in final.at(joint):
+        if term.effect in had:
+            had.remove(term.effect)
+        else:
+            out.append(term)
+    return out
+
+
+def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, Estimate]:
+    """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the Coulomb level."""
+    effect = get_effect(term.effect)
+    row = next((i for i, t in enumerate(fit.model.terms) if t is term), None)
+    if row is None:
+        row = next(i for i, t in enumerate(fit.model.terms) if t.effect == term.effect and t.joint == term.joint)
+    out = {}
+    for p in effect.parameters:
+        if not p.fitted and term.effect == "coupling":
+            continue
+        value = term.value(p.name, p.default or 0.0)
+        at = [i for i, h in enumerate(fit.handles) if h.place == "term" and h.index == row and h.key == p.name]
+        variance = float(fit.covariance[at[0], at[0]]) if at else 0.0
+        if term.effect == "stribeck" and p.name == "breakaway":
+            value, variance = _breakaway(fit, term, value, variance, at)
+        if p.name in ("phase", "angle"):
+            value = math.remainder(value, 2 * math.pi)
+        out[p.name] = Estimate(value, WIDEN * math.sqrt(max(variance, 0.0)), unit_of(p.size, kind, command_unit))
+    return out
+
+
+def _breakaway(fit: Fit, term: Term, excess: float, variance: float, at: list[int]) -> tuple[float, float]:
+    for i, t in enumerate(fit.model.terms):
+        if t.effect == "coulomb" and t.joint == term.joint:
+            where = [k for k, h in enumerate(fit.handles) if h.place == "term" and h.index == i and h.key == "level"]
+            if where and at:
+                both = fit.covariance[np.ix_([at[0], where[0]], [at[0], where[0]])]
+                variance = float(both.sum())
+            return excess + t.value("level"), variance
+    return excess, variance
+
+
+def file_model(model: Model) -> Model:
+    """The model as files give it: Stribeck terms with the breakaway level, not the excess over Coulomb."""
+    return _shift_breakaway(model, +1.0)
+
+
+def kernel_model(model: Model) -> Model:
+    """The model as the kernel takes it (the inverse of ``file_model``)."""
+    return _shift_breakaway(model, -1.0)
+
+
+def _shift_breakaway(model: Model, sign: float) -> Model:
+    from dataclasses import replace
+
+    terms = []
+    for term in model.terms:
+        if term.effect == "stribeck":
+            level = sum(t.value("level") for t in model.at(term.joint) if t.effect == "coulomb")
+            values = dict(term.parameters)
+            old = values["breakaway"]
+            values["breakaway"] = replace(old, value=old.value + sign * level)
+            term = Term(term.effect, term.joint, values)
+        terms.append(term)
+    return model.with_terms(tuple(terms))
+
+
+def number(estimate: Estimate) -> str:
+    """Value ± standard deviation with its unit, to the digits that mean something."""
+    value, std = estimate.value, estimate.std
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    if not std > 0 or not math.isfinite(std):
+        return f"{value:.4g}{unit}"
+    digits = max(0, min(9, 1 - math.floor(math.log10(std)))) if std < 1e6 else 0
+    if abs(value) < 1e-4 or digits > 6:
+        return f"{value:.3g} ± {std:.2g}{unit}"
+    return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"
+
+
+def sentence(term: Term, values: dict[str, Estimate]) -> str:
+    """The effect's own sentence with its numbers."""
+    words: dict[str, str] = {n: number(e) for n, e in values.items()}
+    words["joint"] = str(term.joint)
+    if term.effect == "coupling":
+        words["from_joint"] = str(int(term.value("from_joint")))
+        words["law"] = LAWS[int(term.value("law"))]
+    return get_effect(term.effect).sentence.format(**words)

@@ -1,0 +1,150 @@
+"""Likelihood of a fitted hypothesis, with the process noise chosen by the data.
+
+A hypothesis that leaves physics out needs strong process noise, that is a fast observer, to follow the recording; the right one
+predicts with a slow observer. The likelihood of the innovations, maximised over the observer's bandwidth, sees both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.fit import Data, Fit, Handle, fit, residual
+from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
+
+SLOWEST, FASTEST = 4.0, 512.0  # rad/s
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A hypothesis after its fit.
+
+    Attributes
+    ----------
+    fit : Fit
+    data : Data
+        With the bandwidths that maximise the likelihood.
+    deviance : float
+        -2 log-likelihood of the fitted joints.
+    joints : tuple of int
+        Joints that count (1-based).
+    """
+
+    fit: Fit
+    data: Data
+    deviance: float
+    joints: tuple[int, ...]
+
+    @property
+    def model(self) -> Model:
+        """The fitted model."""
+        return self.fit.model
+
+
+def log_weights(data: Data, joint: int) -> float:
+    """Sum of log S over the samples that count."""
+    total = 0.0
+    for rec in data.records:
+        record = rec[joint - 1]
+        w = record.gains(data.bandwidth[joint - 1])[2]
+        total += float(-2 * np.sum(np.log(w[record.counted])))
+    return total
+
+
+def informative(data: Data, joint: int) -> int:
+    """Number of samples that count."""
+    return int(sum(np.sum(rec[joint - 1].counted) for rec in data.records))
+
+
+def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
+    """-2 log-likelihood with the noise scale profiled per joint; infinite where the prediction ran away."""
+    total = 0.0
+    for j in joints:
+        r = residual(data, model, (j,))
+        total += deviance_of(data, j, r)
+    return total
+
+
+def deviance_of(data: Data, joint: int, r: Array) -> float:
+    """As ``deviance`` from the innovations of one joint."""
+    n = informative(data, joint)
+    mean = float(r @ r) / max(n, 1)
+    if not np.isfinite(mean) or mean > 1e8:
+        return float("inf")
+    return n * float(np.log(max(mean, 1e-12))) + log_weights(data, joint)
+
+
+def fastest(data: Data) -> float:
+    """Fastest observer that the sample time allows, rad/s."""
+    return min(FASTEST, 0.5 / data.records[0][0].sample_time)
+
+
+def tune_bandwidth(data: Data, model: Model, joints: Sequence[int], *, down_only: bool = False) -> tuple[Data, float]:
+    """Bandwidth of each joint's observer that maximises the likelihood of a model, by doubling and halving."""
+    for j in joints:
+        best = deviance(data, model, (j,))
+        for factor in (0.5,) if down_only else (0.5, 2.0):
+            moved = False
+            while SLOWEST <= data.bandwidth[j - 1] * factor <= fastest(data):
+                trial = data.at_bandwidth(j, data.bandwidth[j - 1] * factor)
+                value = deviance(trial, model, (j,))
+                if not value < best - 2.0:
+                    break
+                data, best, moved = trial, value, True
+            if moved:
+                break
+    return data, deviance(data, model, joints)
+
+
+def fit_scored(
+    data: Data,
+    model: Model,
+    handles: Sequence[Handle],
+    joints: Sequence[int],
+    *,
+    iterations: int = 12,
+    jobs: int = 2,
+    rounds: int = 4,
+) -> Scored:
+    """Fit, tune the observer, and fit again until the bandwidth stands.
+
+    Parameters
+    ----------
+    data : Data
+        Bandwidths to begin with.
+    model, handles, joints
+        As for ``fit``.
+    iterations : int
+        Of each fit.
+    jobs : int
+        Threads.
+    rounds : int
+        At most so many changes of bandwidth.
+
+    Returns
+    -------
+    Scored
+    """
+    best: Scored | None = None
+    for _ in range(rounds):
+        result = fit(data, model, handles, joints=joints, iterations=iterations, jobs=jobs)
+        value = deviance(data, result.model, joints)
+        if best is None or value < best.deviance:
+            best = Scored(result, data, value, tuple(joints))
+        tuned, tuned_value = tune_bandwidth(data, result.model, joints)
+        if tuned.bandwidth == data.bandwidth or not tuned_value < value - 2.0:
+            break
+        data, model = tuned, result.model
+    assert best is not None
+    return best
+
+
+def rescored(scored: Scored, data: Data, *, jobs: int = 2, iterations: int = 6) -> Scored:
+    """The same hypothesis refitted with the observers of other data."""
+    result = fit(data, scored.model, scored.fit.handles, joints=scored.joints, iterations=iterations, jobs=jobs)
+    return replace(scored, fit=result, data=data, deviance=deviance(data, result.model, scored.joints))

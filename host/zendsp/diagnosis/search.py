@@ -1,0 +1,252 @@
+"""The search: one joint, the calibrated model, and the hypotheses that explain what it leaves.
+
+Each round screens the library, fits the promising hypotheses with all calibrated parameters free, and keeps the most likely. Rounds
+follow until nothing passes; alternatives to the first step guard against one effect standing in for two; then every found
+term and every term of the given model has to justify itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+from zendsp.diagnosis.candidates import screened, simulated
+from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
+from zendsp.diagnosis.screen import Candidate, with_candidate
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Data, fit, joint_handles
+from zendsp.physics.model import Model, Term
+
+Progress = Callable[[str], None]
+
+PROMISING = 0.002  # share of the cost that a screen must promise
+SHORTLIST = 9
+FINALISTS = 4
+WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
+WHITE = 1.25  # innovations whose slow part exceeds the rest by less leave nothing to explain
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A hypothesis that was fitted: what it adds to the model before it, and how likely it made the recording."""
+
+    effect: str
+    joint: int
+    scored: Scored
+    price: float  # deviance that its free parameters and the size of the search cost
+    terms: tuple[Term, ...]
+    replaces: tuple[str, ...]
+
+    @property
+    def value(self) -> float:
+        """Deviance with the price, the lower the better."""
+        return self.scored.deviance + self.price
+
+
+@dataclass(frozen=True)
+class Step:
+    """One accepted effect, with the hypotheses that stood beside it."""
+
+    chosen: Rival
+    rivals: tuple[Rival, ...]
+    before: Scored
+
+
+@dataclass
+class JointSearch:
+    """What the search found at one joint."""
+
+    joint: int
+    base: Scored
+    steps: list[Step] = field(default_factory=list)
+    best: Scored | None = None
+    dropped: tuple[str, ...] = ()
+    tried: list[Rival] = field(default_factory=list)
+
+    @property
+    def final(self) -> Scored:
+        """The best model."""
+        return self.best or self.base
+
+
+def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float:
+    """What the free parameters of some terms cost in deviance: BIC, and a grid searched counts as a parameter more."""
+    count = 0.0
+    for term in terms:
+        effect = get_effect(term.effect)
+        count += sum(1 for p in effect.parameters if p.fitted) + (1 if effect.grid or effect.starts else 0) - 0.01 * (effect.name in ("coulomb", "torque_offset"))
+        if effect.name in replacing:
+            count -= 1
+    return count * math.log(max(n, 10))
+
+
+def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
+    """The given model with the free parameters that act on one joint refitted."""
+    return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs)
+
+
+class Searcher:
+    """Searches one joint; ``accept`` decides whether a step counts (held-out evidence is its business)."""
+
+    def __init__(self, data: Data, joint: int, accept: Callable[[Scored, Rival], bool], jobs: int, progress: Progress) -> None:
+        self.data, self.joint, self.accept, self.jobs, self.progress = data, joint, accept, jobs, progress
+        self.n = informative(data, joint)
+        self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
+
+    def search(self, base: Scored, most: int = 4) -> JointSearch:
+        """Add effects to a calibrated model until nothing passes.
+
+        A step that is likely but does not hold on the held-out recordings may stand on the shoulders of an effect still hidden: it waits
+        for the next one, and both are judged together.
+        """
+        found = JointSearch(self.joint, base)
+        current, waiting = base, []
+        while len(found.steps) + len(waiting) < most:
+            rivals = self.round(current)
+            if not found.tried:
+                found.tried = list(rivals)
+            if not rivals or current.deviance - rivals[0].value < WAIT:
+                break
+            if not found.steps and not waiting:
+                rivals = self._best_first(current, rivals)
+            step = Step(rivals[0], tuple(rivals[1:]), current)
+            since = waiting[0].before if waiting else current
+            together = replace(rivals[0], price=sum(s.chosen.price for s in waiting) + rivals[0].price)
+            if self.accept(current, rivals[0]) and (not waiting or self.accept(since, together)):
+                found.steps += [*waiting, step]
+                waiting = []
+            elif waiting and self.accept(since, together):
+                found.steps += [*waiting, step]
+                waiting = []
+            elif len(waiting) < 1 and current.deviance - rivals[0].value > 10 * WAIT:
+                waiting.append(step)
+            else:
+                break
+            current = rivals[0].scored
+        if found.steps:
+            found.best = found.steps[-1].chosen.scored
+            found.best, found.dropped = self.simplify(found)
+        return found
+
+    def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
+        """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
+        second = self.round(rivals[0].scored)
+        if not second or rivals[0].scored.deviance - second[0].value < WAIT:
+            return rivals
+        best, total = rivals[0], second[0].value + rivals[0].price
+        gain = current.deviance - rivals[0].value
+        for first in rivals[1:4]:
+            if current.deviance - first.value < 0.4 * gain or _general(first, rivals[0]):
+                continue
+            behind = self.round(first.scored)
+            if behind and behind[0].value + first.price < total - 10.0:
+                best, total = first, behind[0].value + first.price
+        return [best, *[r for r in rivals if r is not best]]
+
+    def round(self, current: Scored) -> list[Rival]:
+        """Fit the promising hypotheses on top of a model, the most likely first; one entry an effect."""
+        if id(current) not in self._rounds:
+            self._rounds[id(current)] = (current, self._round(current))
+        return self._rounds[id(current)][1]
+
+    def _round(self, current: Scored, only: frozenset[str] = frozenset()) -> list[Rival]:
+        self.progress(f"joint {self.joint}: screening the library")
+        options = screened(current.data, current.model, self.joint, jobs=self.jobs)
+        listed = [[c] for share, c in options if share > PROMISING][:SHORTLIST]
+        if len(listed) < 3:
+            listed = [[c] for _, c in options[:3]]
+        listed += simulated(current.data, current.model, self.joint)
+        if only:
+            listed = [[c] for _, c in options if c.effect in only]
+            listed += [g for g in simulated(current.data, current.model, self.joint) if g[0].effect in only]
+        listed = [[c for c in group if c.effect != "hysteresis" or c.terms[0].value("exponent") == 1.0] or group for group in listed]
+        self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
+        with ThreadPoolExecutor(self.jobs) as pool:
+            quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
+            quick.sort(key=lambda r: r.value)
+            reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
+            finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
+            full = list(pool.map(lambda r: self._full(r), finalists))
+        rivals = sorted([*full, *quick[len(finalists) :]], key=lambda r: r.value)
+        return rivals
+
+    def stand_ins(self, current: Scored, effects: frozenset[str]) -> list[Rival]:
+        """Only the named effects, fitted on top of a model, the most likely first."""
+        return self._round(current, effects)
+
+    def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
+        """A short fit from each start; the best is followed to slower observers."""
+        best: Rival | None = None
+        for candidate in group:
+            model = with_candidate(current.model, candidate)
+            handles = joint_handles(current.data, model, self.joint)
+            rounds = 2 if len(group) > 1 else 4
+            result = fit(current.data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1)
+            value = deviance(current.data, result.model, (self.joint,))
+            rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
+            if best is None or rival.value < best.value:
+                best = rival
+        if best is None or not math.isfinite(best.value):
+            return None
+        if len(group) > 1:
+            handles = best.scored.fit.handles
+            result = fit(current.data, best.scored.model, handles, joints=(self.joint,), iterations=5, tolerance=1e-2, jobs=1)
+        else:
+            result = best.scored.fit
+        data, value = tune_bandwidth(current.data, result.model, (self.joint,), down_only=True)
+        return replace(best, scored=Scored(result, data, value, (self.joint,)))
+
+    def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
+        return Rival(candidate.effect, self.joint, scored, price(candidate.terms, self.n, (candidate.effect,) if candidate.replaces else ()), candidate.terms, candidate.replaces)
+
+    def _full(self, rival: Rival) -> Rival:
+        scored = fit_scored(rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=1)
+        options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
+        for term in rival.terms:
+            if term.effect == "hysteresis":  # the exponent is chosen, not estimated
+                other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
+                options.append(fit_scored(rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=1, rounds=2))
+        return replace(rival, scored=min(options, key=lambda s: s.deviance))
+
+    def simplify(self, found: JointSearch) -> tuple[Scored, tuple[str, ...]]:
+        """Drop every term, given or found, that the recording does not need any more."""
+        best = found.final
+        dropped: list[str] = []
+        added = {t.effect for s in found.steps for t in s.chosen.terms}
+        while True:
+            for i, term in enumerate(best.model.terms):
+                if term.joint != self.joint or _needed_by(best.model, term):
+                    continue
+                model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
+                trial = fit_scored(best.data, model, joint_handles(best.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=2)
+                if trial.deviance < best.deviance + price((term,), self.n):
+                    best = trial
+                    if term.effect not in added or term.effect in {t.effect for t in found.base.model.at(self.joint)}:
+                        dropped.append(term.effect)
+                    break
+            else:
+                return best, tuple(dropped)
+
+
+def _general(rival: Rival, other: Rival) -> bool:
+    """Whether one of two hypotheses contains the other as a special case."""
+    return other.effect in get_effect(rival.effect).replaces or rival.effect in get_effect(other.effect).replaces
+
+
+def _needed_by(model: Model, term: Term) -> bool:
+    return any(
+        term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term
+    )
+
+
+def _set_number(model: Model, effect: str, joint: int, name: str, value: float) -> Model:
+    terms = []
+    for t in model.terms:
+        if t.effect == effect and t.joint == joint:
+            values = dict(t.parameters)
+            values[name] = replace(values[name], value=value)
+            t = Term(t.effect, t.joint, values)
+        terms.append(t)
+    return model.with_terms(tuple(terms))

@@ -1,0 +1,75 @@
+"""Physics that a free parameter of the mechanism has absorbed: a payload, a wrong gain.
+
+Calibration moves inertia and gravity freely. A few percent are the tolerance of any given figure; a shift far beyond is a finding. A
+gain error scales inertia, gravity and friction alike, exactly: where all of them have moved by one factor, it is named with them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.result import Estimate, Finding
+from zendsp.diagnosis.search import JointSearch
+from zendsp.physics.model import Model
+
+TOLERANCE = 0.045  # relative standard deviation of a given inertia, mass or gravity figure
+FAR = 3.0  # standard deviations
+
+
+def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collection[str]) -> list[tuple[float, Finding]]:
+    """Findings about mechanism parameters that moved far from their given values, with their z.
+
+    Parameters
+    ----------
+    given : Model
+    search : JointSearch
+    whole : Assembled
+    found : collection of str
+        Effects already found at the joint; an effect that carries inertia itself explains the shift.
+
+    Returns
+    -------
+    list of (float, Finding)
+    """
+    joint = search.joint
+    if given.kind not in ("rotary", "linear") or {"elasticity", "backlash", "torque_gain"} & set(found):
+        return []
+    moves = {}
+    for key, items in given.mechanism.items():
+        index = joint - 1 if len(items) > 1 else 0
+        if joint > 1 and len(items) == 1:
+            continue
+        before, after = items[index], whole.improved.mechanism[key][index]
+        if not before.free or before.value == 0:
+            continue
+        ratio = after.value / before.value - 1.0
+        spread = math.hypot(TOLERANCE, after.std / abs(before.value))
+        moves[key] = (ratio, ratio / spread, after.value - before.value, after.std)
+    main = "inertia" if given.kind == "rotary" else "mass"
+    if main not in moves or abs(moves[main][1]) < FAR:
+        return _gravity_only(given, joint, moves)
+    ratio, z, amount, std = moves[main]
+    unit = "kg m²" if given.kind == "rotary" else "kg"
+    same = []
+    others = [m for key, m in moves.items() if key != main]
+    if all(abs(m[0] - ratio) < 0.5 * abs(ratio) for m in others):
+        same.append("torque_gain")
+    if others and any(abs(m[1]) > FAR for m in others):
+        same.append("gravity")
+    values = {"amount": Estimate(amount, std, unit)}
+    text = f"Calibration moves the {main} of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} {unit}), far beyond the tolerance of a given figure: a payload, or a wrong figure."
+    if same:
+        text += f" This recording cannot tell it from {', '.join(same)}."
+    sure = min(0.9, 0.5 + 0.05 * abs(z))
+    return [(z, Finding("inertia", joint, values, sure, 0.0, tuple(same), (), text))]
+
+
+def _gravity_only(given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]) -> list[tuple[float, Finding]]:
+    if "gravity" not in moves or abs(moves["gravity"][1]) < 2 * FAR:
+        return []
+    ratio, z, amount, std = moves["gravity"]
+    values = {"torque": Estimate(abs(amount), std, "N m"), "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad")}
+    text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} N m), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
+    return [(z, Finding("gravity", joint, values, 0.7, 0.0, ("stiffness",), (), text))]

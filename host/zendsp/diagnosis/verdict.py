@@ -1,0 +1,131 @@
+"""Complete, missing, or unexplained: decided by what remains after the best explanation, joint by joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.remainder import Remainder, remainder
+from zendsp.diagnosis.score import deviance, tune_bandwidth
+from zendsp.diagnosis.search import JointSearch
+from zendsp.diagnosis.where import intervals, missing_torque
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import run
+from zendsp.physics.model import Model
+
+STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
+STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
+SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained
+PEAK = 0.75  # share of the energy in a tenth of the time that speaks of a disturbance
+
+
+@dataclass(frozen=True)
+class JointOutcome:
+    """What one joint came to: "complete", "missing", "unexplained" or "disturbance"."""
+
+    joint: int
+    kind: str
+    before: Remainder
+    after: Remainder
+    spans: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The verdict over all joints, and the sentence about what no effect explains."""
+
+    verdict: str
+    joints: tuple[JointOutcome, ...]
+    sentence: str
+
+
+def judge(train: Data, test: Data, given: Model, searches: Sequence[JointSearch], whole: Assembled, jobs: int) -> Outcome:
+    """Decide the verdict.
+
+    Parameters
+    ----------
+    train, test : Data
+    given : Model
+    searches : sequence of JointSearch
+    whole : Assembled
+    jobs : int
+
+    Returns
+    -------
+    Outcome
+    """
+    joints = tuple(_judge_joint(train, test, s) for s in searches)
+    kinds = {j.kind for j in joints}
+    unit = "N" if given.joint_kind(1) == "linear" else "N m"
+    words = []
+    for j in joints:
+        if j.kind == "unexplained":
+            words.append(
+                f"Joint {j.joint}: a torque of {j.after.state_size:.3g} {unit} RMS ({100 * j.after.relative:.1f} % of the torque) depends on the state of the joint and is none of the known effects"
+            )
+        elif j.kind == "missing" and j.after.relative > SMALL and j.after.state_share > STATE:
+            words.append(f"Joint {j.joint}: beside what was found, {j.after.size:.3g} {unit} RMS ({100 * j.after.relative:.1f} % of the torque) stays unexplained")
+    verdict = "missing" if kinds & {"missing", "disturbance"} else "unexplained" if "unexplained" in kinds else "complete"
+    return Outcome(verdict, joints, ". ".join(words))
+
+
+def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
+    j = search.joint
+    before = remainder(search.base.data, test, search.base.model, j)
+    final = search.final
+    after = before if not search.steps else remainder(final.data, test, final.model, j)
+    bandwidth = final.data.bandwidth[j - 1]
+    if search.steps:
+        stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
+        if after.state_share > STATE and stray > STRAY and after.relative > SMALL:
+            return JointOutcome(j, "unexplained", before, after)
+        return JointOutcome(j, "missing", before, after)
+    if before.state_share > STATE and before.relative * np.sqrt(before.state_share) > SMALL:
+        return JointOutcome(j, "unexplained", before, after)
+    if bandwidth >= 24.0 and before.time_peak > 0.55 and before.state_share < STATE:
+        spans = _disturbance(search)
+        if spans:
+            return JointOutcome(j, "disturbance", before, after, spans)
+    return JointOutcome(j, "complete", before, after)
+
+
+def _disturbance(search: JointSearch) -> tuple[tuple[float, float], ...]:
+    """Time intervals (s) outside of which the model is complete: a torque in them alone must make a slow observer do."""
+    j, final = search.joint, search.final
+    spans: list[tuple[float, float]] = []
+    extras, total, covered = [], 0.0, 0.0
+    for rec in final.data.records:
+        record = rec[j - 1]
+        lacking = missing_torque(record, final.model)
+        found = [s for s in intervals(lacking, most=12) if s[2] > 0.02]
+        spans += [(a, b) for a, b, _ in found]
+        keep = np.zeros(record.n, bool)
+        for a, b, _ in found:
+            keep |= (lacking.time >= a - 0.15) & (lacking.time <= b + 0.15)
+        extras.append(np.ascontiguousarray(np.where(keep, lacking.torque, 0.0)))
+        total += record.n
+        covered += float(keep.sum())
+    if not spans or covered / total > 0.35:
+        return ()
+    before = deviance(final.data, final.model, (j,))
+    bandwidth = final.data.bandwidth[j - 1]
+    gain = 0.0
+    for slower in (bandwidth, bandwidth / 2, bandwidth / 4):
+        data = final.data.at_bandwidth(j, slower)
+        value = _deviance_with(data, final.model, j, extras)
+        gain = max(gain, before - value)
+    _, tuned = tune_bandwidth(final.data, final.model, (j,))
+    return tuple(sorted(spans)) if gain > 100.0 + (before - tuned) else ()
+
+
+def _deviance_with(data: Data, model: Model, joint: int, extras: list[np.ndarray]) -> float:  # type: ignore[type-arg]
+    from zendsp.diagnosis.score import deviance_of
+
+    parts = [
+        run(rec[joint - 1], model, data.bandwidth[joint - 1], inner=data.inner, extra=extra).innovations
+        for rec, extra in zip(data.records, extras, strict=True)
+    ]
+    return deviance_of(data, joint, np.concatenate(parts))

@@ -1,0 +1,75 @@
+"""The fit that a person can read: position error of short free simulations, given, calibrated and improved.
+
+Each window restarts from the smoothed motion; what its unknown initial position and velocity explain (a straight line) is removed, for
+all models alike. A perfect model leaves the sensor's own noise: the noise floor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import run
+from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
+
+WINDOW = 0.25  # s
+
+
+def window_error(data: Data, model: Model, joint: int) -> Array:
+    """Position error within windows, all recordings one after the other, rad or m."""
+    parts = []
+    for rec in data.records:
+        record = rec[joint - 1]
+        size = max(16, round(WINDOW / record.sample_time))
+        r = run(record, model, data.bandwidth[joint - 1], inner=max(data.inner, 4), free_every=size).innovations
+        count = record.n // size
+        if not count:
+            continue
+        blocks = r[: count * size].reshape(count, size)
+        x = np.linspace(-1.0, 1.0, size)
+        level = blocks.mean(axis=1, keepdims=True)
+        slope = blocks @ x / (x @ x)
+        parts.append((blocks - level - slope[:, None] * x).ravel())
+    return np.concatenate(parts) if parts else np.zeros(1)
+
+
+def rms(values: Array) -> float:
+    """Root mean square; infinite where the simulation ran away."""
+    value = float(np.sqrt(np.mean(np.minimum(values**2, 1e12))))
+    return value if np.isfinite(value) else float("inf")
+
+
+def model_error(data: Data, model: Model) -> float:
+    """RMS over all joints and recordings, rad or m."""
+    return rms(np.concatenate([window_error(data, model, j) for j in range(1, data.joints + 1)]))
+
+
+def noise_floor(data: Data) -> float:
+    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS)."""
+    squares, count = 0.0, 0
+    for rec in data.records:
+        for record in rec:
+            m = record.measurement
+            size = max(16, round(WINDOW / record.sample_time))
+            left = 1.0 - 2.0 / size
+            if m.resolution > 0:
+                squares += record.n * left * _quantisation(record.position, record.motion.states[0], size) ** 2
+            else:
+                squares += record.n * left * m.noise**2
+            count += record.n
+    return float(np.sqrt(squares / max(count, 1)))
+
+
+def _quantisation(y: Array, smooth: Array, size: int) -> float:
+    """RMS of measured minus smoothed position within windows, straight lines removed."""
+    count = len(y) // size
+    if not count:
+        return float(np.std(y - smooth))
+    blocks = (y - smooth)[: count * size].reshape(count, size)
+    x = np.linspace(-1.0, 1.0, size)
+    blocks = blocks - blocks.mean(axis=1, keepdims=True)
+    blocks = blocks - (blocks @ x / (x @ x))[:, None] * x
+    return rms(blocks.ravel())
