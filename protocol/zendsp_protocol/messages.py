@@ -285,8 +285,7 @@ class ChunkHeader(Message, frozen=True, kw_only=True):
     first: int
     rows: int
     columns: int
-    crc: int  # CRC-32 (zlib) of the payload
-    bad: str = ""
+    crc: int  # folded CRC-32 of the payload, see chunks.folded_crc
 
 
 class Seal(Message, frozen=True, kw_only=True):

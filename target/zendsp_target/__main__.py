@@ -69,9 +69,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
+    from zendsp_target.memory import keep_large_buffers
     from zendsp_target.monitor import Monitor, Options
     from zendsp_target.runtime import Runtime
 
+    keep_large_buffers()
     runtime = Runtime(
         machine=args.machine,
         rate_hz=args.rate,

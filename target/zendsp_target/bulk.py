@@ -9,7 +9,7 @@ import zenoh
 
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
-from zendsp_protocol.chunks import crc, spans
+from zendsp_protocol.chunks import folded_crc, spans
 from zendsp_protocol.codec import encode
 from zendsp_protocol.errors import AcquisitionError
 from zendsp_protocol.version import PROTOCOL
@@ -40,6 +40,6 @@ def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: 
 
 def _send(query: zenoh.Query, first: int, rows: np.ndarray[Any, np.dtype[np.float64]]) -> None:
     data = rows.astype("<f8", copy=False).tobytes()
-    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=rows.shape[0], columns=rows.shape[1], crc=crc(data))
+    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=rows.shape[0], columns=rows.shape[1], crc=folded_crc(data))
     # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
     query.reply(query.key_expr, data, attachment=encode(header))

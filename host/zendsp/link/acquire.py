@@ -19,7 +19,7 @@ from zendsp.recording import Channel, ParameterChange, Recording
 from zendsp.recording.names import split_element
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
-from zendsp_protocol.chunks import crc, gaps
+from zendsp_protocol.chunks import folded_crc, gaps
 from zendsp_protocol.version import PROTOCOL
 
 FloatArray = npt.NDArray[np.float64]
@@ -46,9 +46,9 @@ class Rows:
             Its checksum or its size is wrong; what came before is kept.
         """
         header: m.ChunkHeader = codec.decode(attachment, m.ChunkHeader)
-        if crc(payload) != header.crc or len(payload) != 8 * header.rows * header.columns:
+        if folded_crc(payload) != header.crc or len(payload) != 8 * header.rows * header.columns:
             raise AcquisitionError(
-                f"rows {header.first}…{header.first + header.rows} arrived damaged (CRC-32)"
+                f"rows {header.first}…{header.first + header.rows} arrived damaged (checksum)"
             )
         place = header.first - self.origin
         self.data[place : place + header.rows] = np.frombuffer(payload, "<f8").reshape(
