@@ -12,7 +12,8 @@ from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import Value
 from zendsp_target.dictionary import Dictionary, Place, decode
 from zendsp_target.layout import layout
-from zendsp_target.runner import RunnerProcess, Settings, ffi_address, ffi_pointer
+from zendsp_target.runner import RunnerProcess, ffi_address, ffi_pointer
+from zendsp_target.settings import Settings
 from zendsp_target.supervise import Supervisor
 from zendsp_target.updates import ChangeLog, Updates
 

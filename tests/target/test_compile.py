@@ -128,8 +128,8 @@ def test_messages_of_clang_are_read_from_text() -> None:
 
 def test_the_target_imports_neither_textual_nor_scipy_nor_matplotlib() -> None:
     code = (
-        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.compile_service, zendsp_target.__main__\n"
-        "zendsp_target.runtime.layout()\n"
+        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.compile_service, zendsp_target.__main__, zendsp_target.layout\n"
+        "zendsp_target.layout.layout()\n"
         "print([m for m in ('textual', 'scipy', 'matplotlib', 'pandas', 'click', 'rich', 'zendsp') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

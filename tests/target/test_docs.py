@@ -40,6 +40,17 @@ def test_the_program_of_the_page_controls_the_machine_of_the_page(make_runtime: 
     assert (info.name, info.simulated, info.joints[0].torque_max) == ("my_axis", True, 10.0)
 
 
+def test_a_machine_without_homing_is_homed_at_once(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path
+) -> None:
+    machine = tmp_path / "my_axis.c"
+    machine.write_text(first_code("machines.md"))
+    runtime = make_runtime(first_code("isr.md"), machine=str(machine))
+    runtime.home()
+    wait_for(lambda: runtime.status().tick > 0 and runtime.status().state == "loaded", runtime.status)
+    assert runtime.status().homed
+
+
 def test_every_name_of_the_header_is_on_the_page() -> None:
     header = (source_root() / "include" / "isr.h").read_text().split("/* ---- Beneath")[0]
     names = re.findall(r"^#define (\w+)", header, re.MULTILINE)

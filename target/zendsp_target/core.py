@@ -1,0 +1,120 @@
+"""What a target holds: settings, shared memory, the loaded program; and how programs come and go."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from zendsp_isr.build import build_machine, build_runner
+from zendsp_protocol.errors import Refused
+from zendsp_target.api import CompileResult
+from zendsp_target.compile_service import compile_program, program_path
+from zendsp_target.concealed import load_concealed
+from zendsp_target.layout import layout
+from zendsp_target.session import Session
+from zendsp_target.settings import Settings, split_options
+from zendsp_target.shm import SharedFolder
+from zendsp_target.updates import ChangeLog
+
+
+class Core:
+    """Base of `Runtime`, where its parameters are described."""
+
+    def __init__(
+        self,
+        machine: str,
+        rate_hz: float = 1000.0,
+        clock: str = "real",
+        machine_config: Mapping[str, str | float] | None = None,
+        concealed: str | None = None,
+        **options: Any,
+    ) -> None:
+        config = dict(machine_config or {})
+        own, for_machine = split_options(options)
+        config |= for_machine
+        self._concealed = load_concealed(concealed, machine, config)
+        config |= self._concealed.config()
+        self._settings = Settings(machine, config, rate_hz, clock, **own)
+        layout()
+        build_runner()
+        build_machine(machine)  # what does not compile shall say so now, not at the first load
+        self._folder = SharedFolder()
+        self._lock = threading.RLock()
+        self._session: Session | None = None
+        self._log = ChangeLog()
+        self._loads = 0
+        self._drive_wish = "auto"
+        self._closed = False
+
+    def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult:
+        """Compile a program; errors in the code are part of the result. See `compile_program`."""
+        return compile_program(sources, flags)
+
+    def load(self, key: str) -> None:
+        """Start a fresh runner with a compiled program and run its UserInit. An earlier one is ended first.
+
+        Raises
+        ------
+        Refused
+            No such program, or it cannot run.
+        RunnerDied
+            Its UserInit crashed or did not return.
+        """
+        path = program_path(key)
+        with self._lock:
+            self._require_open()
+            self.unload()
+            if self._drive_wish != "auto":
+                self._drive_wish = "off"  # a fresh runner begins with its drives off, and is switched on deliberately
+            self._loads += 1
+            self._session = Session(key, self._settings, path, self._folder.path, self._loads, self._log)
+
+    def unload(self) -> None:
+        """End the runner; acquired data and the log stay."""
+        with self._lock:
+            if self._session is not None:
+                self._session.close()
+                self._session = None
+
+    def configure(self, **changes: Any) -> None:
+        """Change fields of `Settings` (rate_hz, clock, machine, …) for the next load.
+
+        Raises
+        ------
+        Refused
+            A value out of range.
+        """
+        with self._lock:
+            self._settings = Settings(**{**self._settings.__dict__, **changes})
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise Refused("this runtime was closed")
+
+    def _loaded(self) -> Session:
+        session = self._session
+        if session is None:
+            raise Refused("no program is loaded: compile and load one first")
+        return session
+
+    def _living(self) -> Session:
+        session = self._loaded()
+        session.require_alive()
+        return session
+
+    def seal(self) -> str:
+        """SHA-256 of what the machine conceals: tells nothing, and proves afterwards that nothing was changed."""
+        return self._concealed.seal()
+
+    def reveal(self) -> str:
+        """The sealed record itself, as JSON text: the truth, to be asked for when the diagnosis is made."""
+        return self._concealed.record_text()
+
+    def close(self) -> None:
+        """End everything and remove the shared memory."""
+        with self._lock:
+            if not self._closed:
+                self.unload()
+                self._closed = True
+                self._folder.close()

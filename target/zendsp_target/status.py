@@ -1,0 +1,81 @@
+"""The state of a target at a glance."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_target import safety
+from zendsp_target.api import Status
+from zendsp_target.layout import layout, text_of
+from zendsp_target.session import Session
+from zendsp_target.settings import Settings
+
+_IO = ("enc", "aout", "adc", "din", "dout")
+_MODES = {number: name for name, number in safety.DRIVE_MODES.items()}
+
+
+def empty_status(settings: Settings) -> Status:
+    """Status while no program is loaded.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the next load.
+    """
+    return Status(
+        state="empty", tick=0, t=0.0, rate_hz=settings.rate_hz, clock=settings.clock, scheduling="", machine=settings.machine,
+        joints=0, program="", timing=safety.no_timing(), drive="off", trip=None, crash="",
+    )  # fmt: skip
+
+
+def status_of(session: Session) -> Status:
+    """Status of a loaded program, dead or alive.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    control = session.control
+    trip = safety.trip_of(control)
+    state = _state(session, trip is not None)
+    tick = session.tick
+    mode, homed = _MODES[int(control.drive_mode)], bool(control.homed)
+    return Status(
+        state=state, tick=tick, t=tick / session.settings.rate_hz, rate_hz=session.settings.rate_hz,
+        clock=session.settings.clock, scheduling=text_of(control.scheduling), machine=text_of(control.info.name),
+        joints=int(control.info.joints), program=session.key, timing=safety.timing_of(control),
+        drive=_drive(state, trip.reason if trip else "", mode, homed), trip=trip, crash=session.crash,
+        io=_io(session), homed=homed, drive_mode=mode,
+    )  # fmt: skip
+
+
+def _state(session: Session, tripped: bool) -> str:
+    _, lib = layout()
+    if not session.alive():
+        return "crashed"
+    if tripped:
+        return "stopped"
+    if session.running != lib.RUN_PAUSED:
+        return "running"
+    return "paused" if session.started else "loaded"
+
+
+def _drive(state: str, reason: str, mode: str, homed: bool) -> str:
+    if state == "crashed":
+        return "off"
+    if reason:
+        return "stopped" if reason in safety.STOPS else "tripped"
+    if mode == "off":
+        return "homed" if homed else "ready"
+    return "running" if state == "running" else "enabled"
+
+
+def _io(session: Session) -> dict[str, npt.NDArray[np.float64]]:
+    names = [name for name in _IO if name in session.dictionary.entries]
+    try:
+        _, values = session.read(names)
+    except (RunnerDied, Refused):
+        return {}
+    return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
