@@ -156,7 +156,8 @@ def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
         # a nuisance is a torque that no state explains: to call it a disturbance is true
         true_words = {"disturbance"} if kind == "nuisance" else set()
         false = [f for f in answer.findings if f.effect not in true_words]
-        table["alarm"] = bool(false) or (answer.verdict != "complete" and not answer.findings)
+        silent = answer.verdict == "complete" or bool(answer.findings)
+        table["alarm"] = None if answer.trouble else bool(false) or not silent
         table["confidences"] = tuple((f.confidence, f.effect in true_words) for f in answer.findings)
         return Judgement(**table)
     if not physics:

@@ -1,0 +1,256 @@
+"""The scorer counts known reports right, and runs the command as a user would."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zendsp.proof.answer import Answer, ContractError, Estimate, Finding, Region, read_report
+from zendsp.proof.judge import judge
+from zendsp.proof.score import answers, diagnose
+from zendsp.proof.scoreboard import calibration_gap, failures, headline, text, upper_bound
+
+
+def truth(
+    effects: list[dict[str, Any]], kind: str = "single", verdict: str = "missing", **more: Any
+) -> dict[str, Any]:
+    return {
+        "case": "case_0001",
+        "machine": "rotary",
+        "kind": kind,
+        "verdict": verdict,
+        "size": 1.0,
+        "effects": effects,
+        "replaces": [],
+        **more,
+    }
+
+
+def effect(name: str, joint: int = 1, accepted: tuple[str, ...] = (), **parameters: float) -> dict[str, Any]:
+    return {
+        "effect": name,
+        "joint": joint,
+        "parameters": {k: {"value": v, "unit": ""} for k, v in parameters.items()},
+        "accepted": list(accepted),
+        "accepted_joints": [joint],
+        "unscored": [],
+        "oracle": {"detectable": True, "inseparable": {"delay": 3.0}},
+    }
+
+
+def found(name: str, joint: int = 1, **more: Any) -> Finding:
+    return Finding(name, joint, confidence=0.95, **more)
+
+
+def test_right_name_on_right_joint_is_named() -> None:
+    j = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
+    assert j.named is True and j.strict is True and failures([j]) == []
+
+
+def test_right_name_on_wrong_joint_is_not_named() -> None:
+    j = judge(truth([effect("coulomb", joint=2)]), Answer("missing", (found("coulomb", joint=1),)))
+    assert j.named is False and len(failures([j])) == 1
+
+
+def test_set_that_holds_the_truth_counts_but_not_strictly() -> None:
+    j = judge(
+        truth([effect("coulomb")]), Answer("missing", (found("stribeck", indistinguishable=("coulomb",)),))
+    )
+    assert j.named is True and j.strict is False and j.set_size == 2
+
+
+def test_alias_by_algebra_and_by_the_oracle_count() -> None:
+    t = truth([effect("lag", accepted=("inertia",))])
+    assert judge(t, Answer("missing", (found("inertia"),))).named is True
+    assert judge(t, Answer("missing", (found("delay"),))).named is True
+    assert judge(t, Answer("missing", (found("ripple"),))).named is False
+
+
+def test_right_name_second_is_not_named_first() -> None:
+    j = judge(truth([effect("coulomb")]), Answer("missing", (found("ripple"), found("coulomb"))))
+    assert j.named is False and j.extra == 1
+
+
+def test_both_of_a_pair_must_lead() -> None:
+    t = truth([effect("coulomb"), effect("ripple")], kind="pair")
+    assert judge(t, Answer("missing", (found("ripple"), found("coulomb")))).both is True
+    assert judge(t, Answer("missing", (found("ripple"),))).both is False
+    assert judge(t, Answer("missing", (found("ripple"), found("stiffness"), found("coulomb")))).both is False
+
+
+def test_one_finding_cannot_stand_for_two_effects() -> None:
+    t = truth([effect("coulomb"), effect("ripple")], kind="pair")
+    j = judge(t, Answer("missing", (found("ripple", indistinguishable=("coulomb",)),)))
+    assert j.both is False
+
+
+def test_replacement_needs_the_law_and_the_word() -> None:
+    t = truth([effect("coulomb")], kind="replace")
+    t["replaces"] = ["viscous"]
+    assert judge(t, Answer("missing", (found("coulomb", replaces=("viscous",)),))).replaced is True
+    assert judge(t, Answer("missing", (found("coulomb"),))).replaced is False
+
+
+def test_false_alarms_are_claims_on_complete_machines() -> None:
+    t = truth([], kind="complete", verdict="complete")
+    assert judge(t, Answer("complete")).alarm is False
+    assert judge(t, Answer("missing", (found("coulomb"),))).alarm is True
+    assert judge(t, Answer("unexplained")).alarm is True
+
+
+def test_disturbance_is_true_of_a_nuisance_and_false_of_a_complete_machine() -> None:
+    named = Answer("missing", (found("disturbance"),))
+    assert judge(truth([], kind="nuisance", verdict="complete"), named).alarm is False
+    assert judge(truth([], kind="complete", verdict="complete"), named).alarm is True
+
+
+def test_foreign_torque_must_be_refused_without_physics() -> None:
+    t = truth([effect("foreign")], kind="foreign", verdict="unexplained")
+    assert judge(t, Answer("unexplained")).refused is True
+    assert judge(t, Answer("unexplained", (found("ripple"),))).refused is False
+    assert judge(t, Answer("missing", (found("ripple"),))).refused is False
+
+
+def test_parameter_errors_and_coverage() -> None:
+    t = truth([effect("coulomb", level=0.05, angle=3.1)])
+    values = {"level": Estimate(0.052, 0.001), "angle": Estimate(-3.1, 0.1)}
+    j = judge(t, Answer("missing", (found("coulomb", parameters=values),)))
+    assert j.errors == {"coulomb.level": pytest.approx(0.04)}
+    assert j.covered == {"coulomb.level": False, "coulomb.angle": True}  # 3.1 and -3.1 rad are 0.08 apart
+
+
+def test_gap_closed_is_between_calibrated_and_noise() -> None:
+    t = truth([effect("coulomb")])
+    j = judge(t, Answer("missing", (found("coulomb"),), calibrated=1.1, improved=0.2, noise_floor=0.1))
+    assert j.gap == pytest.approx(0.9)
+
+
+def test_place_is_found_by_a_region_that_holds_it() -> None:
+    t = truth([effect("stribeck")], where=[{"variable": "velocity", "joint": 1, "value": 0.0}])
+    assert (
+        judge(
+            t, Answer("missing", (found("stribeck"),), regions=(Region(1, "velocity", (-0.1, 0.1)),))
+        ).localised
+        is True
+    )
+    assert (
+        judge(
+            t, Answer("missing", (found("stribeck"),), regions=(Region(1, "velocity", (0.5, 1.0)),))
+        ).localised
+        is False
+    )
+
+
+def test_bound_is_clopper_pearson() -> None:
+    assert upper_bound(0, 149) == pytest.approx(1 - 0.05 ** (1 / 149))  # rule of three, exactly
+    assert upper_bound(0, 0) == 1.0 and upper_bound(5, 5) == 1.0
+
+
+def test_overconfidence_shows_in_the_calibration() -> None:
+    right = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
+    wrong = judge(truth([effect("coulomb")]), Answer("missing", (found("ripple"),)))
+    assert calibration_gap([right] * 19 + [wrong]) == pytest.approx(0.0, abs=1e-9)
+    assert calibration_gap([right, wrong]) == pytest.approx(0.45)
+
+
+REPORT = {
+    "verdict": "missing",
+    "findings": [
+        {
+            "effect": "coulomb", "joint": 1, "parameters": {"level": {"value": 0.05, "std": 0.001, "unit": "N m"}},
+            "confidence": 0.99, "share": 0.8, "indistinguishable": ["stribeck"], "replaces": ["viscous"], "sentence": "",
+        }
+    ],
+    "where": {"time": [[3.1, 3.4]], "state": [{"joint": 1, "variable": "velocity", "interval": [-0.05, 0.05], "share": 0.7, "time_share": 0.1}]},
+    "fit": {"quantity": "position", "unit": "rad", "estimation": {}, "heldout": {"given": 3.0, "calibrated": 2.0, "improved": 1.0}, "noise_floor": 0.9},
+}  # fmt: skip
+
+
+def test_report_of_the_contract_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "report.json"
+    path.write_text(json.dumps(REPORT))
+    answer = read_report(path, 1.5)
+    assert answer.findings[0].parameters["level"] == Estimate(0.05, 0.001)
+    assert answer.findings[0].indistinguishable == ("stribeck",) and answer.times == ((3.1, 3.4),)
+    assert Answer.from_json(json.loads(json.dumps(answer.to_json()))) == answer
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"verdict": "maybe"}, "verdict is 'maybe'"),
+        ({"verdict": "complete"}, "complete but there are findings"),
+        ({"findings": []}, "missing but there is no finding"),
+        ({"fit": {"noise_floor": 1.0}}, "no 'heldout'"),
+    ],
+)
+def test_report_against_the_contract_is_refused_by_name(
+    tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
+    path = tmp_path / "report.json"
+    path.write_text(json.dumps({**REPORT, **change}))
+    with pytest.raises(ContractError, match=words):
+        read_report(path, 0.0)
+
+
+def case_folder(root: Path) -> Path:
+    folder = root / "case_0001"
+    folder.mkdir(parents=True)
+    (folder / "case.json").write_text(
+        json.dumps({"train": ["a.csv"], "heldout": ["b.csv"], "model": "model.toml"})
+    )
+    return folder
+
+
+def stand_in(tmp_path: Path, body: str) -> tuple[str, ...]:
+    """A command with the contract's options, whose behaviour `body` says."""
+    script = tmp_path / "stand_in.py"
+    script.write_text(
+        "import json, pathlib, sys\nout = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])\n" + body
+    )
+    return (sys.executable, str(script))
+
+
+def test_command_is_run_as_a_process_and_its_report_read(tmp_path: Path) -> None:
+    command = stand_in(tmp_path, f"(out / 'report.json').write_text({json.dumps(json.dumps(REPORT))})\n")
+    answer = diagnose(case_folder(tmp_path / "cases"), tmp_path / "out", 30.0, command)
+    assert answer.trouble == "" and answer.verdict == "missing" and answer.seconds > 0
+
+
+def test_command_that_fails_or_hangs_is_a_failure_not_a_crash(tmp_path: Path) -> None:
+    folder = case_folder(tmp_path / "cases")
+    failed = diagnose(folder, tmp_path / "o1", 30.0, stand_in(tmp_path, "sys.exit('no such column')\n"))
+    assert "exit status 1: no such column" in failed.trouble
+    hung = diagnose(folder, tmp_path / "o2", 0.5, stand_in(tmp_path, "import time; time.sleep(60)\n"))
+    assert "no answer within" in hung.trouble
+    j = judge(truth([], kind="complete", verdict="complete"), failed)
+    assert failures([j])
+
+
+def test_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def ask(folder: Path, out: Path, limit: float) -> Answer:
+        asked.append(folder.name)
+        return Answer("complete", seconds=1.0)
+
+    folders = [tmp_path / f"case_{k:04d}" for k in range(1, 5)]
+    first = dict(answers(folders[:2], tmp_path / "r.json", 1, 1.0, ask))
+    with (tmp_path / "r.jsonl").open("a") as log:
+        log.write('{"case": "case_0003", "ans')  # cut short by a power failure
+    second = dict(answers(folders, tmp_path / "r.json", 1, 1.0, ask))
+    assert set(first) == {"case_0001", "case_0002"} and set(second) == {f.name for f in folders}
+    assert sorted(asked) == [f.name for f in folders]  # none twice
+
+
+def test_scoreboard_prints_every_promise() -> None:
+    judged = [
+        judge(truth([effect("coulomb", level=0.05)]), Answer("missing", (found("coulomb"),), seconds=2.0))
+    ]
+    printed = text(judged, "known")
+    assert all(row[0].strip() in printed for row in headline(judged))
+    assert "1/1 = 100.0%" in printed
