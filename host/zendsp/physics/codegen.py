@@ -1,0 +1,131 @@
+"""From model to C: what the ISR needs to use a model, with every number as a variable that can be tuned live."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from zendsp.physics.codegen_terms import Line, Variable, compensable, declare, kernel_terms, lines, why_not
+from zendsp.physics.model import Actuator, Model, Term
+
+SIGN_SPEED = 0.02  # rad/s or m/s: measured speed is never exactly zero, a hard sign would chatter about it
+
+
+def compensation(
+    terms: Sequence[Term],
+    *,
+    title: str = "",
+    sentences: Sequence[str] = (),
+    kinds: Sequence[str] = (),
+    actuator: Actuator | None = None,
+    sign_speed: float = SIGN_SPEED,
+) -> str:
+    """Found effects as a C function that gives the torque to add to a command.
+
+    The text defines ``CompensationInit()``, to be called in ``UserInit``, and ``Compensation(joint, q, qd, qdd, tau)``: joint from 0,
+    arrays of all joints in SI units, ``tau`` the torque wanted so far; the result is to be added to ``tau``.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        As in a model file (Stribeck with its breakaway level).
+    title : str
+        Named in the first line.
+    sentences : sequence of str
+        One comment line each.
+    kinds : sequence of str
+        "rotary" or "linear" for each joint; rotary where absent.
+    actuator : Actuator, optional
+        Needed for effects in command units.
+    sign_speed : float
+        Initial value of ``comp_sign_speed``, rad/s: dry friction is compensated by tanh(qd / comp_sign_speed); 0 is a hard sign.
+
+    Returns
+    -------
+    str
+        C source to be included after ``isr.h``. Valid, and of no effect, where nothing can be compensated.
+
+    Examples
+    --------
+    >>> from zendsp.physics.model import Quantity, Term
+    >>> text = compensation([Term("coulomb", 1, {"level": Quantity(0.05)})])
+    >>> "comp_share * (comp_coulomb1_level * comp_sign(qd[0]))" in text
+    True
+    """
+    model = Model("found", None, "rotary", {}, terms=tuple(terms))
+    made = lines(kernel_terms(model), "comp", kinds=kinds, actuator=actuator)
+    variables = [
+        Variable("comp_share", 1.0, "", "part of the compensation that is added, 0 to 1"),
+        Variable("comp_sign_speed", sign_speed, "rad/s", "speed over which dry friction changes its sign; 0: at once"),
+        *(v for line in made for v in line.variables),
+    ]
+    defined, declared = declare(variables)
+    notes = [f"   {text}" for text in sentences]
+    notes += [f"   Not compensated: {t.effect} of joint {t.joint} ({why_not(t.effect)})." for t in terms if not compensable(t)]
+    about = "\n".join([f"compensation.c: physics found{' in ' + title if title else ''}, as torque to add to a command.", *notes])
+    return _COMPENSATION.format(
+        about=_comment(about), defined=defined, declared=declared, sign=sign_function("comp"),
+        cases=_cases(made), inverse=_inverse(made),
+    )  # fmt: skip
+
+
+_COMPENSATION = """{about}
+ *
+ *     #include "isr.h"
+ *     #include "compensation.c"
+ *     … UserInit:      CompensationInit();
+ *     … UserISR_INT2:  tau[j] += Compensation(j, q, qd, qdd, tau[j]);
+ */
+#include "isr.h"
+
+{defined}
+
+{sign}
+
+static inline void CompensationInit(void) {{
+{declared}
+}}
+
+/* Torque to add to the command `tau` of a joint (from 0); q, qd, qdd: all joints, SI units. */
+static inline double Compensation(int32_t joint, const double *q, const double *qd, const double *qdd, double tau) {{
+    double wanted = tau;
+    (void)q, (void)qd, (void)qdd;
+    switch (joint) {{
+{cases}    default:
+        break;
+    }}
+{inverse}    return wanted - tau;
+}}
+"""
+
+
+def sign_function(prefix: str) -> str:
+    """C function ``{prefix}_sign``: smooth over ``{prefix}_sign_speed``, hard where that is 0."""
+    return (
+        f"static inline double {prefix}_sign(double x) {{\n"
+        f"    return {prefix}_sign_speed > 0.0 ? tanh(x / {prefix}_sign_speed) : (double)((x > 0.0) - (x < 0.0));\n}}"
+    )
+
+
+def _cases(made: Sequence[Line]) -> str:
+    out = ""
+    for joint in sorted({line.joint for line in made if not line.inverse}):
+        out += f"    case {joint}:\n"
+        for line in made:
+            if line.joint == joint and not line.inverse:
+                out += f"        wanted += comp_share * ({line.expression}); /* {line.comment} */\n"
+        out += "        break;\n"
+    return out
+
+
+def _inverse(made: Sequence[Line]) -> str:
+    return "".join(
+        f"    if (joint == {line.joint})\n        wanted += comp_share * ({line.expression} - wanted); /* {line.comment} */\n"
+        for line in made
+        if line.inverse
+    )
+
+
+def _comment(text: str) -> str:
+    """The first lines of a C comment, left open; nothing in them can end it."""
+    safe = text.replace("*/", "* /").replace("/*", "/ *").split("\n")
+    return "\n".join(["/* " + safe[0], *(f" * {line}".rstrip() for line in safe[1:])])

@@ -1,0 +1,183 @@
+"""Physical effects as C for the ISR: one expression of torque for each term, its numbers as declared variables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from zendsp.physics.effects import get_effect, unit_of
+from zendsp.physics.model import Actuator, Model, Term, per_joint
+
+# Effects that act in the actuator: what to send in place of a wanted torque {tau}, so that this torque comes out.
+_INVERSE = {
+    "torque_gain": "{tau} / (1.0 + p[0])",
+    "dead_zone": "{tau} + p[0] * {gain} * tanh({tau} / (0.05 * p[0] * {gain} + 1e-12))",
+}
+# The law of a coupling is part of the structure, not a number to be tuned: 0 inertia, 1 coriolis, 2 viscous, 3 coulomb.
+_COUPLING = (
+    "p[2] * qdd[{other}]",
+    "p[2] * qd[{other}] * qd[{other}]",
+    "p[2] * qd[{other}]",
+    "p[2] * tanh((qd[{joint}] + qd[{other}]) / p[3])",
+)
+_WHY_NOT = {
+    "friction_drift": "it changes with time: identify friction again when the machine is warm",
+    "presliding": "it depends on a deflection that is not measured",
+    "hysteresis": "it depends on a state that is not measured",
+    "elasticity": "its motion is not that of the motor: control both sides, or filter the resonance",
+    "backlash": "within the gap no torque reaches the load",
+    "saturation": "no command passes the limit: plan below it",
+    "lag": "a torque cannot come sooner: lower the bandwidth, or predict the reference",
+    "delay": "a torque cannot come sooner: lower the bandwidth, or predict the reference",
+    "encoder_eccentricity": "it is in the sensor: correct the measured angle",
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A number that becomes a tunable variable of the program."""
+
+    name: str
+    value: float
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Line:
+    """One term in C: ``expression`` of joint ``joint`` (from 0), over q, qd, qdd (arrays) and tau; ``inverse`` acts on tau at the end."""
+
+    joint: int
+    expression: str
+    inverse: bool
+    variables: tuple[Variable, ...]
+    comment: str
+
+
+def kernel_terms(model: Model) -> tuple[Term, ...]:
+    """Terms with Stribeck as the excess over the Coulomb level, which is how the effects' C functions take it."""
+    from dataclasses import replace
+
+    out = []
+    for term in model.terms:
+        if term.effect == "stribeck":
+            level = sum(t.value("level") for t in model.at(term.joint) if t.effect == "coulomb")
+            old = term.parameters["breakaway"]
+            term = Term(term.effect, term.joint, {**term.parameters, "breakaway": replace(old, value=old.value - level)})
+        out.append(term)
+    return tuple(out)
+
+
+def why_not(effect: str) -> str:
+    """Why an effect has no line in C.
+
+    Parameters
+    ----------
+    effect : str
+
+    Returns
+    -------
+    str
+    """
+    return _WHY_NOT.get(effect, "a torque that depends on position, speed and acceleration cannot undo it")
+
+
+def compensable(term: Term) -> bool:
+    """Whether a torque can cancel a term.
+
+    Parameters
+    ----------
+    term : Term
+
+    Returns
+    -------
+    bool
+    """
+    return term.effect in _INVERSE or term.effect == "coupling" or bool(get_effect(term.effect).compensable)
+
+
+def number(value: float) -> str:
+    """A C literal that gives back the same double.
+
+    Examples
+    --------
+    >>> number(2.0), number(0.1)
+    ('2.0', '0.1')
+    """
+    text = repr(float(value))
+    return text if any(c in text for c in ".en") else text + ".0"
+
+
+def lines(terms: Sequence[Term], prefix: str, *, kinds: Sequence[str] = (), actuator: Actuator | None = None) -> list[Line]:
+    """The terms that a torque can cancel, as C.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        In kernel form (Stribeck as excess over Coulomb).
+    prefix : str
+        Of every name that is made.
+    kinds : sequence of str
+        "rotary" or "linear" for each joint; rotary where absent.
+    actuator : Actuator, optional
+        Scales widths in command units to torque.
+
+    Returns
+    -------
+    list of Line
+        Those that act on the command come last, in reverse order of the signal path.
+    """
+    found: list[Line] = []
+    seen: dict[str, int] = {}
+    for term in terms:
+        if compensable(term):
+            label = f"{prefix}_{term.effect}{term.joint}"
+            seen[label] = seen.get(label, 0) + 1
+            found.append(_line(term, label if seen[label] == 1 else f"{label}_{seen[label]}", prefix, kinds, actuator or Actuator()))
+    return [line for line in found if not line.inverse] + [line for line in reversed(found) if line.inverse]
+
+
+def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: Actuator) -> Line:
+    effect, j = get_effect(term.effect), term.joint - 1
+    kind = kinds[j] if j < len(kinds) else "rotary"
+    gain = per_joint(actuator.gain, term.joint, 1.0)
+    sign = f"{prefix}_sign"
+    inverse = term.effect in _INVERSE
+    if inverse:
+        body = _INVERSE[term.effect].format(tau="wanted", gain=number(gain))
+    elif term.effect == "coupling":
+        body = _COUPLING[int(term.value("law"))].format(other=int(term.value("from_joint")) - 1, joint=j)
+    else:
+        body = effect.compensable
+        if effect.site == "dry" and "sgn(" not in body:  # levels per direction: the size here, the sign once and smooth
+            body = f"fabs({body}) * sgn(qd)"
+        body = re.sub(r"\b(q|qd|qdd)\b(?!\[)", rf"\1[{j}]", body)
+    variables: list[Variable] = []
+    for k, parameter in enumerate(effect.parameters):
+        if f"p[{k}]" not in body:
+            continue
+        name = f"{label}_{parameter.name}"
+        body = body.replace(f"p[{k}]", name)
+        unit = unit_of(parameter.size, kind, actuator.unit).replace("²", "^2").replace("³", "^3")
+        value = term.value(parameter.name, parameter.default or 0.0)
+        over = " over Coulomb" if term.effect == "stribeck" and parameter.name == "breakaway" else ""
+        variables.append(Variable(name, value, "" if unit == "1" else unit, f"{effect.name.replace('_', ' ')} of joint {term.joint}: {parameter.name.replace('_', ' ')}{over}"))
+    comment = f"{effect.name.replace('_', ' ')}: {effect.equation}"
+    return Line(j, body.replace("sgn(", f"{sign}("), inverse, tuple(variables), comment)
+
+
+def declare(variables: Sequence[Variable]) -> tuple[str, str]:
+    """Definitions of the variables, and their PARAMETER lines for UserInit.
+
+    Parameters
+    ----------
+    variables : sequence of Variable
+
+    Returns
+    -------
+    definitions, declarations : str
+    """
+    defined = "\n".join(f"static double {v.name};" for v in variables)
+    declared = "\n".join(f'    PARAMETER({v.name}, {number(v.value)}, "{v.unit}", NO_MIN, NO_MAX, "{v.text}");' for v in variables)
+    return defined, declared
