@@ -39,6 +39,8 @@ class ZendspApp(App[None]):
         C file to begin with.
     begin : str
         Machine to start here at once.
+    frames : float
+        Pictures a second; fewer for a slow line.
     """
 
     TITLE = "zendsp"
@@ -59,9 +61,11 @@ class ZendspApp(App[None]):
         first: str = "console",
         theme: str = "zendsp-night",
         begin: str = "",
+        frames: float = 30.0,
     ) -> None:
         super().__init__()
         self.session = Session(open_port)
+        self.frame_s = 1.0 / frames
         self.workspace = Workspace(folder)
         self.source = source
         self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)

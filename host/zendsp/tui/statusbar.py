@@ -127,8 +127,8 @@ class StatusBar(Widget):
         right.append(f" {clock} ", Style(dim=True))
         self._tabs.right = right
         self._tabs.refresh()
-        self._line1.update(self.where(snapshot))
-        self._line2.update(self.loop(snapshot))
+        self._line1.update(self.where(snapshot), layout=False)
+        self._line2.update(self.loop(snapshot), layout=False)
 
     def where(self, s: Snapshot) -> Text:
         """Return the line that names the target, its state and who commands."""

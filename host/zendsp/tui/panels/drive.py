@@ -28,6 +28,7 @@ class DrivePanel(Vertical):
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
         self.border_title = "Drives"
+        self._lines = -1
         self._ladder = Static("", id="ladder", markup=False)
         self._flags = Static("", id="drive-flags", markup=False)
 
@@ -46,8 +47,12 @@ class DrivePanel(Vertical):
 
     def show(self, s: Snapshot) -> None:
         """Paint a snapshot."""
-        self._ladder.update(self.ladder(s))
-        self._flags.update(self.flags(s))
+        ladder, flags = self.ladder(s), self.flags(s)
+        lines = ladder.plain.count("\n") + flags.plain.count("\n")
+        moved = lines != self._lines  # a new layout costs as much as painting the whole screen
+        self._lines = lines
+        self._ladder.update(ladder, layout=moved)
+        self._flags.update(flags, layout=moved)
 
     def ladder(self, s: Snapshot) -> Text:
         """Return the safe sequence with the present step marked."""
@@ -71,11 +76,14 @@ class DrivePanel(Vertical):
         """Return unmet conditions, the host-lost setting, and the inputs and outputs of each joint."""
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
-        for name, met, advice in s.conditions:
-            text.append("✔ " if met else "✖ ", Style(color=c["success" if met else "error"]))
-            text.append(f"{name}  " if met else f"{name}: {advice}  ", Style() if met else Style(bold=True))
+        for name, met, _ in s.conditions:
+            text.append("✔" if met else "✖", Style(color=c["success" if met else "error"]))
+            text.append(f" {name}  ", Style() if met else Style(bold=True))
         if s.conditions:
             text.append("\n")
+        for name, met, advice in s.conditions:
+            if not met:
+                text.append(f"{name}: {advice}\n", Style(color=c["warning"]))
         if s.host_lost:
             text.append("if the host is lost: ", Style(dim=True))
             text.append(f"{s.host_lost}\n")

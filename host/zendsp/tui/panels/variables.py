@@ -6,19 +6,25 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.style import Style
-from rich.text import Text
 from textual import on
 from textual.app import ComposeResult
 from textual.containers import Vertical
-from textual.widgets import DataTable, Input
-from textual.widgets.data_table import CellDoesNotExist
+from textual.widgets import Input
 
 from zendsp.tui.colours import trace_colours
+from zendsp.tui.panels.table import Cell, Column, LiveTable
 from zendsp.tui.panels.values import differs, show_limits, show_value
 from zendsp.tui.snapshot import Snapshot, Variable
 
-COLUMNS = ("", "name", "value", "unit", "limits", "initial", "description")
-WIDTHS = {"": 3, "value": 14}  # fixed: a value that changes its length must not make the table jump
+COLUMNS = (
+    Column("", 2),
+    Column("name", most=22),
+    Column("value", 14, right=True),
+    Column("unit", most=10),
+    Column("limits", most=16),
+    Column("initial", most=12),
+    Column("description", most=60),
+)
 
 
 class VariablesPanel(Vertical):
@@ -26,30 +32,23 @@ class VariablesPanel(Vertical):
 
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
-        self._rows: dict[str, tuple[str, ...]] = {}  # what each row shows now
-        self._shown: tuple[Variable, ...] = ()
         self._words = ""
+        self._rows: dict[str, tuple[object, ...]] = {}  # what each row was made of
         self.border_title = "Variables"
 
     def compose(self) -> ComposeResult:
         yield Input(placeholder="filter: part of a name, unit or description", id="filter", compact=True)
-        table: DataTable[Text] = DataTable(id="variables", cursor_type="row", cell_padding=1, zebra_stripes=False)
-        for name in COLUMNS:
-            table.add_column(Text(name), key=name, width=WIDTHS.get(name))
-        yield table
+        yield LiveTable(COLUMNS, id="variables")
 
     @property
-    def table(self) -> DataTable[Text]:
+    def table(self) -> LiveTable:
         """The table itself."""
-        return self.query_one("#variables", DataTable)
+        return self.query_one("#variables", LiveTable)
 
     @property
     def marked(self) -> str:
         """Name of the variable under the cursor, "" in an empty table."""
-        try:
-            return str(self.table.coordinate_to_cell_key(self.table.cursor_coordinate).row_key.value or "")
-        except CellDoesNotExist:
-            return ""
+        return self.table.marked
 
     def open_filter(self) -> None:
         """Show the filter line and type into it."""
@@ -60,7 +59,6 @@ class VariablesPanel(Vertical):
     @on(Input.Changed, "#filter")
     def _filter(self, event: Input.Changed) -> None:
         self._words = event.value.lower()
-        self._shown = ()  # refill at the next snapshot
 
     @on(Input.Submitted, "#filter")
     def _filtered(self) -> None:
@@ -69,40 +67,42 @@ class VariablesPanel(Vertical):
         self.table.focus()
 
     def show(self, snapshot: Snapshot, staged: Mapping[str, Any], plotted: Sequence[str]) -> None:
-        """Bring the table up to date; only cells that differ are touched."""
-        wanted = tuple(v for v in snapshot.variables if self._words in f"{v.name} {v.unit} {v.description}".lower())
-        if [v.name for v in wanted] != [v.name for v in self._shown] or not self._rows:
-            self._refill(wanted)
-        colours = trace_colours(self.app.current_theme).traces
-        theme = self.app.theme_variables
+        """Bring the table up to date; only rows that differ are painted."""
+        wanted = [v for v in snapshot.variables if self._words in f"{v.name} {v.unit} {v.description}".lower()]
+        theme = self.app.current_theme
+        colours = trace_colours(theme).traces
+        accent = self.app.theme_variables["accent"]
+        fresh: dict[str, tuple[object, ...]] = {}
         for v in wanted:
-            value = snapshot.values.get(v.name)
-            curves = [k for k, name in enumerate(plotted) if name == v.name or name.startswith(f"{v.name}[")]
+            value = staged.get(v.name, snapshot.values.get(v.name))
+            curves = tuple(k for k, name in enumerate(plotted) if name == v.name or name.startswith(f"{v.name}["))
             changed = v.kind == "parameter" and value is not None and differs(value, v.initial)
             mark = "→" if v.name in staged else "*" if changed else " "
-            text = show_value(staged.get(v.name, value), 2)
-            now = (str(curves), mark, text, v.unit, theme["accent"])
-            if self._rows.get(v.name) == now:
-                continue
-            self._rows[v.name] = now
-            marks = Text("".join("▐" for _ in curves[:2]), no_wrap=True)
-            for i, k in enumerate(curves[:2]):
-                marks.stylize(Style(color=colours[k]), i, i + 1)
-            marks.append(mark, Style(color=theme["accent"], bold=True))
-            strong = Style(color=theme["accent"], bold=True) if mark == "→" else Style(bold=v.writable)
-            self.table.update_cell(v.name, "", marks)
-            self.table.update_cell(v.name, "value", Text(text, style=strong, justify="right"))
-        self.border_subtitle = f"{len(wanted)} of {len(snapshot.variables)}" + (f", {len(staged)} staged" if staged else "")
+            fresh[v.name] = (v, show_value(value, 2), mark, curves, theme.name)
+        if list(fresh) != list(self._rows):
+            self.table.set_rows([(v.name, _cells(v, fresh[v.name], colours, accent)) for v in wanted])
+        else:
+            for v in wanted:
+                if fresh[v.name] != self._rows[v.name]:
+                    self.table.set_row(v.name, _cells(v, fresh[v.name], colours, accent))
+        self._rows = fresh
+        subtitle = f"{len(wanted)} of {len(snapshot.variables)}{f', {len(staged)} staged' if staged else ''}"
+        if self.border_subtitle != subtitle:
+            self.border_subtitle = subtitle
 
-    def _refill(self, wanted: tuple[Variable, ...]) -> None:
-        at = self.marked
-        self.table.clear()
-        self._rows, self._shown = {}, wanted
-        for v in wanted:
-            dim = Style(dim=True)
-            name = Text(v.name if v.length == 1 else f"{v.name}[{v.length}]", style=Style(bold=v.writable))
-            initial = Text(show_value(v.initial, 2) if v.kind == "parameter" else v.kind, style=dim)
-            cells = (Text(""), name, Text("—"), Text(v.unit, style=dim), Text(show_limits(v), style=dim), initial, Text(v.description, style=dim))
-            self.table.add_row(*cells, key=v.name)
-            if v.name == at:
-                self.table.move_cursor(row=self.table.row_count - 1)
+
+def _cells(v: Variable, made_of: tuple[object, ...], colours: Sequence[str], accent: str) -> tuple[Cell, ...]:
+    _, text, mark, curves, _ = made_of
+    assert isinstance(text, str) and isinstance(mark, str) and isinstance(curves, tuple)
+    dim, strong = Style(dim=True), Style(bold=v.writable)
+    staged = Style(color=accent, bold=True)
+    first = Style(color=colours[curves[0]], bold=True) if curves else staged
+    return (
+        (("▐" if curves else " ") + mark, first),
+        (v.name if v.length == 1 else f"{v.name}[{v.length}]", strong),
+        (text, staged if mark == "→" else strong),
+        (v.unit, dim),
+        (show_limits(v), dim),
+        (show_value(v.initial, 2) if v.kind == "parameter" else v.kind, dim),
+        (v.description, dim),
+    )

@@ -27,7 +27,7 @@ from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
 GUTTER = 9  # columns of the y axis
-FRAME_S = 1.0 / 30.0
+FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
 
 
 class Scope(Widget, can_focus=True):
@@ -127,7 +127,7 @@ class Scope(Widget, can_focus=True):
 
     def on_mount(self) -> None:
         if self._live:
-            self.set_interval(FRAME_S, self._tick)
+            self.set_interval(getattr(self.app, "frame_s", FRAME_S), self._tick)
         self.app.theme_changed_signal.subscribe(self, self._theme_changed)
 
     def _theme_changed(self, _: object) -> None:

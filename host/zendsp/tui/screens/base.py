@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from zendsp.tui.port import Port
 
 T = TypeVar("T")
-PULL_S = 1.0 / 30.0
 WIDE = 116  # columns from which panels stand side by side
 
 
@@ -53,7 +52,7 @@ class LabScreen(Screen[None]):
         raise NotImplementedError
 
     def on_mount(self) -> None:
-        self.set_interval(PULL_S, self._pull)
+        self.set_interval(self.lab.frame_s, self._pull)
         self.ready()
 
     def ready(self) -> None:

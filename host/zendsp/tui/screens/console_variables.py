@@ -11,11 +11,11 @@ import numpy as np
 from rich.style import Style
 from rich.text import Text
 from textual import on
-from textual.widgets import DataTable
 
 from zendsp.errors import ZendspError
 from zendsp.link import ParameterSet
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, not_empty
+from zendsp.tui.panels.table import LiveTable
 from zendsp.tui.panels.values import differs, reader, show_exact, show_limits, show_value
 from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen
@@ -56,8 +56,8 @@ class VariableActions(LabScreen):
 
     # -- one variable -------------------------------------------------------------------------------------------------
 
-    @on(DataTable.RowSelected, "#variables")
-    def _row_selected(self) -> None:
+    @on(LiveTable.Chosen)
+    def _row_chosen(self) -> None:
         self.action_edit()
 
     def action_edit(self) -> None:

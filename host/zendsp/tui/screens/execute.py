@@ -206,7 +206,7 @@ class ExecuteScreen(RunActions):
         text.append("━" * done, Style(color=c["success"]))
         text.append("─" * (width - done), Style(dim=True))
         text.append(f" {100 * p.share:3.0f} % {p.phase}", Style(bold=True))
-        self.query_one("#progress", Static).update(text)
+        self.query_one("#progress", Static).update(text, layout=False)
         if not busy:
             self._finished(job)
 

@@ -1,0 +1,173 @@
+"""A table for values that change ten times a second.
+
+Textual's DataTable renders every visible cell anew when one changes (80 ms a screen); this one paints the rows that changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.segment import Segment
+from rich.style import Style
+from textual import events
+from textual.binding import Binding, BindingType
+from textual.geometry import Region, Size
+from textual.message import Message
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
+
+
+@dataclass(frozen=True)
+class Column:
+    """A heading, and how wide what stands below may become."""
+
+    title: str
+    width: int = 0  # 0: as wide as the widest cell, at most `most`
+    most: int = 40
+    right: bool = False
+
+
+Cell = tuple[str, Style]
+
+
+class LiveTable(ScrollView, can_focus=True):
+    """Rows of styled text with a cursor; the first line is the heading and stays."""
+
+    DEFAULT_CSS = """
+    LiveTable { height: 1fr; scrollbar-size-horizontal: 0; }
+    """
+    BINDINGS: list[BindingType] = [  # noqa: RUF012
+        Binding("up", "cursor(-1)", show=False),
+        Binding("down", "cursor(1)", show=False),
+        Binding("pageup", "page(-1)", show=False),
+        Binding("pagedown", "page(1)", show=False),
+        Binding("home", "cursor(-100000)", show=False),
+        Binding("end", "cursor(100000)", show=False),
+        Binding("left", "sideways(-8)", show=False),
+        Binding("right", "sideways(8)", show=False),
+    ]
+
+    class Chosen(Message):
+        """The row under the cursor was clicked twice."""
+
+    def __init__(self, columns: Sequence[Column], *, id: str | None = None) -> None:
+        super().__init__(id=id)
+        self._columns = tuple(columns)
+        self._widths = [c.width or len(c.title) for c in columns]
+        self._keys: list[str] = []
+        self._cells: list[tuple[Cell, ...]] = []
+        self._cursor = 0
+
+    # -- content ------------------------------------------------------------------------------------------------------
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows."""
+        return len(self._keys)
+
+    @property
+    def marked(self) -> str:
+        """Key of the row under the cursor, "" where there is none."""
+        return self._keys[self._cursor] if self._keys else ""
+
+    def row_text(self, key: str) -> list[str]:
+        """Return the texts of one row."""
+        return [text for text, _ in self._cells[self._keys.index(key)]]
+
+    def set_rows(self, rows: Sequence[tuple[str, tuple[Cell, ...]]]) -> None:
+        """Show other rows; the cursor stays on its key where that is still there."""
+        at = self.marked
+        self._keys = [key for key, _ in rows]
+        self._cells = [cells for _, cells in rows]
+        for k, column in enumerate(self._columns):
+            if not column.width:
+                widest = max((len(cells[k][0]) for cells in self._cells), default=0)
+                self._widths[k] = min(max(widest, len(column.title)), column.most)
+        self._cursor = self._keys.index(at) if at in self._keys else 0
+        self.virtual_size = Size(sum(self._widths) + len(self._widths), len(rows) + 1)
+        self.refresh()
+
+    def set_row(self, key: str, cells: tuple[Cell, ...]) -> None:
+        """Change one row."""
+        row = self._keys.index(key)
+        if self._cells[row] != cells:
+            self._cells[row] = cells
+            self._paint(row)
+
+    def _paint(self, row: int) -> None:
+        y = row + 1 - self.scroll_offset.y
+        if 0 < y < self.size.height:
+            self.refresh(Region(0, y, self.size.width, 1))
+
+    # -- cursor -------------------------------------------------------------------------------------------------------
+
+    def mark(self, key: str) -> None:
+        """Put the cursor on a row."""
+        self._go(self._keys.index(key))
+
+    def _go(self, row: int) -> None:
+        if not self._keys:
+            return
+        before, self._cursor = self._cursor, min(max(row, 0), len(self._keys) - 1)
+        top, height = self.scroll_offset.y, max(self.size.height - 1, 1)
+        if self._cursor < top:
+            self.scroll_to(y=self._cursor, animate=False)
+        elif self._cursor >= top + height:
+            self.scroll_to(y=self._cursor - height + 1, animate=False)
+        self._paint(before)
+        self._paint(self._cursor)
+
+    def action_cursor(self, rows: int) -> None:
+        """Move the cursor."""
+        self._go(self._cursor + rows)
+
+    def action_page(self, pages: int) -> None:
+        """Move the cursor by what is in sight."""
+        self._go(self._cursor + pages * max(self.size.height - 2, 1))
+
+    def action_sideways(self, columns: int) -> None:
+        """Show what stands further right, or left."""
+        self.scroll_to(x=self.scroll_offset.x + columns, animate=False)
+
+    def on_click(self, event: events.Click) -> None:
+        """One click marks, two choose."""
+        row = event.y - 1 + self.scroll_offset.y
+        if event.y > 0 and 0 <= row < len(self._keys):
+            self._go(row)
+            if event.chain == 2:
+                self.post_message(self.Chosen())
+
+    def on_focus(self) -> None:
+        """The cursor shows the focus."""
+        self._paint(self._cursor)
+
+    def on_blur(self) -> None:
+        """The cursor shows the focus."""
+        self._paint(self._cursor)
+
+    # -- painting -----------------------------------------------------------------------------------------------------
+
+    def render_line(self, y: int) -> Strip:
+        width = self.size.width
+        x = self.scroll_offset.x
+        back = Style(bgcolor=self.background_colors[1].rich_color)
+        row = y - 1 + self.scroll_offset.y
+        if y == 0:
+            cells: tuple[Cell, ...] = tuple((c.title, Style(bold=True, dim=True, underline=True)) for c in self._columns)
+        elif row < len(self._cells):
+            cells = self._cells[row]
+        else:
+            return Strip.blank(width, back)
+        if y and row == self._cursor:
+            theme = self.app.theme_variables
+            colour = theme["primary"] if self.has_focus else theme["border"]
+            ink = theme["background"] if self.has_focus else theme["foreground"]
+            strong = Style(bgcolor=colour, color=ink, dim=False)
+            cells = ((cells[0][0], cells[0][1]), *((text, style + strong) for text, style in cells[1:]))
+            back = Style(bgcolor=colour)
+        parts = []
+        for (text, style), wide, column in zip(cells, self._widths, self._columns, strict=True):
+            shown = text[:wide].rjust(wide) if column.right else text[:wide].ljust(wide)
+            parts.append(Segment(shown + " ", back + style))
+        return Strip(parts).adjust_cell_length(max(x + width, sum(self._widths) + len(self._widths)), back).crop(x, x + width)

@@ -1,0 +1,269 @@
+"""Execute: every action of its table, and that a stored run holds all that is needed to repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Button, Input
+
+from zendsp.errors import ReferenceError_
+from zendsp.link import Target
+from zendsp.recording import Recording
+from zendsp.reference import load_machine, load_reference, make_reference, save_reference
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Choose, Form, Message
+from zendsp.tui.playing import Setup, make_playlist, smooth_move
+from zendsp.tui.runs import compare, discard_run, list_runs, rename_run, store_run
+from zendsp.tui.scope import Scope
+from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.screens.execute import ExecuteScreen
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
+
+
+async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> ExecuteScreen:
+    await pilot.press("f3")
+    await until(pilot, lambda: isinstance(app.screen, ExecuteScreen), "Execute is shown")
+    screen = app.screen
+    assert isinstance(screen, ExecuteScreen)
+    return screen
+
+
+def _unmet(screen: ExecuteScreen) -> list[str]:
+    return [c.text for c in screen.conditions if not c.met]
+
+
+@pytest.mark.covers("execute.choose", "execute.start", "execute.overlay", "execute.cyclic", "execute.settings", "execute.note")
+async def test_a_reference_is_played_and_the_run_can_be_repeated(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
+) -> None:
+    async with lab.run_test(size=(120, 36)) as pilot:
+        await enabled(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        await until(pilot, lambda: screen.conditions, "preflight is looked at")
+        assert _unmet(screen) == ["reference chosen"]
+        assert screen.query_one("#run-start", Button).disabled
+        await pilot.press("o")
+        await pilot.pause()
+        assert isinstance(lab.screen, Choose)
+        await pilot.press("enter")
+        await until(pilot, lambda: screen.references and not _unmet(screen), "every condition is met")
+        await until(pilot, lambda: not screen.query_one("#run-start", Button).disabled, "Start is enabled")
+        assert screen.query_one("#run-preview", Scope).limits["rad"] == [-2.15, 2.15]
+
+        await pilot.press("n")
+        await pilot.pause()
+        lab.screen.query_one("#f-name", Input).value = "first circle"
+        lab.screen.query_one("#f-note", Input).value = "gains as shipped [N m/rad]"
+        await pilot.press("enter")
+        await pilot.press("c")
+        await pilot.pause()
+        assert isinstance(lab.screen, Form)
+        lab.screen.query_one(Input).value = "2"
+        await pilot.press("enter")
+        await pilot.press("a")
+        await pilot.pause()
+        lab.screen.query_one("#f-channels", Input).value = "q e tau r1 r2"
+        lab.screen.query_one("#f-decimation", Input).value = "2"
+        lab.screen.query_one("#f-decimation", Input).focus()
+        await pilot.press("enter")
+        await pilot.pause()
+        assert screen.setup == replace(
+            Setup(), cycles=2, channels=("q", "e", "tau", "r1", "r2"), decimation=2, name="first circle",
+            note="gains as shipped [N m/rad]",
+        )  # fmt: skip
+        await pilot.press("s")
+        await until(pilot, lambda: screen.job is not None, "the run begins")
+        await until(pilot, lambda: list_runs(folder / "runs"), "the run is stored")
+        await until(pilot, lambda: screen.runs, "and listed")
+        run = list_runs(folder / "runs")[0]
+        assert run.outcome == "complete" and run.name == "first circle" and run.lost == 0
+
+        # everything to repeat it: data, parameters, source, flags, reference, note
+        recording = run.recording()
+        planned = load_reference(run.folder / "reference.mat")
+        assert recording.note == "gains as shipped [N m/rad]"
+        assert recording.parameters["Kp1"] == 2000.0 and "pd.c" in recording.sources and recording.flags
+        assert (run.folder / "pd.c").read_text() == (folder / "pd.c").read_text()
+        assert len(recording) == pytest.approx(2 * planned.samples / 2, abs=3)
+        # what the program followed is what was planned: two turns, rows interpolated on the target
+        two = np.vstack((planned.q, planned.q))[::2]
+        n = min(len(two), len(recording))
+        away = np.abs(np.stack((recording["r1"], recording["r2"]), axis=1)[:n] - two[:n]).max()
+        assert away < 3e-3  # one sample of shift at 1.4 rad/s is 1.4e-3 rad
+        assert run.errors and max(run.errors.values()) < 0.1
+
+        await pilot.press("space")
+        await pilot.pause()
+        assert screen.marked_runs == [run.folder]
+        names = [c.name for c in screen.query_one("#run-preview", Scope).channels]
+        assert names == ["first circle e[0]", "first circle e[1]"]
+        await pilot.press("space", "c")
+        await pilot.pause()
+        assert screen.marked_runs == [] and screen.setup.cycles == 1
+        assert target.status().state == "paused", "the fast clock ends with the run"
+
+
+@pytest.mark.covers("execute.abort")
+async def test_abort_keeps_what_was_acquired(lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path) -> None:
+    slow = make_reference("circle", "imi_planar", duration=40.0)
+    save_reference(slow, folder / "references" / "slow.mat")
+    async with lab.run_test(size=(120, 36)) as pilot:
+        await enabled(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        lab.chosen = (folder / "references" / "slow.mat",)
+        await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
+        await pilot.press("s")
+        await until(pilot, lambda: screen.job is not None and screen.job.progress.phase == "play", "it plays")
+        await pilot.press("b")
+        await until(pilot, lambda: screen.job is None and screen.runs, "it ends and is stored")
+        run = screen.runs[0]
+        assert run.outcome == "aborted" and 0 < run.rows < slow.samples
+        assert target.status().trip is None, "an abort is no STOP"
+
+
+async def test_start_stays_disabled_and_says_why(lab: ZendspApp, until: Until, folder: Path) -> None:
+    async with lab.run_test(size=(120, 36)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
+        screen = await _open(lab, pilot, until)
+        lab.chosen = (folder / "references" / "circle.mat",)
+        await until(pilot, lambda: "program loaded" in _unmet(screen), "no program yet")
+        assert screen.query_one("#run-start", Button).disabled
+        await pilot.press("s")
+        await pilot.pause()
+        assert screen.job is None
+        text = str(screen.query_one("#preflight").render())
+        assert "program loaded: build one on Console" in text
+        # the drives would go on by themselves (automatic), but Execute wants them enabled on purpose
+        assert "drives enabled" in _unmet(screen)
+
+
+@pytest.mark.covers("execute.rename", "execute.compare", "execute.export", "execute.delete", "execute.simulate", "execute.diagnose")
+async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> None:
+    for name, gain in (("soft", 100.0), ("stiff", 400.0)):
+        store_run(folder / "runs", name, _recording(gain), references=[folder / "references" / "circle.mat"], sources={"pd.c": "int a;"})
+    async with lab.run_test(size=(120, 36)) as pilot:
+        screen = await _open(lab, pilot, until)
+        await until(pilot, lambda: len(screen.runs) == 2, "two runs")
+        screen.runs_table.focus()
+        await pilot.press("d")
+        await pilot.pause()
+        assert lab.screen is screen, "nothing to compare yet"
+        await pilot.press("space", "down", "space")
+        await pilot.pause()
+        assert len(screen.marked_runs) == 2
+        assert len(screen.query_one("#run-preview", Scope).channels) == 4
+        await pilot.press("d")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        shown = str(lab.screen.query_one(".words").render())
+        assert "rms e[0]" in shown and "Kp1" in shown and "source of" in shown
+        await pilot.press("escape", "r")
+        await pilot.pause()
+        lab.screen.query_one(Input).value = "renamed [rad]"
+        await pilot.press("enter")
+        await until(pilot, lambda: "renamed [rad]" in [r.name for r in screen.runs], "renamed")
+        for suffix in (".mat", ".csv"):
+            await pilot.press("x")
+            await pilot.pause()
+            lab.screen.query_one("#f-suffix").value = suffix  # type: ignore[attr-defined]
+            lab.screen.query_one("#f-path", Input).value = str(folder / "out" / "run")
+            lab.screen.query_one("#f-path", Input).focus()
+            await pilot.press("enter")
+            await until(pilot, lambda suffix=suffix: (folder / "out" / f"run{suffix}").is_file(), f"exported {suffix}")  # type: ignore[misc]
+            assert np.allclose(Recording.load(folder / "out" / f"run{suffix}")["e"], _recording(1.0)["e"])
+        for key in ("S", "D"):
+            await pilot.press(key)
+            await pilot.pause()
+            assert isinstance(lab.screen, ProcessView)
+            await pilot.press("escape")
+            await pilot.pause()
+        await pilot.press("delete")
+        await pilot.pause()
+        await pilot.press("enter")
+        await until(pilot, lambda: len(screen.runs) == 1, "gone from the list")
+        assert len(list((folder / "runs" / ".trash").iterdir())) == 1, "but not deleted"
+
+
+def _recording(gain: float) -> Recording:
+    t = np.arange(500) * 1e-3
+    columns = {"q": np.stack((np.sin(t), np.cos(t)), axis=1), "e": np.stack((0.01 * t, 0.02 * t), axis=1)}
+    return Recording.from_columns(
+        columns, 1e-3, units={"q": "rad", "e": "rad"}, parameters={"Kp1": gain, "Kd1": 5.0},
+        sources={"pd.c": f"/* {gain} */"}, machine="imi_planar", note="n",
+    )  # fmt: skip
+
+
+# -- without a terminal ---------------------------------------------------------------------------------------------------
+
+
+def test_a_playlist_has_no_jump_and_keeps_within_the_limits() -> None:
+    machine = load_machine("imi_planar")
+    reference = make_reference("circle", machine)
+    start = np.array([-0.5, 0.9])
+    setup = Setup(cycles=3, share=0.25)
+    playlist = make_playlist([reference, reference], machine, start, setup, 10**9)
+    assert np.allclose(playlist.rows[0], start) and np.allclose(playlist.rows[-1], machine.home)
+    speed = np.abs(np.diff(playlist.rows, axis=0)) * playlist.rate
+    fastest = np.maximum(np.abs(reference.qd).max(axis=0), 0.25 * machine.limits.speed)
+    assert (speed <= fastest * 1.01).all()
+    names = [name for name, _, _ in playlist.phases]
+    assert names[0] == "pre-position" and names[-1] == "go home" and sum(n.startswith("play") for n in names) == 6
+    begin, end = playlist.play
+    assert playlist.phase(begin + 0.01).startswith("play") and playlist.phase(end + 1e3) == "holding"
+
+
+def test_a_move_between_positions_is_at_rest_at_both_ends() -> None:
+    machine = load_machine("imi_planar")
+    rows = smooth_move(np.zeros(2), np.array([1.0, -2.0]), machine, 0.5, 1e-3)
+    speed = np.gradient(rows, 1e-3, axis=0)
+    assert np.abs(speed[[0, -1]]).max() < 0.01 * np.abs(speed).max()
+    assert (np.abs(speed) <= 0.5 * machine.limits.speed * 1.001).all()
+    assert (np.abs(np.gradient(speed, 1e-3, axis=0))[2:-2] <= 0.5 * machine.limits.acceleration * 1.01).all()
+
+
+def test_rows_that_do_not_fit_are_thinned_not_cut() -> None:
+    machine = load_machine("imi_planar")
+    reference = make_reference("circle", machine)
+    full = make_playlist([reference], machine, reference.q[0], Setup(), 10**9)
+    small = make_playlist([reference], machine, reference.q[0], Setup(), full.rows.size // 3)
+    assert small.rows.size <= full.rows.size // 3
+    assert small.duration == pytest.approx(full.duration, abs=4 / small.rate)
+    assert np.allclose(small.rows[-1], full.rows[-1])
+    at = np.arange(len(small.rows) - 1) / small.rate
+    again = np.stack([np.interp(at, np.arange(len(full.rows)) / full.rate, full.rows[:, j]) for j in range(2)], axis=1)
+    assert np.abs(small.rows[:-1] - again).max() < 1e-12
+
+
+def test_without_pre_positioning_an_arm_elsewhere_is_refused() -> None:
+    machine = load_machine("imi_planar")
+    reference = make_reference("circle", machine)
+    with pytest.raises(ReferenceError_, match="rad away from the start"):
+        make_playlist([reference], machine, reference.q[0] + 0.1, Setup(preposition=False), 10**9)
+
+
+def test_runs_survive_renaming_and_a_broken_neighbour(tmp_path: Path) -> None:
+    run = store_run(tmp_path, "a b/c", _recording(1.0))
+    (tmp_path / "20260101-000000-broken").mkdir()
+    (tmp_path / "20260101-000000-broken" / "run.json").write_text("{")
+    assert [r.name for r in list_runs(tmp_path)] == ["a b/c"]
+    again = rename_run(run, "other")
+    assert again.folder == run.folder and list_runs(tmp_path)[0].name == "other"
+    assert not [p for p in tmp_path.iterdir() if p.name.endswith(".part")]
+    place = discard_run(again)
+    assert place.is_dir() and list_runs(tmp_path) == []
+
+
+def test_compare_shows_errors_parameters_and_source(tmp_path: Path) -> None:
+    runs = [store_run(tmp_path, n, _recording(g)) for n, g in (("soft", 100.0), ("stiff", 400.0))]
+    text = compare(runs)
+    assert "Kp1" in text and "Kd1" not in text
+    assert "-/* 100.0 */" in text and "+/* 400.0 */" in text
+
+
