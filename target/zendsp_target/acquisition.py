@@ -36,7 +36,10 @@ class Stream:
     config: AcquireConfig
     channels: tuple[str, ...]
     units: tuple[str, ...]
-    ring: int  # rows promised to be held
+    rows: int  # of a shot, or promised to be held by a ring
+    pre: int  # rows before the trigger
+    capacity: int  # rows held
+    offset: int  # of row 0 in the file, bytes
     lost: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -149,7 +152,7 @@ def create(
         head.trigger.variable, head.trigger.element = plan.trigger
     for i, (variable, element) in enumerate(plan.sources):
         head.channel[i].variable, head.channel[i].element = variable, element
-    return Stream(file, head, config, plan.channels, plan.units, plan.rows)
+    return Stream(file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes)
 
 
 def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool]) -> None:
@@ -208,21 +211,21 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     """
     ffi, lib = layout()
     head = stream.head
-    state = _STATES[lib.monitor_load32(ffi.addressof(head[0], "state"))]
+    state = _STATES.get(lib.monitor_load32(ffi.addressof(head[0], "state")), "done")
     count, fired = int(lib.monitor_load64(ffi.addressof(head[0], "count"))), int(head.fired)
     if not alive and state in ("armed", "running"):
         state = "done"
-    wanted, pre = int(head.wanted), int(head.pre)
+    wanted = 0 if stream.config.continuous else stream.rows
     if fired >= 0:
-        first = max(0, fired - min(pre, fired))
+        first = max(0, fired - min(stream.pre, fired))
         if wanted == 0:
-            first = max(first, count - stream.ring)
-    elif wanted == 0 or head.edge:
-        first = max(0, count - stream.ring)
+            first = max(first, count - stream.rows)
+    elif wanted == 0 or stream.config.trigger is not None:
+        first = max(0, count - stream.rows)
     else:
         first = 0
     return AcquireStatus(
-        state=state, channels=stream.channels, units=stream.units, decimation=int(head.decimation), first=first, count=count,
+        state=state, channels=stream.channels, units=stream.units, decimation=stream.config.decimation, first=first, count=count,
         wanted=wanted, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
     )  # fmt: skip
 
@@ -248,16 +251,17 @@ def read(stream: Stream, first: int, count: int) -> npt.NDArray[np.float64]:
         The rows were overwritten before they were read; they are counted as lost.
     """
     ffi, lib = layout()
-    head = stream.head
-    written = int(lib.monitor_load64(ffi.addressof(head[0], "count")))
+    head, capacity = stream.head, stream.capacity
+    count_word = ffi.addressof(head[0], "count")
+    written = int(lib.monitor_load64(count_word))
     if first < 0 or count < 0:
         raise AcquisitionError(f"rows {first} … {first + count - 1}: neither may be negative")
-    capacity = int(head.capacity)
     count = min(count, max(0, written - first), capacity)
     if count == 0:
         return np.empty((0, len(stream.channels)))
     rows = np.empty((count, len(stream.channels)))
-    gone = int(lib.monitor_rows(head, first, count, ffi.cast("double *", ffi.from_buffer(rows))))
+    source = stream.file.pointer("double", stream.offset)
+    gone = int(lib.monitor_rows(count_word, source, capacity, len(stream.channels), first, count, ffi.from_buffer("double[]", rows)))
     # a stream at rest is not being written: its last row is whole
     if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (lib.STREAM_DONE, lib.STREAM_IDLE):
         gone = min(count, max(0, written - capacity - first))

@@ -15,7 +15,7 @@ from zendsp_target.session import Session
 
 
 def _require_no_trip(session: Session) -> None:
-    trip = safety.trip_of(session.control)
+    trip = safety.trip_of(session.control, session.machine)
     if trip is not None:
         raise Refused(f"{trip.text}: acknowledge it first")
 
@@ -148,7 +148,7 @@ class Motion(Core):
 
     def machine(self) -> MachineInfo:
         """What the loaded machine says of itself."""
-        return safety.machine_of(self._loaded().control)
+        return self._loaded().machine
 
     def limits(self) -> Limits:
         """Limits in force."""
@@ -175,7 +175,7 @@ class Motion(Core):
             Beyond what the machine bears, or not a limit.
         """
         session = self._living()
-        return session.set_settings(safety.check_limits(safety.machine_of(session.control), changes), author)
+        return session.set_settings(safety.check_limits(session.machine, changes), author)
 
     def set_ramp(self, seconds: float) -> None:
         """Duration of soft start and soft stop, s; 0: at once."""
@@ -196,6 +196,6 @@ class Motion(Core):
     def set_inputs(self, bits: int) -> None:
         """Digital inputs of a simulated machine, one bit each: what a person at its panel would press."""
         session = self._living()
-        if not session.control.info.simulated:
+        if not session.machine.simulated:
             raise Refused("digital inputs of real hardware cannot be set")
         session.control.simulated_din = bits & 0xFFFFFFFF

@@ -76,7 +76,8 @@ class RunnerProcess:
         self.control_file = SharedFile(folder / f"control-{number}", ffi.sizeof("control"))
         self.control: Any = self.control_file.pointer("control")[0]
         data_path = folder / f"data-{number}"
-        self._ended = ""
+        self._program = program
+        self.simulated = False  # not known yet: a crash while loading makes even a simulated machine safe, which does no harm
         try:
             _fill(self.control, settings, program, data_path)
             self._process = subprocess.Popen(
@@ -89,8 +90,10 @@ class RunnerProcess:
         try:
             self._wait_ready()
             self.data_file = SharedFile(data_path)
+            self.simulated = bool(self.control.info.simulated)
         except BaseException:
             self.kill()
+            self.make_safe()
             data_path.unlink(missing_ok=True)
             self.control_file.unlink()
             raise
@@ -180,7 +183,7 @@ class RunnerProcess:
         tool = shutil.which("addr2line")
         if not address or tool is None:
             return ""
-        command = [tool, "-e", text_of(self.control.program_path), hex(address)]
+        command = [tool, "-e", str(self._program), hex(address)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
         except (OSError, subprocess.TimeoutExpired):
@@ -206,10 +209,20 @@ class RunnerProcess:
         self._process.wait()
 
     def make_safe(self) -> None:
-        """Bring real hardware into its safe state from a fresh process; a simulated machine ended with its runner."""
-        if int(self.control.info.simulated) or not text_of(self.control.machine_path):
+        """Bring real hardware into its safe state from a fresh process; a simulated machine ended with its runner.
+
+        The control file is made anew: the old one may be full of what a wild pointer wrote.
+        """
+        if self.simulated:
             return
-        subprocess.run([str(build_runner()), "--safe", str(self.control_file.path)], timeout=10.0, check=False)
+        ffi, _ = layout()
+        path = self.control_file.path.with_name(self.control_file.path.name + "-safe")
+        fresh = SharedFile(path, ffi.sizeof("control"))
+        try:
+            _fill(fresh.pointer("control")[0], self.settings, self._program, path)
+            subprocess.run([str(build_runner()), "--safe", str(path)], timeout=10.0, check=False)
+        finally:
+            fresh.unlink()
 
     def unlink(self) -> None:
         """Remove the names of the files; what was mapped stays readable."""

@@ -22,12 +22,14 @@ STOPS = ("stop", "stop input", "host lost")
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
 
 
-def trip_of(control: Any) -> Trip | None:
+def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
     """The latched trip, None while there is none.
 
     Parameters
     ----------
     control : cffi struct control
+    machine : MachineInfo
+        For the names and units in its sentence.
     """
     ffi, lib = layout()
     reason = _REASONS.get(lib.monitor_load32(ffi.addressof(control.trip, "reason")))
@@ -35,13 +37,13 @@ def trip_of(control: Any) -> Trip | None:
         return None
     raw = control.trip
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
-    return Trip(reason, joint, tick, value, limit, _sentence(control, reason, joint, tick, value, limit))
+    return Trip(reason, joint, tick, value, limit, _sentence(machine, reason, joint, tick, value, limit))
 
 
-def _sentence(control: Any, reason: str, joint: int, tick: int, value: float, limit: float) -> str:
-    unit = text_of(control.info.joint[max(0, joint - 1)].unit)
+def _sentence(machine: MachineInfo, reason: str, joint: int, tick: int, value: float, limit: float) -> str:
+    which = machine.joints[joint - 1] if 1 <= joint <= len(machine.joints) else machine.joints[0]
+    unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
-    who = text_of(control.info.joint[joint - 1].name) if joint else ""
     what = {
         "stop": "STOP was requested",
         "stop input": "the STOP input of the machine is active",

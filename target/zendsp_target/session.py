@@ -13,6 +13,7 @@ from zendsp_target.api import Value
 from zendsp_target.dictionary import Dictionary, Place, decode
 from zendsp_target.layout import layout
 from zendsp_target.runner import RunnerProcess, ffi_address, ffi_pointer
+from zendsp_target.safety import machine_of
 from zendsp_target.settings import Settings
 from zendsp_target.supervise import Supervisor
 from zendsp_target.updates import ChangeLog, Updates
@@ -53,7 +54,11 @@ class Session:
         self.dictionary = Dictionary(self.control, memory[start : start + int(self.control.snapshot_bytes)].copy())
         self.updates = Updates(self.control, data, self.dictionary, log, self.process.alive)
         self._memory = memory
-        self._data = data.pointer("unsigned char")
+        # kept here, since user code with a wild pointer may overwrite what is shared: nothing there shall steer a copy
+        self.machine = machine_of(self.control)
+        self._newest = ffi_address(self.control, "newest")
+        self._slots = data.pointer("unsigned char", int(self.control.snapshot_offset))
+        self._stride, self._bytes = int(self.control.snapshot_stride), int(self.control.snapshot_bytes)
         self._supervisor = Supervisor(self.process, self.updates.harvest, self._died)
 
     def _died(self, sentence: str) -> None:
@@ -109,10 +114,10 @@ class Session:
     def snapshot(self) -> tuple[int, np.ndarray[tuple[int], np.dtype[np.uint8]]]:
         """The newest sample: its tick, and all small values as bytes."""
         ffi, lib = layout()
-        values = np.empty(max(1, int(self.control.snapshot_bytes)), dtype=np.uint8)
+        values = np.empty(self._bytes, dtype=np.uint8)
         tick = ffi.new("uint64_t *")
         target = ffi.cast("unsigned char *", ffi.from_buffer(values))
-        self.until(lambda: bool(lib.monitor_snapshot(self._pointer, self._data, target, tick)), "reading")
+        self.until(lambda: bool(lib.monitor_snapshot(self._newest, self._slots, self._stride, self._bytes, target, tick)), "reading")
         return int(tick[0]), values
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
@@ -143,8 +148,8 @@ class Session:
     def _table(self, place: Place) -> Value:
         entry = place.entry
         word = int(self.control.variable[entry.index].table)
-        rows, columns = word & 0xFFFFFFFF, entry.info.columns
-        start = entry.banks[word >> 32]
+        rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
+        start = entry.banks[word >> 32 & 1]
         return self._memory[start : start + rows * columns * 8].view("<f8").reshape(rows, columns).copy()
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:

@@ -38,14 +38,14 @@ def status_of(session: Session) -> Status:
     session : Session
     """
     control = session.control
-    trip = safety.trip_of(control)
+    trip = safety.trip_of(control, session.machine)
     state = _state(session, trip is not None)
     tick = session.tick
-    mode, homed = _MODES[int(control.drive_mode)], bool(control.homed)
+    mode, homed = _MODES.get(int(control.drive_mode), "off"), bool(control.homed)
     return Status(
         state=state, tick=tick, t=tick / session.settings.rate_hz, rate_hz=session.settings.rate_hz,
-        clock=session.settings.clock, scheduling=text_of(control.scheduling), machine=text_of(control.info.name),
-        joints=int(control.info.joints), program=session.key, timing=safety.timing_of(control),
+        clock=session.settings.clock, scheduling=text_of(control.scheduling), machine=session.machine.name,
+        joints=len(session.machine.joints), program=session.key, timing=safety.timing_of(control),
         drive=_drive(state, trip.reason if trip else "", mode, homed), trip=trip, crash=session.crash,
         io=_io(session), homed=homed, drive_mode=mode,
     )  # fmt: skip

@@ -46,10 +46,11 @@ class Supervisor:
         while not self._process.wait_death(_ROUND_S):
             self._each_round()
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
-            # odd: within a sample. Between samples the loop waits for its deadline, however long that is
-            if beat != seen or beat % 2 == 0:
+            # odd: within a sample. Even: the loop waits for its deadline, which a slow rate may set far ahead
+            allowed = self._process.settings.hang_s + (0.0 if beat % 2 else 2.0 / self._process.settings.rate_hz)
+            if beat != seen:
                 seen, since = beat, now
-            elif now - since > self._process.settings.hang_s:
+            elif now - since > allowed:
                 self._end_hung()
                 return
         self._each_round()

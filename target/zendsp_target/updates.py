@@ -112,6 +112,8 @@ class Updates:
         ffi, lib = layout()
         self._ffi, self._lib, self._control, self._data = ffi, lib, control, data
         self._memory = np.frombuffer(data.map, dtype=np.uint8)
+        # kept here: user code with a wild pointer may overwrite what is shared
+        self._offset, self._stride = int(control.batch_offset), int(control.batch_stride)
         self._view = memoryview(data.map)
         self._dictionary, self._log, self._alive = dictionary, log, alive
         self._lock = threading.RLock()
@@ -194,7 +196,7 @@ class Updates:
         index = place.entry.index
         if any(piece.place.entry.index == index for flight in self._flights.values() for piece in flight.pieces):
             raise Refused(f"{name}: its last download is not in effect yet; wait for it, then write again")
-        current = self._bank.get(index, int(self._control.variable[index].table) >> 32)
+        current = self._bank.get(index, int(self._control.variable[index].table) >> 32 & 1)
         bank = 1 - current if int(self._control.variable[index].table) or index in self._bank else 0
         start = place.entry.banks[bank]
         self._memory[start : start + rows.nbytes] = rows.reshape(-1).view(np.uint8)
@@ -203,13 +205,13 @@ class Updates:
 
     def _commit(self, slot: int, pieces: list[_Piece], author: str, at_tick: int | None) -> int:
         control = self._control
-        start = int(control.batch_offset) + slot * int(control.batch_stride)
+        start = self._offset + slot * self._stride
         body = bytearray()
         for piece in pieces:
             size = len(piece.data)
             body += _ENTRY.pack(piece.place.entry.index, piece.place.offset, size, 0)
             body += piece.data if size % 8 == 0 else piece.data + bytes(-size % 8)
-        room = int(control.batch_stride) - self._ffi.sizeof("batch")
+        room = self._stride - self._ffi.sizeof("batch")
         if len(body) > room:
             raise Refused(f"the update takes {len(body)} bytes, {room} fit: write whole arrays in place of their elements")
         batch = self._data.pointer("batch", start)
@@ -259,7 +261,7 @@ class Updates:
             left = end - time.monotonic()
             if left <= 0.0:
                 raise Refused(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
-            start = int(self._control.batch_offset) + flight.slot * int(self._control.batch_stride)
+            start = self._offset + flight.slot * self._stride
             self._lib.monitor_wait_applied(self._data.pointer("batch", start), min(_SLICE_NS, int(left * 1e9)))
 
     def harvest(self) -> None:
@@ -271,7 +273,7 @@ class Updates:
     def _harvest(self) -> None:
         for sequence in list(self._flights):
             flight = self._flights[sequence]
-            start = int(self._control.batch_offset) + flight.slot * int(self._control.batch_stride)
+            start = self._offset + flight.slot * self._stride
             batch = self._data.pointer("batch", start)
             if self._lib.monitor_load32(self._ffi.addressof(batch[0], "state")) != self._lib.BATCH_APPLIED:
                 continue

@@ -6,19 +6,21 @@
 
 #include "layout.h"
 
-/* Copy the newest sample whole. Returns 1 and its tick, or 0 when the loop kept overwriting it (never seen). */
-int monitor_snapshot(const control *c, const unsigned char *data, unsigned char *values, uint64_t *tick) {
+/* Copy the newest sample whole, `bytes` of values. Returns 1 and its tick, or 0 when the loop kept overwriting it (never seen). Place
+ * and size come from the monitor's own memory: what user code may have scribbled over must not steer a copy. */
+int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride, uint64_t bytes, unsigned char *values,
+                     uint64_t *tick) {
     for (int attempt = 0; attempt < 1000; attempt++) {
-        const uint64_t newest = __atomic_load_n(&c->newest, __ATOMIC_ACQUIRE);
+        const uint64_t newest = __atomic_load_n(newest_word, __ATOMIC_ACQUIRE);
         if (newest == 0)
             return 0;
         const uint64_t n = newest - 1;
-        const unsigned char *place = data + c->snapshot_offset + n % LAYOUT_SNAPSHOTS * c->snapshot_stride;
+        const unsigned char *place = slots + n % LAYOUT_SNAPSHOTS * stride;
         const snapshot *slot = (const snapshot *)(const void *)place;
         if (__atomic_load_n(&slot->sequence, __ATOMIC_ACQUIRE) != 2 * n + 2)
             continue;
         *tick = slot->tick;
-        memcpy(values, place + sizeof *slot, (size_t)c->snapshot_bytes);
+        memcpy(values, place + sizeof *slot, bytes);
         __atomic_thread_fence(__ATOMIC_ACQUIRE);
         if (__atomic_load_n(&slot->sequence, __ATOMIC_RELAXED) == 2 * n + 2)
             return 1;
@@ -62,16 +64,16 @@ int monitor_wait_applied(const batch *b, uint64_t timeout_ns) {
     }
 }
 
-/* Copy rows [first, first + count) of a stream. Returns how many leading rows may have been overwritten while copying. */
-uint64_t monitor_rows(const stream_head *h, uint64_t first, uint64_t count, double *to) {
-    const double *rows = (const double *)(const void *)((const unsigned char *)h + h->rows);
-    const uint64_t place = first % h->capacity, channels = h->channels;
-    const uint64_t before_end = h->capacity - place < count ? h->capacity - place : count;
+/* Copy rows [first, first + count) of a ring of `capacity` rows. Returns how many leading rows may have been overwritten meanwhile. */
+uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity, uint64_t channels, uint64_t first,
+                      uint64_t count, double *to) {
+    const uint64_t place = first % capacity;
+    const uint64_t before_end = capacity - place < count ? capacity - place : count;
     memcpy(to, rows + place * channels, before_end * channels * sizeof(double));
     memcpy(to + before_end * channels, rows, (count - before_end) * channels * sizeof(double));
     __atomic_thread_fence(__ATOMIC_ACQUIRE);
     /* the row that the loop is writing now, and all before it by one round, are not to be trusted */
-    const uint64_t written = __atomic_load_n(&h->count, __ATOMIC_ACQUIRE) + 1;
-    const uint64_t oldest = written > h->capacity ? written - h->capacity : 0;
+    const uint64_t written = __atomic_load_n(count_word, __ATOMIC_ACQUIRE) + 1;
+    const uint64_t oldest = written > capacity ? written - capacity : 0;
     return oldest > first ? (oldest - first < count ? oldest - first : count) : 0;
 }

@@ -1,0 +1,142 @@
+"""A target that lives long: many loads, many crashes, and nothing left behind."""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp_protocol.errors import AcquisitionError, Refused
+from zendsp_target.api import AcquireConfig
+from zendsp_target.runtime import Runtime
+
+Make = Callable[..., Runtime]
+COUNT = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid UserISR_INT2(void) { x += 1.0; }\n'
+CRASH = COUNT.replace("x += 1.0;", "x += 1.0; if (SAMPLE_TICK == 5) *(volatile int *)8 = 1;")
+
+
+def test_many_loads_and_crashes_leak_neither_files_nor_threads_nor_memory(
+    make_runtime: Make, load: Callable[[Runtime, str], None], wait_for: Callable[..., None]
+) -> None:
+    runtime = make_runtime(COUNT)
+
+    def life(number: int) -> None:
+        load(runtime, CRASH if number % 3 == 0 else COUNT)
+        runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.1))
+        runtime.acquire_start(0)
+        if number % 3 == 0:
+            runtime.start(ticks=None)
+            wait_for(lambda: runtime.status().state == "crashed")
+        else:
+            runtime.start(ticks=20)
+            runtime.wait_paused()
+
+    def counted() -> tuple[int, int, int]:
+        gc.collect()
+        folder = Path(runtime._folder.path)
+        return len(os.listdir("/proc/self/fd")), threading.active_count(), len(list(folder.iterdir()))
+
+    for number in range(5):
+        life(number)
+    before = counted()
+    for number in range(30):
+        life(number)
+    after = counted()
+    assert after[0] <= before[0] + 2
+    assert after[1:] == before[1:]
+
+
+def test_close_removes_everything(make_runtime: Make) -> None:
+    runtime = make_runtime(COUNT)
+    session = runtime._session
+    assert session is not None
+    folder, pid = runtime._folder.path, session.process.pid
+    runtime.start()
+    runtime.close()
+    runtime.close()  # twice is once
+    assert not folder.exists()
+    assert not os.path.exists(f"/proc/{pid}")
+    with pytest.raises(Refused):
+        runtime.load("0" * 32)
+
+
+def test_the_speed_of_the_fast_clock_can_be_limited(make_runtime: Make) -> None:
+    runtime = make_runtime(COUNT, speed=4.0)
+    began = time.monotonic()
+    runtime.start(ticks=2000)
+    runtime.wait_paused()
+    assert time.monotonic() - began > 0.45  # 2 s of machine time at four times real time
+
+
+def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) -> None:
+    runtime = make_runtime(COUNT)
+    for config, says in (
+        (AcquireConfig(("nothing", "enc", "x[3]")), "nothing"),
+        (AcquireConfig(()), "0 channels"),
+        (AcquireConfig(("x",), seconds=0.0), "acquire longer"),
+        (AcquireConfig(("x",), seconds=1e9), "shared memory"),
+        (AcquireConfig(("x",), decimation=0), "decimation"),
+    ):
+        with pytest.raises(AcquisitionError, match=says):
+            runtime.acquire_configure(0, config)
+    with pytest.raises(AcquisitionError, match="not configured"):
+        runtime.acquire_start(2)
+    with pytest.raises(AcquisitionError, match="0 … 7"):
+        runtime.acquire_configure(8, AcquireConfig(("x",)))
+    assert runtime.acquire_status(5).state == "idle"
+
+
+def test_recordings_survive_the_next_load(make_runtime: Make, load: Callable[[Runtime, str], None]) -> None:
+    runtime = make_runtime(COUNT)
+    runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.05))
+    runtime.acquire_start(0)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    load(runtime, COUNT)
+    assert np.array_equal(runtime.acquire_read(0, 0, 50)[:, 0], np.arange(1.0, 51.0))
+    with pytest.raises(AcquisitionError, match="no longer loaded"):
+        runtime.acquire_start(0)
+
+
+def test_timing_is_counted_for_every_sample(make_runtime: Make) -> None:
+    runtime = make_runtime(COUNT, clock="real")
+    runtime.start(ticks=300)
+    runtime.wait_paused()
+    timing = runtime.status().timing
+    assert timing.ticks == 300
+    assert timing.exec_histogram.sum() == timing.late_histogram.sum() == 300
+    assert 0 < timing.exec_mean_ns <= timing.exec_max_ns
+    highest = np.flatnonzero(timing.exec_histogram)[-1]
+    assert timing.histogram_edges_ns[highest] <= timing.exec_max_ns < timing.histogram_edges_ns[highest + 1]
+    assert "FIFO" in runtime.status().scheduling or "normal scheduling" in runtime.status().scheduling
+
+
+def test_acquire_stores_the_row_where_it_is_called(make_runtime: Make) -> None:
+    code = """
+    #include "isr.h"
+    static double x;
+    void UserInit(void) { SIGNAL(x, "", ""); }
+    void UserISR_INT2(void) { x = 1.0; Acquire(); x = 2.0; Acquire(); x = 3.0; }
+    """
+    runtime = make_runtime(code)
+    runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.01))
+    runtime.acquire_start(0)
+    runtime.start(ticks=10)
+    runtime.wait_paused()
+    assert np.all(runtime.acquire_read(0, 0, 10) == 1.0)
+
+
+def test_the_background_runs_beneath_the_loop(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+    code = COUNT.replace("static double x;", "static double x;\nstatic int32_t rounds;").replace(
+        'SIGNAL(x, "", "");', 'SIGNAL(x, "", ""); SIGNAL(rounds, "", "");'
+    )
+    runtime = make_runtime(code + "void UserBackground(void) { rounds++; }\n", clock="real")
+    runtime.start()
+    wait_for(lambda: runtime.read(["rounds"])[1]["rounds"] > 20)
+    assert runtime.status().state == "running"
