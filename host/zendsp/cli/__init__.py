@@ -20,6 +20,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("zendsp.cli.run:command", "Compile, download and start a program."),
     "pause": ("zendsp.cli.pause:command", "Pause the program."),
     "stop": ("zendsp.cli.stop:command", "STOP: safe outputs at once."),
+    "drive": ("zendsp.cli.drive:command", "Power, home and enable the drives; acknowledge a trip."),
     "get": ("zendsp.cli.get:command", "Read variables."),
     "set": ("zendsp.cli.set:command", "Change variables, all in one sample."),
     "watch": ("zendsp.cli.watch:command", "Follow channels live."),

@@ -1,0 +1,205 @@
+"""The safe sequence of the drives, on a real target process, by the API."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from zendsp.errors import Refused
+from zendsp.link import Target, connect, local
+from zendsp_target.api import Limits, RuntimeApi, Status, Timing
+from zendsp_target.drives import Drives
+
+_NONE = np.zeros(0, dtype=np.int64)
+_STATUS = Status(
+    "empty", 0, 0.0, 1000.0, "fast", "", "m", 1, "", Timing(0, 0, 0, 0.0, 0, 0.0, 0, _NONE, _NONE, np.zeros(1)), "off", None, ""
+)
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[Target]:
+    target = local("imi_planar", clock="fast", options=["--speed", "20"], timeout=60.0)
+    yield target
+    target.close()
+
+
+@pytest.fixture
+def target(process: Target) -> Iterator[Target]:
+    process.download("pd.c")
+    yield process
+    process.take_command(force=True)
+    process.acknowledge()
+    process.pause()
+    process.drive_auto()
+    process.release_command()
+
+
+def _soon(condition: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.01)
+
+
+def test_a_script_need_not_know_the_sequence(target: Target) -> None:
+    target.start()
+    assert target.status().drive == "running" and not target.drive_status().explicit
+    _soon(lambda: target.status().io["aout"][0] != 0.0, "the drives are on")
+    target.pause()
+
+
+def test_off_ready_homed_enabled_running_and_back(target: Target) -> None:
+    states = [target.power_off() and target.drive_status().state]
+    target.power_on()
+    states.append(target.drive_status().state)  # absolute encoders: ready and homed at once
+    target.home_and_wait()
+    target.enable()
+    states.append(target.drive_status().state)
+    target.start()
+    states.append(target.drive_status().state)
+    target.disable()
+    target.pause()
+    states.append(target.drive_status().state)
+    assert states == ["off", "homed", "enabled", "running", "homed"]
+
+
+def test_each_refusal_names_what_fails(process: Target) -> None:
+    process.unload()
+    process.power_on()
+    with pytest.raises(Refused, match=r"enabling is refused: program: no code is loaded .* homed: "):
+        process.enable()
+    process.download("pd.c")
+    process.power_off()
+    with pytest.raises(Refused, match="enabling is refused: power: switch the drives' power on"):
+        process.enable()
+    process.power_on()
+    with pytest.raises(Refused, match="starting is refused: enabled"):
+        process.start()
+    process.stop()
+    _soon(lambda: process.status().trip is not None, "latched at the next sample")
+    with pytest.raises(Refused, match="enabling is refused: no trip: STOP"):
+        process.enable()
+    process.acknowledge()
+    with pytest.raises(Refused, match="expected 'torque' or 'velocity'"):
+        process.enable("fast")
+    process.drive_auto()
+    process.release_command()
+
+
+def test_enabling_wants_finite_limits(target: Target) -> None:
+    status = replace(_STATUS, state="loaded", io={"enc": np.zeros(2)})
+    endless = Limits((-1.0,), (1.0,), (2.0,), (float("inf"),), (5.0,), torque_clamp=False)
+    for limits, met in ((endless, False), (replace(endless, torque_max=(3.0,)), True)):
+        runtime = SimpleNamespace(limits=lambda limits=limits: limits, status=lambda: status)
+        conditions = {c.name: c.met for c in Drives(cast(RuntimeApi, runtime)).conditions(status)}
+        assert conditions["limits"] is met
+    with pytest.raises(Refused, match="finite"):
+        target.set_limits(torque_max=[float("inf")] * 2)
+
+
+def test_stop_acts_from_any_host_and_nothing_moves_before_enable(target: Target) -> None:
+    target.power_on()
+    target.enable()
+    target.start()
+    with connect(target.name) as other:
+        other.stop()
+    _soon(lambda: target.drive_status().state == "stopped", "stopped")
+    with pytest.raises(Refused):
+        target.start()
+    target.acknowledge()
+    assert target.drive_status().state == "homed"
+    with pytest.raises(Refused, match="enabled"):
+        target.start()
+    target.enable()
+    target.start()
+    assert target.drive_status().state == "running"
+
+
+def test_the_digital_input_stops_as_well(target: Target) -> None:
+    target.power_on()
+    target.enable()
+    target.start()
+    target.set_inputs(1)
+    try:
+        _soon(lambda: target.drive_status().state == "stopped", "the input acts")
+        trip = target.status().trip
+        assert trip is not None and "input" in trip.text
+    finally:
+        target.set_inputs(0)
+
+
+def test_a_limit_trips_and_says_which_joint_and_value(target: Target) -> None:
+    target.update(Kp1=20000.0, Kd1=0.0, approach_time=0.1, center1=1.5)
+    target.power_on()
+    target.enable()
+    target.start()
+    _soon(lambda: target.drive_status().state == "tripped", "such gains exceed the torque")
+    trip = target.status().trip
+    assert trip is not None and trip.joint == 1 and abs(trip.value) > trip.limit > 0
+    assert target.status().io["aout"] == [0.0, 0.0]
+
+
+def test_the_right_to_command_is_exclusive_and_taken_over_deliberately(target: Target) -> None:
+    assert target.drive_status().commander == ""
+    target.power_on()
+    assert target.drive_status().commander == target.link.author
+    with connect(target.name) as other:
+        for forbidden in (other.start, other.pause, other.enable, other.power_off, other.acknowledge, other.release_command,
+                          lambda: other.update(Kp1=1.0), lambda: other.load("x"), lambda: other.set_ramp(0.1)):  # fmt: skip
+            with pytest.raises(Refused, match="exclusive right"):
+                forbidden()
+        assert other["Kp1"] == 2000.0
+        with pytest.raises(Refused, match="take it over with force"):
+            other.take_command()
+        assert "taken over" in other.take_command(force=True)
+        with pytest.raises(Refused, match="exclusive right"):
+            target.pause()
+        other.release_command()
+    target.pause()
+
+
+def test_the_right_falls_free_when_its_holder_leaves(target: Target) -> None:
+    with connect(target.name) as other:
+        other.take_command()
+        assert target.drive_status().commander == other.link.author
+    _soon(lambda: target.drive_status().commander == "", "freed")
+
+
+def test_managed_targets_enforce_the_sequence() -> None:
+    with local("imi_planar", clock="fast", options=["--speed", "20", "--managed"], timeout=60.0) as target:
+        target.download("pd.c")
+        assert target.drive_status().state == "off"
+        with pytest.raises(Refused, match="starting is refused: power"):
+            target.start()
+        with pytest.raises(Refused, match="--managed"):
+            target.drive_auto()
+        target.power_on()
+        target.enable()
+        target.start()
+        assert target.status().drive == "running"
+
+
+def _cli(target: Target, *words: str) -> subprocess.CompletedProcess[str]:
+    call = [sys.executable, "-c", "from zendsp.cli import main; main()", "drive", *words, "--target", target.name]
+    return subprocess.run(call, capture_output=True, text=True, timeout=100, check=False)
+
+
+def test_the_command_line_goes_through_the_sequence(target: Target) -> None:
+    refused = _cli(target, "off"), _cli(target, "enable")
+    assert refused[0].returncode == 0 and refused[1].returncode == 1
+    assert "power: switch the drives' power on" in refused[1].stderr
+    for action in ("on", "home", "enable"):
+        assert _cli(target, action).returncode == 0
+    assert target.drive_status().state == "enabled" and target.drive_status().commander == ""
+    target.take_command()
+    assert "exclusive right" in _cli(target, "off").stderr
+    assert _cli(target, "take", "--force").returncode == 0
+    assert target.drive_status().commander == "", "freed"

@@ -1,0 +1,246 @@
+"""STOP during a motion from each screen, a target killed while running, and a terminal that disappears."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+
+from zendsp.link import Target, connect
+from zendsp.recording import Recording
+from zendsp.tui.actions import SCREENS
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Field, Form
+from zendsp.tui.link_port import open_port
+from zendsp.tui.screens.execute import ExecuteScreen
+from zendsp.tui.screens.reference import ReferenceScreen
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
+VELOCITY = 2.0  # the built-in signal `drive`
+
+
+def _judge(target: Target) -> tuple[Recording, int]:
+    """Return the target's own record around the STOP, and the sample at which it was latched."""
+    trip = target.status().trip
+    assert trip is not None and trip.reason == "stop"
+    target.acquire_stop()
+    return target.acquire_load(), trip.tick
+
+
+@pytest.mark.parametrize("screen", SCREENS)
+@pytest.mark.parametrize("dialog", [False, True], ids=["plain", "under a dialog"])
+@pytest.mark.covers("app.stop")
+async def test_stop_makes_outputs_safe_within_two_samples(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, screen: str, dialog: bool
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        target.acquire_configure(["tick", "aout", "drive"], seconds=20.0, continuous=True)
+        target.acquire_start()
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 2.0, "the arm moves")
+        await pilot.press({"console": "f2", "execute": "f3", "reference": "f4"}[screen])
+        await until(pilot, lambda: lab.current_mode == screen, screen)
+        if dialog:
+            await lab.push_screen(Form("Note", [Field("note", "Note", "")]))
+        await pilot.press("f9")
+        await until(pilot, lambda: target.status().trip is not None, "latched on the target")
+        await until(pilot, lambda: target.status().tick > (target.status().trip or pytest.fail("trip")).tick + 50, "time goes on after it")
+        record, latched = _judge(target)
+        tick = record["tick"]
+        before, after = tick < latched, tick >= latched + 2
+        assert np.abs(record["aout"][before]).max() > 50.0, "the arm was being driven"
+        assert after.sum() > 20
+        assert not record["aout"][after].any(), "zero reference"
+        assert (record["drive"][after] == VELOCITY).all(), "in velocity mode"
+        assert record.lost == 0
+        await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "and every screen shows it")
+
+
+async def test_after_stop_nothing_moves_until_somebody_enables(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 1.0, "moves")
+        await pilot.press("f9")
+        await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "stopped")
+        await pilot.press("e", "s")
+        refused = lambda: [e.text for e in lab.session.events.since(0)[1] if "refused" in e.text]  # noqa: E731
+        await until(pilot, lambda: len(refused()) == 2, "enable and start are refused while latched")
+        await pilot.press("ctrl+k")
+        await until(pilot, lambda: lab.session.snapshot.drive == "homed", "acknowledged")
+        await pilot.press("s")
+        await until(pilot, lambda: len(refused()) == 3, "start is refused: not enabled")
+        assert not np.any(target.status().io["aout"])
+        await pilot.press("e")
+        await until(pilot, lambda: lab.session.snapshot.drive == "enabled", "enabled again")
+
+
+async def test_stop_during_a_run_ends_it_and_keeps_the_data(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("f3")
+        await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute")
+        screen = lab.screen
+        assert isinstance(screen, ExecuteScreen)
+        lab.chosen = (folder / "references" / "circle.mat",)
+        await until(pilot, lambda: screen.references and screen.conditions and all(c.met for c in screen.conditions), "ready")
+        await pilot.press("s")
+        await until(pilot, lambda: screen.job is not None and screen.job.progress.phase == "play", "it plays")
+        await pilot.press("f9")
+        await until(pilot, lambda: screen.runs, "the run is kept")
+        assert screen.runs[0].outcome.startswith(("tripped", "stopped")) and screen.runs[0].rows > 0
+
+
+# -- loss -----------------------------------------------------------------------------------------------------------------
+
+
+def _spawn(name: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--name", name, "--clock", "fast", "--speed", "20", "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdout is not None and json.loads(process.stdout.readline())["name"] == name
+    return process
+
+
+@pytest.fixture
+def own_target() -> Iterator[tuple[str, Callable[[], subprocess.Popen[bytes]]]]:
+    """A target of its own name that may be killed and started again."""
+    name = f"lost-{os.getpid()}"
+    alive: list[subprocess.Popen[bytes]] = []
+
+    def start() -> subprocess.Popen[bytes]:
+        alive.append(_spawn(name))
+        return alive[-1]
+
+    yield name, start
+    for process in alive:
+        process.kill()
+        process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+async def test_a_killed_target_is_shown_nothing_freezes_and_the_link_comes_back(
+    own_target: tuple[str, Callable[[], subprocess.Popen[bytes]]], until: Until, folder: Path
+) -> None:
+    name, start = own_target
+    process = start()
+    app = ZendspApp(open_port, target=name, folder=folder, source=folder / "pd.c", frames=8.0)
+    async with app.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: app.session.snapshot.link == "up", "link")
+        await pilot.press("b")
+        await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.channels, "built")
+        await pilot.press("s")
+        await until(pilot, lambda: app.session.history.count > 200, "live")
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        await until(pilot, lambda: app.session.snapshot.link == "lost", "the loss is shown")
+        assert "LINK LOST" in app.screen.bar.where(app.session.snapshot).plain  # type: ignore[attr-defined]
+        begin = time.monotonic()
+        await pilot.press("f9")  # STOP without a link says so, at once
+        await until(pilot, lambda: any("STOP failed" in e.text for e in app.session.events.since(0)[1]), "told")
+        await pilot.press("f4")
+        await until(pilot, lambda: isinstance(app.screen, ReferenceScreen) and app.screen.plan is not None, "Reference works")
+        assert time.monotonic() - begin < 20.0
+        await pilot.press("f2")
+        start()
+        await until(pilot, lambda: app.session.snapshot.link == "up", "reconnected by itself")
+        await pilot.press("b")
+        await until(pilot, lambda: app.session.snapshot.state == "loaded", "and it can be used again")
+        await pilot.press("s")
+        count = app.session.history.count
+        await until(pilot, lambda: app.session.history.count > count + 100, "curves are live again")
+
+
+async def test_a_runner_that_crashes_is_shown_with_its_signal(lab: ZendspApp, built: Step, until: Until, folder: Path) -> None:
+    crash = folder / "crash.c"
+    crash.write_text(
+        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { SIGNAL(a, "", ""); }\n'
+        "void UserISR_INT2(void) { a += 1.0; if (a > 500.0) *(volatile int *)8 = 1; }\nvoid UserBackground(void) {}\n"
+    )
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await built(lab, pilot)
+        lab.source = crash
+        await pilot.press("b")
+        await until(pilot, lambda: [v.name for v in lab.session.snapshot.variables][:1] == ["a"], "downloaded")
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.state == "crashed", "crashed")
+        assert "SIGSEGV" in lab.session.snapshot.crash
+        assert "SIGSEGV" in lab.screen.bar.where(lab.session.snapshot).plain  # type: ignore[attr-defined]
+        lab.source = folder / "pd.c"
+        await pilot.press("b")
+        await until(pilot, lambda: lab.session.snapshot.state == "loaded", "a new download works")
+
+
+_HOST = """
+import sys, time
+from zendsp.link import connect
+with connect(sys.argv[1]) as t:
+    t.power_on(); t.enable(); t.set_host_lost(sys.argv[2]); t.start()
+    print("running", flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("policy", ["stop", "hold", "finish"])
+def test_when_the_commanding_host_disappears_the_policy_decides(target: Target, folder: Path, policy: str) -> None:
+    source = (folder / "pd.c").read_text()
+    if policy == "hold":  # a program that can hold its reference declares so
+        source = source.replace("static bool use_table;", "static bool use_table, hold;").replace(
+            "void UserInit(void) {", 'void UserInit(void) {\n    PARAMETER(hold, 0, "", 0, 1, "hold the reference");'
+        )
+    target.download({"pd.c": source})
+    host = subprocess.Popen([sys.executable, "-c", _HOST, target.name, policy], stdout=subprocess.PIPE)
+    try:
+        assert host.stdout is not None and host.stdout.readline() == b"running\n"
+        assert target.drive_status().state == "running" and target.drive_status().commander
+        host.kill()
+        killed = time.monotonic()
+        while target.drive_status().commander:
+            assert time.monotonic() - killed < 20.0, "the right to command was not freed"
+            time.sleep(0.02)
+        deadline = time.monotonic() + 20.0
+        if policy == "stop":
+            while (trip := target.status().trip) is None:
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+            assert trip.reason == "host lost" and target.drive_status().state == "tripped"
+            assert not np.any(target.status().io["aout"])
+        else:
+            if policy == "hold":
+                while not target["hold"]:
+                    assert time.monotonic() < deadline
+                    time.sleep(0.02)
+            tick = target.status().tick
+            while target.status().tick < tick + 200:
+                assert time.monotonic() < deadline, "the program goes on"
+                time.sleep(0.02)
+            assert target.status().trip is None
+    finally:
+        host.kill()
+        host.wait()
+        if host.stdout is not None:
+            host.stdout.close()
+
+
+def test_two_terminals_see_each_other_s_stop(target: Target, folder: Path) -> None:
+    target.download(folder / "pd.c")
+    target.start()
+    with connect(target.name) as other:
+        other.stop()
+        deadline = time.monotonic() + 10.0
+        while target.drive_status().state != "stopped":
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
