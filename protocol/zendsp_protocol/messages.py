@@ -19,148 +19,148 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
 class Info(Message, frozen=True, kw_only=True):
     """Who a target is; does not change while it lives."""
 
-    v: int
-    name: str
-    machine: str
-    joints: int
-    rate_hz: float
-    clock: str
-    pid: int
-    hostname: str
-    versions: dict[str, str]
-    verbs: list[str]
+    v: int  # protocol version
+    name: str  # of the target
+    machine: str  # what it drives
+    joints: int  # 0 before the first program is loaded
+    rate_hz: float  # samples a second
+    clock: str  # real or fast
+    pid: int  # process of the monitor
+    hostname: str  # machine on which it runs
+    versions: dict[str, str]  # of zendsp, Python, the kernel and the libraries
+    verbs: list[str]  # that this target answers
     started: float = 0.0  # Unix s
 
 
 class Diagnostic(Message, frozen=True, kw_only=True):
     """One message of the compiler."""
 
-    severity: str
-    file: str
-    line: int
-    column: int
-    message: str
+    severity: str  # error, warning or note
+    file: str  # as the host named it
+    line: int  # from 1; 0 where the compiler gives none
+    column: int  # from 1
+    message: str  # the compiler's own words
 
 
 class CompileResult(Message, frozen=True, kw_only=True):
     """Outcome of ``compile``."""
 
-    ok: bool
-    key: str
-    diagnostics: tuple[Diagnostic, ...] = ()
-    seconds: float = 0.0
-    cached: bool = False
-    compiler: str = ""
-    flags: tuple[str, ...] = ()
+    ok: bool  # whether there is a program to load
+    key: str  # content hash of source, header, flags and compiler; for load
+    diagnostics: tuple[Diagnostic, ...] = ()  # in the user's own files
+    seconds: float = 0.0  # s, spent
+    cached: bool = False  # whether it was compiled before
+    compiler: str = ""  # path and version
+    flags: tuple[str, ...] = ()  # all that were used
 
 
 class VariableInfo(Message, frozen=True, kw_only=True):
     """One entry of the dictionary of the running code."""
 
-    name: str
-    type: str
-    length: int = 1
-    kind: str = "parameter"
-    unit: str = ""
-    minimum: float = float("-inf")
-    maximum: float = float("inf")
-    initial: WireValue = 0.0
-    description: str = ""
-    address: int = 0
+    name: str  # as in the C code
+    type: str  # double, float, int32 or bool
+    length: int = 1  # elements; 1 for a scalar
+    kind: str = "parameter"  # parameter (may be written), signal (read only), table (large) or builtin
+    unit: str = ""  # as declared
+    minimum: float = float("-inf")  # -inf where there is none
+    maximum: float = float("inf")  # inf where there is none
+    initial: WireValue = 0.0  # value after UserInit; a table of one value throughout is sent as that value
+    description: str = ""  # as declared
+    address: int = 0  # bytes within the program's image
     columns: int = 1  # of a table: values a row; length counts all values
 
 
 class Timing(Message, frozen=True, kw_only=True):
     """Timing counted by the runtime; ns."""
 
-    ticks: int = 0
-    overruns: int = 0
-    missed: int = 0
-    exec_mean_ns: float = 0.0
-    exec_max_ns: int = 0
-    late_mean_ns: float = 0.0
-    late_max_ns: int = 0
-    exec_histogram: WireValue = 0
-    late_histogram: WireValue = 0
-    histogram_edges_ns: WireValue = 0
+    ticks: int = 0  # samples counted
+    overruns: int = 0  # samples that took longer than the period
+    missed: int = 0  # samples that were skipped
+    exec_mean_ns: float = 0.0  # ns, time in the ISR
+    exec_max_ns: int = 0  # ns
+    late_mean_ns: float = 0.0  # ns, start of the ISR after its deadline
+    late_max_ns: int = 0  # ns
+    exec_histogram: WireValue = 0  # counts per bin
+    late_histogram: WireValue = 0  # counts per bin
+    histogram_edges_ns: WireValue = 0  # ns, one more than there are bins
 
 
 class Trip(Message, frozen=True, kw_only=True):
     """Why the drive tripped."""
 
-    reason: str
-    joint: int = 0
-    tick: int = 0
-    value: float = 0.0
-    limit: float = 0.0
-    text: str = ""
+    reason: str  # torque, speed, position, overrun, nan, stop, code, host lost, …
+    joint: int = 0  # from 1; 0 where none
+    tick: int = 0  # sample at which it happened
+    value: float = 0.0  # that broke the limit
+    limit: float = 0.0  # that was broken, same unit
+    text: str = ""  # a sentence for people
 
 
 class Status(Message, frozen=True, kw_only=True):
     """The state of the target now."""
 
-    state: str
-    tick: int = 0
-    t: float = 0.0
-    rate_hz: float = 0.0
-    clock: str = "real"
-    scheduling: str = ""
-    machine: str = ""
-    joints: int = 0
-    program: str = ""
-    timing: Timing = Timing()
-    drive: str = "off"
-    trip: Trip | None = None
-    crash: str = ""
-    io: dict[str, WireValue] = {}
-    homed: bool = True
-    drive_mode: str = "off"
+    state: str  # empty, loaded, running, paused, stopped or crashed
+    tick: int = 0  # samples since the program was loaded
+    t: float = 0.0  # s since the program was loaded
+    rate_hz: float = 0.0  # samples a second
+    clock: str = "real"  # real or fast
+    scheduling: str = ""  # a sentence: what the kernel granted and refused
+    machine: str = ""  # name
+    joints: int = 0  # number
+    program: str = ""  # key of the loaded program
+    timing: Timing = Timing()  # see Timing
+    drive: str = "off"  # off, ready, homed, enabled, running, stopped or tripped
+    trip: Trip | None = None  # latched until acknowledged
+    crash: str = ""  # empty, or how the runner died and at which sample
+    io: dict[str, WireValue] = {}  # raw inputs and outputs: enc, aout, adc, din, dout
+    homed: bool = True  # whether positions mean anything
+    drive_mode: str = "off"  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
 
 
 class JointInfo(Message, frozen=True, kw_only=True):
     """One joint of the machine."""
 
-    name: str
-    unit: str = "rad"
-    command: str = "torque"
-    counts_per_unit: float = 1.0
-    zero_counts: float = 0.0
-    mv_per_torque: float = 0.0
-    mv_per_speed: float = 0.0
-    command_max: float = float("inf")
-    position_min: float = float("-inf")
-    position_max: float = float("inf")
-    speed_max: float = float("inf")
-    torque_max: float = float("inf")
-    home: float = 0.0
-    length: float = 0.0
+    name: str  # of the joint
+    unit: str = "rad"  # rad or m
+    command: str = "torque"  # what the analog output means: torque, force or voltage
+    counts_per_unit: float = 1.0  # encoder counts per rad or m
+    zero_counts: float = 0.0  # encoder reading at position zero
+    mv_per_torque: float = 0.0  # mV per N m or N; 0 where the command is a voltage
+    mv_per_speed: float = 0.0  # mV per rad/s or m/s, in velocity mode
+    command_max: float = float("inf")  # mV
+    position_min: float = float("-inf")  # rad or m
+    position_max: float = float("inf")  # rad or m
+    speed_max: float = float("inf")  # rad/s or m/s
+    torque_max: float = float("inf")  # N m or N
+    home: float = 0.0  # rad or m, where homing ends
+    length: float = 0.0  # m, of the link; 0 where it means nothing
 
 
 class MachineInfo(Message, frozen=True, kw_only=True):
     """What the machine says of itself."""
 
-    name: str
-    text: str = ""
-    simulated: bool = False
-    joints: tuple[JointInfo, ...] = ()
-    adc_names: tuple[str, ...] = ()
-    adc_units: tuple[str, ...] = ()
-    dins: int = 0
-    douts: int = 0
-    stop_input: int = -1
-    needs_homing: bool = False
+    name: str  # of the machine
+    text: str = ""  # what it is
+    simulated: bool = False  # whether it is a simulation
+    joints: tuple[JointInfo, ...] = ()  # see JointInfo
+    adc_names: tuple[str, ...] = ()  # of the analog inputs
+    adc_units: tuple[str, ...] = ()  # of the analog inputs
+    dins: int = 0  # digital inputs
+    douts: int = 0  # digital outputs
+    stop_input: int = -1  # digital input that stops; -1 where none
+    needs_homing: bool = False  # before it may be enabled
 
 
 class Limits(Message, frozen=True, kw_only=True):
     """Checked every sample, below the user's code; one entry per joint."""
 
-    position_min: tuple[float, ...]
-    position_max: tuple[float, ...]
-    speed_max: tuple[float, ...]
-    torque_max: tuple[float, ...]
-    command_max: tuple[float, ...]
-    torque_clamp: bool = True
+    position_min: tuple[float, ...]  # rad or m
+    position_max: tuple[float, ...]  # rad or m
+    speed_max: tuple[float, ...]  # rad/s or m/s
+    torque_max: tuple[float, ...]  # N m or N
+    command_max: tuple[float, ...]  # mV
+    torque_clamp: bool = True  # true: clamp a command at its limit; false: trip
 
 
 class Condition(Message, frozen=True, kw_only=True):
@@ -193,98 +193,98 @@ class Said(Message, frozen=True, kw_only=True):
 class Change(Message, frozen=True, kw_only=True):
     """One line of the parameter log."""
 
-    tick: int
-    host_time: float
-    name: str
-    old: WireValue
-    new: WireValue
-    author: str
+    tick: int  # sample at which it took effect
+    host_time: float  # Unix s, by the target's clock
+    name: str  # of the parameter
+    old: WireValue  # value before
+    new: WireValue  # value after
+    author: str  # who asked
 
 
 class Trigger(Message, frozen=True, kw_only=True):
     """When a recording starts."""
 
-    source: str
-    level: float
-    edge: str = "rising"
-    pre_s: float = 0.0
+    source: str  # variable or element
+    level: float  # to cross
+    edge: str = "rising"  # rising, falling or both
+    pre_s: float = 0.0  # s to keep from before
 
 
 class AcquireStatus(Message, frozen=True, kw_only=True):
     """State of one acquisition stream."""
 
-    state: str
-    channels: tuple[str, ...] = ()
-    units: tuple[str, ...] = ()
-    decimation: int = 1
-    first: int = 0
-    count: int = 0
-    wanted: int = 0
-    lost: int = 0
-    start_tick: int = 0
-    trigger_row: int = -1
+    state: str  # idle, armed, running or done
+    channels: tuple[str, ...] = ()  # one for each column
+    units: tuple[str, ...] = ()  # one for each column
+    decimation: int = 1  # samples per row
+    first: int = 0  # index of the oldest row still held
+    count: int = 0  # rows written so far
+    wanted: int = 0  # rows of a single shot; 0 for a continuous ring
+    lost: int = 0  # rows that were overwritten or never stored
+    start_tick: int = 0  # sample of row 0
+    trigger_row: int = -1  # row at which the trigger fired; -1 where none
 
 
 class Reading(Message, frozen=True, kw_only=True):
     """Values of several variables, all from one sample."""
 
-    tick: int
-    values: dict[str, WireValue]
+    tick: int  # the sample
+    values: dict[str, WireValue]  # by name
 
 
 class Written(Message, frozen=True, kw_only=True):
     """A write was accepted; it takes effect at the start of a sample."""
 
-    sequence: int
+    sequence: int  # for wait_applied
 
 
 class Applied(Message, frozen=True, kw_only=True):
     """A write took effect at the start of sample ``tick``."""
 
-    sequence: int
-    tick: int
+    sequence: int  # of the update
+    tick: int  # sample at whose start it took effect
 
 
 class Program(Message, frozen=True, kw_only=True):
     """The loaded program, as it was sent."""
 
-    key: str = ""
-    sources: dict[str, str] = {}
-    flags: tuple[str, ...] = ()
-    compiler: str = ""
+    key: str = ""  # of the loaded program
+    sources: dict[str, str] = {}  # file name to text, as they were sent
+    flags: tuple[str, ...] = ()  # for the compiler
+    compiler: str = ""  # path and version
     log_start: int = 0  # lines of the parameter log from before it was loaded
 
 
 class LiveOpened(Message, frozen=True, kw_only=True):
     """A live stream: subscribe to ``key``."""
 
-    stream: int
-    key: str
+    stream: int  # number, for live_close
+    key: str  # to subscribe to
     channels: tuple[str, ...]  # one per column
-    units: tuple[str, ...]
+    units: tuple[str, ...]  # one for each column
     sample_time: float  # s between rows
 
 
 class LiveHeader(Message, frozen=True, kw_only=True):
     """Attachment of each live message; its payload holds ``rows × columns`` float64, little endian, row by row."""
 
-    v: int
+    v: int  # protocol version
     session: int  # changes whenever the stream is configured anew
     first: int  # index of the first row; a gap to the last message means rows that were skipped
-    rows: int
-    columns: tuple[str, ...]
+    rows: int  # in this message
+    columns: tuple[str, ...]  # names
     tick: int  # of the first row
-    decimation: int
+    decimation: int  # samples per row
     lost: int  # rows overwritten before the server could send them, in all
 
 
 class ChunkHeader(Message, frozen=True, kw_only=True):
     """Attachment of each reply of ``acquire_read``; the payload holds the rows, float64, little endian."""
 
-    v: int
-    first: int
-    rows: int
-    columns: int
+    v: int  # protocol version
+    first: int  # index of the first row
+    rows: int  # in this chunk
+    columns: int  # in each row
     crc: int  # folded CRC-32 of the payload, see chunks.folded_crc
 
 
@@ -310,5 +310,5 @@ class ErrorBody(Message, frozen=True, kw_only=True):
     """Why a request was declined."""
 
     kind: str  # name of a class in zendsp_protocol.errors
-    message: str
-    details: dict[str, Any] = {}
+    message: str  # what, the value, the limit, what to do next
+    details: dict[str, Any] = {}  # more, for programs

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from zendsp_protocol.errors import ZendspError
-from zendsp_target.endpoints import Security, check
+from zendsp_target.endpoints import Security, check, check_connect
 
 
 def parser() -> argparse.ArgumentParser:
@@ -62,6 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     listen = args.listen or ["tcp/127.0.0.1:0"]
     try:
         check(listen, security)  # before the machine is touched
+        check_connect(args.connect, security)
         return _serve(args, listen, security)
     except (ZendspError, ValueError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)

@@ -89,6 +89,21 @@ def check(endpoints: Sequence[str], security: Security) -> None:
             )
 
 
+def check_connect(endpoints: Sequence[str], security: Security) -> None:
+    """Refuse routers elsewhere that the target could not tell from an impostor: whoever is behind one can command it.
+
+    Raises
+    ------
+    Refused
+        Naming the endpoint and what is missing.
+    """
+    for endpoint in endpoints:
+        if is_local(endpoint):
+            continue
+        if endpoint.partition("/")[0] not in ("tls", "quic") or not security.authority:
+            raise Refused(f"--connect {endpoint} leads to another machine: use tls/… and --tls-ca, which proves who it is")
+
+
 def with_free_ports(endpoints: Sequence[str]) -> list[str]:
     """Replace port 0 by a port that is free now, since Zenoh does not tell which one it took."""
     chosen = []
@@ -130,6 +145,8 @@ def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence
     if security.encrypted:
         settings["transport/link/tls/listen_certificate"] = security.certificate
         settings["transport/link/tls/listen_private_key"] = security.key
+        settings["transport/link/tls/connect_certificate"] = security.certificate
+        settings["transport/link/tls/connect_private_key"] = security.key
     if security.authority:
         settings["transport/link/tls/root_ca_certificate"] = security.authority
         settings["transport/link/tls/enable_mtls"] = True

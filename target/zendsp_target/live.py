@@ -9,6 +9,7 @@ import itertools
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -27,6 +28,8 @@ SHORTEST_S = 0.001  # between polls: half of the promised lag
 SHORTEST_FAST_S = 0.01  # where simulated time runs ahead, viewers cannot follow every row anyway
 RING_S = 0.5  # held for a poll that comes late
 RETRY_S = 0.25  # after the stream's program went away
+LOOK_S = 1.0  # between looks whether anybody still subscribes
+UNWATCHED_S = 5.0  # then a stream ends: its viewer went without saying so
 
 
 class Send(Protocol):
@@ -51,14 +54,17 @@ class Stream:
     skipped: int = 0
     due: float = 0.0
     broken: bool = False
+    look: float = 0.0  # when to look for subscribers next
+    watched: float = field(default_factory=time.monotonic)  # when there was one last
 
 
 class LiveStreams:
     """Polls the runtime's rings from one thread and publishes what is new."""
 
-    def __init__(self, runtime: RuntimeApi, send: Send) -> None:
+    def __init__(self, runtime: RuntimeApi, send: Send, watched: Callable[[int], bool]) -> None:
         self._runtime = runtime
         self._send = send
+        self._watched = watched
         self._lock = threading.RLock()
         self._streams: dict[int, Stream] = {}
         self._sessions = itertools.count(1)
@@ -88,6 +94,7 @@ class LiveStreams:
             for stream in self._streams.values():
                 if stream.config.channels == config.channels and stream.config.decimation == decimation:
                     stream.viewers.add(viewer)
+                    stream.watched = time.monotonic()
                     stream.interval = min(stream.interval, interval)
                     stream.window = max(stream.window, window)
                     return stream
@@ -146,7 +153,10 @@ class LiveStreams:
             with self._lock:
                 now = time.monotonic()
                 for stream in list(self._streams.values()):
-                    if now >= stream.due:
+                    if now >= stream.look and self._abandoned(stream, now):
+                        del self._streams[stream.number]
+                        self._stop(stream.number)
+                    elif now >= stream.due:
                         stream.due = now + self._serve(stream)
                 due = min((stream.due for stream in self._streams.values()), default=None)
             if due is None:
@@ -154,6 +164,13 @@ class LiveStreams:
                 self._wake.clear()
             else:
                 time.sleep(max(0.0, due - time.monotonic()))
+
+    def _abandoned(self, stream: Stream, now: float) -> bool:
+        """Tell whether nobody has subscribed for long enough; looks once in a while only."""
+        stream.look = now + LOOK_S
+        if self._watched(stream.number):
+            stream.watched = now
+        return now - stream.watched > UNWATCHED_S
 
     def _serve(self, stream: Stream) -> float:
         """Publish what is new and return the time to wait, in s."""

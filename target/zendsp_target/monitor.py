@@ -48,6 +48,7 @@ class Monitor:
 
     def __init__(self, runtime: RuntimeApi, options: Options) -> None:
         listening.check(options.listen, options.security)
+        listening.check_connect(options.connect, options.security)
         who = identity(options.name, options.machine)
         check_free(who.name)
         self._runtime = runtime

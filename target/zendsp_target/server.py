@@ -40,7 +40,7 @@ class Server:
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[int, zenoh.Publisher] = {}
-        self.live = LiveStreams(runtime, self._send_live)
+        self.live = LiveStreams(runtime, self._send_live, self._live_watched)
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self.service.host_gone)
         self.service.present = self._hosts.names
@@ -166,15 +166,20 @@ class Server:
             log.debug("reply was not delivered: %s", error)
 
     def _send_live(self, stream: int, payload: bytes, header: bytes) -> None:
-        publisher = self._publishers.get(stream)
-        if publisher is None:
-            publisher = self._session.declare_publisher(
+        self._publisher(stream).put(payload, attachment=header)
+
+    def _live_watched(self, stream: int) -> bool:
+        status: Any = self._publisher(stream).matching_status  # declared a bool, is a MatchingStatus
+        return bool(status.matching)
+
+    def _publisher(self, stream: int) -> zenoh.Publisher:
+        if stream not in self._publishers:
+            self._publishers[stream] = self._session.declare_publisher(
                 keys.live(self.name, stream),
                 congestion_control=zenoh.CongestionControl.DROP,  # a viewer that hangs must not hold up the others
                 express=True,
             )
-            self._publishers[stream] = publisher
-        publisher.put(payload, attachment=header)
+        return self._publishers[stream]
 
     def _pulse(self) -> None:
         """Publish the status at every change of state and twice a second."""

@@ -88,7 +88,7 @@ class Service:
             pid=os.getpid(),
             hostname=platform.node(),
             versions=versions,
-            verbs=list(self.handlers),
+            verbs=[name for name in verbs.VERBS if name in self.handlers or name == "acquire_read"],
             started=self.identity.started,
         )
 

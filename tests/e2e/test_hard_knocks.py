@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import DEADLINE_S, children, kill, python, relay_to, running, until
+from helpers import DEADLINE_S, children, kill, make_certificates, python, relay_to, running, until
 
 import zendsp
-from zendsp.errors import LinkError, RunnerDied
+from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link import Target
+from zendsp.link.settings import Credentials
+from zendsp_protocol import codec
 
 HEAD = '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\nvoid UserInit(void) { SIGNAL(n, "", ""); }\n'
 CRASH = HEAD + "void UserISR_INT2(void) { if (++n == 500) *(volatile int *)8 = 1; }\n"
@@ -217,12 +223,69 @@ def test_listening_beyond_loopback_is_refused_without_tls_and_authentication() -
     for endpoint, words in (
         ("tcp/0.0.0.0:0", "use tls/"),
         ("udp/[::]:7447", "use tls/"),
-        ("tls/0.0.0.0:7447", "needs --tls-cert and --tls-key and --tls-ca or --users"),
+        ("tls/192.0.2.1:7447", "needs --tls-cert and --tls-key and --tls-ca or --users"),
     ):
         command = [sys.executable, "-m", "zendsp_target", "--listen", endpoint]
         done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
         assert done.returncode == 2 and words in done.stderr, done.stderr
         assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else(tmp_path: Path) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("needs the command openssl to make certificates")
+    make_certificates(tmp_path)
+    ca, users = str(tmp_path / "ca.pem"), tmp_path / "users"
+    users.write_text("anna:secret\n")
+    own = ["--tls-cert", str(tmp_path / "one.pem"), "--tls-key", str(tmp_path / "one.key")]
+    password = Credentials(ca, user="anna", password="secret")
+    certificate = Credentials(ca, str(tmp_path / "two.pem"), str(tmp_path / "two.key"))
+    for asked, good, bad in (
+        (["--users", str(users)], password, Credentials(ca, user="anna", password="guess")),
+        (["--tls-ca", ca], certificate, Credentials(ca)),
+    ):
+        command = [
+            sys.executable,
+            "-m",
+            "zendsp_target",
+            "--name",
+            "vault",
+            "--json",
+            "--listen",
+            "tls/127.0.0.1:0",
+            *own,
+            *asked,
+        ]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        try:
+            assert process.stdout is not None
+            endpoint = json.loads(process.stdout.readline())["endpoints"][0]
+            with zendsp.connect("vault", endpoint, good, timeout=20.0) as target:
+                assert target.status().state == "empty"
+            with pytest.raises(LinkError, match="refuses the certificate or password"):
+                zendsp.connect("vault", endpoint, bad, timeout=2.0)
+        finally:
+            process.terminate()
+            process.communicate(timeout=DEADLINE_S)
+
+
+def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> None:
+    fast.download("pd.c")
+    by = "a client without a token"
+    for k in range(7):
+        request = codec.encode_request("live_open", {"channels": ["q"], "decimation": k + 1}, by)
+        replies = list(fast.link.session.get(f"zendsp/{fast.name}/rpc/quick", payload=request, timeout=10.0))
+        assert replies[0].ok is not None
+    with pytest.raises(Refused, match=f"all 7 live streams are in use by {by}"):
+        fast.live(["tau"])
+
+    def free() -> bool:
+        with contextlib.suppress(Refused):
+            fast.live(["tau"]).close()
+            return True
+        return False
+
+    until(free, "the streams without subscribers are closed")
 
 
 def test_a_bare_target_loads_nothing_of_the_host() -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import until
+from helpers import DEADLINE_S, until
 
 import zendsp
 from zendsp.errors import AcquisitionError, CompileFailed, Refused, VariableError
@@ -169,3 +171,13 @@ def test_limits_and_drives_are_within_reach(fast: Target) -> None:
     assert trip is not None and trip.reason == "stop"
     fast.acknowledge()
     assert fast.status().trip is None
+
+
+def test_the_client_in_the_documentation_works_as_printed(real: Target) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    code = text.partition("```python\n")[2].partition("```")[0]
+    command = [sys.executable, "-c", code, real.link.endpoints[0], real.name]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
+    assert done.returncode == 0, done.stderr
+    assert "'Kp1', 'value': 2000.0" in done.stdout.replace('"', "'") and real["Kp1"] == 450.0
+    assert done.stdout.count("['q[0]', 'q[1]']") == 3

@@ -22,6 +22,7 @@ from zendsp.link import ParameterSet, Target, connect, discover
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol import messages as m
+from zendsp_protocol.verbs import VERBS
 from zendsp_target.monitor import Monitor
 
 DEADLINE_S = 20.0
@@ -36,6 +37,7 @@ def until(condition: object, what: str) -> None:
 
 def test_a_target_is_found_by_name_alone(target: Target) -> None:
     assert target.info.name == "fake" and target.info.joints == 2
+    assert target.info.verbs == list(VERBS)  # every verb of the protocol has a handler
     assert [found.name for found in discover("fa*")] == ["fake"]
     assert discover("x*") == []
     with connect() as again:  # only one runs here

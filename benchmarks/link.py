@@ -1,0 +1,270 @@
+"""How far the link is from the bare transport beneath it, measured side by side in one run.
+
+    python benchmarks/link.py [--quick] [--json FILE]
+
+Every figure of ours stands beside the same thing done with nothing but Zenoh, between the same two processes, taken in turns so
+that a busy moment hits both. Ratios are what counts; the machine's own figures are printed for reference.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import zenoh
+
+import zendsp
+from zendsp.link import Target
+from zendsp.link.settings import Credentials, zenoh_config
+from zendsp_target.endpoints import Security, with_free_ports
+from zendsp_target.endpoints import zenoh_config as target_config
+
+BARE = "bare/quick"
+BULK = "bare/bulk"
+SIXTY_FOUR = """#include "isr.h"
+static double p[64], q[128]; static int32_t n; static double now;
+%s
+void UserInit(void) { %s SIGNAL(q, "", ""); SIGNAL(n, "", ""); SIGNAL(now, "s", "monotonic clock"); }
+#include <time.h>
+void UserISR_INT2(void) {
+    struct timespec at; clock_gettime(CLOCK_MONOTONIC, &at); now = at.tv_sec + 1e-9 * at.tv_nsec;
+    n++; for (int i = 0; i < 128; i++) q[i] = n + i;
+}
+void UserBackground(void) {}
+""" % (
+    "\n".join(f"static double v{k};" for k in range(64)),
+    " ".join(f'PARAMETER(v{k}, 0, "", NO_MIN, NO_MAX, "");' for k in range(64)),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the result."""
+
+    what: str
+    ours: float
+    bare: float
+    unit: str
+    ratio: float
+    goal: str
+    met: bool | None
+
+
+def serve_bare(endpoint: str) -> None:
+    """Answer requests with nothing but Zenoh until standard input ends: the other process of the comparison."""
+    session = zenoh.open(target_config([endpoint], Security()))
+    quick = session.declare_queryable(BARE, zenoh.handlers.FifoChannel(256))
+    blob = np.random.default_rng(0).bytes(1 << 20)
+
+    def bulk(query: zenoh.Query) -> None:
+        with query:
+            for _ in range(int(query.parameters["n"])):
+                query.reply(BULK, blob, attachment=b"header")
+
+    bulk_server = session.declare_queryable(BULK, bulk)
+    print("ready", flush=True)
+    import threading
+
+    waiting = quick.handler
+
+    def serve() -> None:
+        while True:
+            try:
+                query = waiting.recv()
+            except zenoh.ZError:
+                return
+            with query:
+                query.reply(BARE, query.payload.to_bytes())
+
+    threading.Thread(target=serve, daemon=True).start()
+    sys.stdin.read()
+    bulk_server.undeclare()
+    session.close()
+
+
+class Bare:
+    """The bare peer and a session to it, with the settings of the product."""
+
+    def __init__(self) -> None:
+        endpoint = with_free_ports(["tcp/127.0.0.1:0"])[0]
+        self.process = subprocess.Popen(
+            [sys.executable, __file__, "--serve", endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        assert self.process.stdout is not None
+        self.process.stdout.readline()
+        self.session = zenoh.open(zenoh_config([endpoint], Credentials(), 5.0))
+        self.querier = self.session.declare_querier(
+            BARE,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+        )
+        deadline = time.monotonic() + 10.0
+        while not list(self.session.get(BARE, payload=b"x", timeout=1.0)) and time.monotonic() < deadline:
+            time.sleep(0.05)
+
+    def round_trip(self) -> None:
+        """One request of 64 bytes and its answer."""
+        self.querier.get(payload=b"y" * 64).recv().ok.payload.to_bytes()
+
+    def load(self, chunks: int) -> np.ndarray:
+        """Fetch ``chunks`` MiB in one request and put them into an array."""
+        data = np.empty(chunks << 20, dtype=np.uint8)
+        place = 0
+        for reply in self.session.get(
+            f"{BULK}?n={chunks}", consolidation=zenoh.ConsolidationMode.NONE, timeout=60.0
+        ):
+            part = reply.ok.payload.to_bytes()
+            data[place : place + len(part)] = np.frombuffer(part, np.uint8)
+            place += len(part)
+        return data
+
+    def close(self) -> None:
+        self.session.close()
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        self.process.wait(10)
+
+
+def in_turns(count: int, *actions: Callable[[], object]) -> list[np.ndarray]:
+    """Time each action ``count`` times, one after the other in every round; seconds."""
+    times = np.empty((len(actions), count))
+    for k in range(count):
+        for i, action in enumerate(actions):
+            start = time.perf_counter_ns()
+            action()
+            times[i, k] = time.perf_counter_ns() - start
+    return list(times * 1e-9)
+
+
+def compare(what: str, ours: np.ndarray, bare: np.ndarray, goal: float) -> Row:
+    """Compare medians: less is better."""
+    a, b = float(np.median(ours)), float(np.median(bare))
+    return Row(what, a * 1e6, b * 1e6, "µs", a / b, f"≤ {goal}", a / b <= goal)
+
+
+def requests(target: Target, bare: Bare, count: int) -> list[Row]:
+    """Write and read of one variable against a bare round trip."""
+    ours_write, ours_read, base = in_turns(
+        count, lambda: target.write(v0=1.0), lambda: target.read(["v0"]), bare.round_trip
+    )
+    return [
+        compare("write one variable, acknowledged", ours_write, base, 1.2),
+        compare("read one variable", ours_read, base, 1.2),
+    ]
+
+
+def commit(target: Target, bare: Bare, count: int) -> Row:
+    """Commit 64 staged variables; the wait for the sample is taken off, as the target counts it.
+
+    The loop of this measurement runs at 20 kHz, so that a sample is never more than 50 µs away; half a period is the mean wait.
+    """
+    values = {f"v{k}": float(k) for k in range(64)}
+    ours, base = in_turns(count, lambda: target.update(None, **values), bare.round_trip)
+    wait = 0.5 / target.info.rate_hz
+    row = compare("commit 64 staged variables, beyond the sample", ours - wait, base, 1.3)
+    return Row(**{**asdict(row), "what": row.what + f" (mean wait of {wait * 1e6:.0f} µs taken off)"})
+
+
+def load(target: Target, bare: Bare, mib: int, rounds: int) -> list[Row]:
+    """Load of a recording against the same bytes through bare Zenoh into an array."""
+    seconds = (mib << 20) / (8 * 128) / target.info.rate_hz
+    target.acquire_configure(["q"], seconds=seconds)
+    target.acquire_start()
+    while target.acquire_status().state != "done":
+        time.sleep(0.05)
+    rows = target.acquire_status().count
+    target.load_rows(0, rows, 128)
+    bare.load(mib)
+    ours, base = in_turns(rounds, lambda: target.load_rows(0, rows, 128), lambda: bare.load(mib))
+    a, b = rows * 1024 / float(np.median(ours)) / 1e6, (mib << 20) / float(np.median(base)) / 1e6
+    return [Row(f"load a recording of {mib} MiB, checked", a, b, "MB/s", a / b, "≥ 0.8", a / b >= 0.8)]
+
+
+def live_lag(target: Target, seconds: float) -> Row:
+    """Time from the sample to the callback, by the one monotonic clock of this machine."""
+    lags: list[float] = []
+
+    def take(block: object) -> None:
+        lags.append(time.monotonic() - float(block.data[-1, 0]))  # type: ignore[attr-defined]
+
+    with target.live(["now"], callback=take) as view:
+        time.sleep(seconds)
+        lost, received = view.lost, view.received
+    p50, p99 = np.percentile(lags, [50, 99]) * 1e3
+    what = f"live lag at {target.info.rate_hz:g} Hz, p50 (p99 {p99:.2f} ms, {received} rows, {lost} skipped)"
+    return Row(what, float(p50), 2.0, "ms", float(p50) / 2.0, "p50 ≤ 2 ms", bool(p50 <= 2.0))
+
+
+def stream_to_file(target: Target, seconds: float) -> Row:
+    """20 kHz × 128 float64 to a file: what the target lost."""
+    with tempfile.TemporaryDirectory() as folder:
+        before = target.status().timing
+        start = time.perf_counter()
+        recording = target.acquire(["q"], seconds=seconds)
+        got = time.perf_counter() - start
+        recording.save(Path(folder) / "all.npz") if seconds < 3 else np.save(
+            Path(folder) / "all.npy", recording.data
+        )
+        took = time.perf_counter() - start
+    after = target.status().timing
+    steps = np.diff(recording["q[0]"])
+    missing = int((steps - 1).sum()) - (after.missed - before.missed)
+    what = f"{target.info.rate_hz / 1e3:g} kHz × 128 for {seconds:g} s: rows lost (loaded {got - seconds:.2f} s after, on disk {took:.1f} s)"
+    lost = recording.lost + max(0, missing)
+    return Row(what, float(lost), 0.0, "rows", float(lost), "0", lost == 0)
+
+
+def report(rows: list[Row]) -> str:
+    """Lay the rows out as a table."""
+    lines = [f"{'':74}{'ours':>10}{'bare':>10}        {'ratio':>6}  goal"]
+    for row in rows:
+        mark = {True: "met", False: "NOT MET", None: ""}[row.met]
+        bare = f"{row.bare:10.1f}" if row.unit not in ("ms", "rows") else " " * 10
+        ratio = f"{row.ratio:6.2f}" if row.unit not in ("ms", "rows") else " " * 6
+        lines.append(f"{row.what:74}{row.ours:10.2f}{bare} {row.unit:6} {ratio}  {row.goal}  {mark}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--serve", help=argparse.SUPPRESS)
+    parser.add_argument("--quick", action="store_true", help="a fifth of the repetitions")
+    parser.add_argument("--json", type=Path, help="also write the rows there")
+    args = parser.parse_args()
+    if args.serve:
+        serve_bare(args.serve)
+        return
+    count, mib, rounds = (600, 64, 5) if args.quick else (3000, 256, 9)
+    rows: list[Row] = []
+    bare = Bare()
+    try:
+        with zendsp.local("imi_planar", rate=1000.0) as target:
+            target.download({"link.c": SIXTY_FOUR})
+            target.start()
+            rows += requests(target, bare, count)
+            rows.append(live_lag(target, 2.0 if args.quick else 10.0))
+        with zendsp.local("imi_planar", rate=20_000.0) as target:
+            target.download({"link.c": SIXTY_FOUR})
+            target.start()
+            rows.append(commit(target, bare, count))
+            rows += load(target, bare, mib, rounds)
+            rows.append(stream_to_file(target, 2.0 if args.quick else 10.0))
+    finally:
+        bare.close()
+    print(report(rows))
+    if args.json:
+        args.json.write_text(json.dumps([asdict(row) for row in rows], indent=2))
+
+
+if __name__ == "__main__":
+    main()

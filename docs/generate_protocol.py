@@ -1,0 +1,98 @@
+"""Write the tables of ``docs/protocol.md`` from the code: every verb, and every field with the comment beside it.
+
+python docs/generate_protocol.py          # rewrite the file
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import msgspec
+
+from zendsp_protocol import messages, verbs
+
+FILE = Path(__file__).parent / "protocol.md"
+BEGIN, END = "<!-- generated: {} -->", "<!-- end -->"
+
+
+def kind(annotation: object) -> str:
+    """Write a type as a reader of any language understands it."""
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    for old, new in (
+        ("zendsp_protocol.messages.", ""),
+        ("zendsp_protocol.verbs.", ""),
+        ("zendsp_protocol.values.", ""),
+        ("typing.", ""),
+        ("bool | int | float | list[bool | int | float] | Packed", "value"),
+        (", ...]", "]"),
+        (" | ", " or "),
+    ):
+        text = text.replace(old, new)
+    return re.sub(r"tuple\[", "list[", text)
+
+
+def comments(struct: type) -> dict[str, str]:
+    """Comments beside the fields of a struct, by name."""
+    found = re.findall(r"^    (\w+):[^#\n]*#\s*(.+)$", inspect.getsource(struct), re.MULTILINE)
+    return dict(found)
+
+
+def default(field: msgspec.structs.FieldInfo) -> str:
+    """Write the default of a field, empty where it is required."""
+    if field.default is not msgspec.NODEFAULT:
+        return f" = {field.default!r}".replace("'", '"').replace("None", "nil").replace("inf", "inf")
+    return "" if field.default_factory is msgspec.NODEFAULT else " = empty"
+
+
+def verb_table() -> str:
+    """One row for each verb."""
+    lines = ["| verb | lane | arguments | result | limit, s |", "|---|---|---|---|---|"]
+    for verb in verbs.VERBS.values():
+        fields = msgspec.structs.fields(verb.arguments)
+        arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace("|", "\\|")
+        lines.append(
+            f"| `{verb.name}` | {verb.lane} | {arguments or '–'} | {kind(verb.result)} | {verb.timeout:g} |"
+        )
+    return "\n".join(lines)
+
+
+def structs() -> list[type[msgspec.Struct]]:
+    """All messages, in the order of the source."""
+    found = [
+        item
+        for module in (messages, verbs)
+        for item in vars(module).values()
+        if isinstance(item, type) and issubclass(item, messages.Message) and item is not messages.Message
+    ]
+    return sorted(dict.fromkeys(found), key=lambda item: (item.__module__, inspect.getsourcelines(item)[1]))
+
+
+def message_tables() -> str:
+    """A table for each message."""
+    parts = []
+    for struct in structs():
+        said = comments(struct)
+        summary = (inspect.getdoc(struct) or "").replace("\n", " ")
+        lines = [f"**{struct.__name__}** – {summary}", ""]
+        fields = msgspec.structs.fields(struct)
+        if fields:
+            lines += ["| field | type | meaning |", "|---|---|---|"]
+            lines += [f"| `{f.name}` | {kind(f.type)} | {said.get(f.name, '')} |" for f in fields]
+        parts.append("\n".join(lines).rstrip())
+    return "\n\n".join(parts)
+
+
+def updated(text: str) -> str:
+    """Put the present tables between their marks."""
+    for name, body in (("verbs", verb_table()), ("messages", message_tables())):
+        mark = BEGIN.format(name)
+        head, _, rest = text.partition(mark)
+        _, _, tail = rest.partition(END)
+        text = f"{head}{mark}\n\n{body}\n\n{END}{tail}"
+    return text
+
+
+if __name__ == "__main__":
+    FILE.write_text(updated(FILE.read_text(encoding="utf-8")), encoding="utf-8")

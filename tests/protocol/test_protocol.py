@@ -1,0 +1,167 @@
+"""The wire contract: what is malformed is refused in words, what is documented is what the code does."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import itertools
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from zendsp_protocol import chunks, codec, errors, keys, registry, values, version
+from zendsp_protocol import messages as m
+from zendsp_protocol.errors import LinkError, VariableError, VersionMismatch, ZendspError
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_a_request_survives_the_wire() -> None:
+    data = codec.encode_request(
+        "update", {"values": {"Kp": 1.5, "on": True, "n": 3, "g": [1.0, 2.0]}, "at_tick": 7}, "anna@lab"
+    )
+    verb, args, by = codec.decode_request(data, "sync")
+    assert (verb.name, by, args.at_tick) == ("update", "anna@lab", 7)  # type: ignore[attr-defined]
+    assert args.values == {"Kp": 1.5, "on": True, "n": 3, "g": [1.0, 2.0]}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [1.5, 3, True, [1.0, 2.0], np.arange(3.0), np.arange(500.0), np.arange(500, dtype=np.int32), np.ones(99, np.bool_),
+     np.arange(200.0).reshape(100, 2), np.float32(2.5), np.int64(4), np.arange(99, dtype=np.float32)],
+)  # fmt: skip
+def test_values_survive_the_wire(value: object) -> None:
+    data = codec.encode(m.Reading(tick=1, values={"x": values.to_wire(value)}))
+    back = values.from_wire(codec.decode(data, m.Reading).values["x"])
+    assert np.array_equal(np.asarray(back), np.asarray(value)) and np.shape(back) == np.shape(value)
+
+
+@pytest.mark.parametrize("value", ["text", None, 1 + 2j, np.zeros((2, 2, 2)), {"a": 1}])
+def test_what_is_not_a_number_is_no_value(value: object) -> None:
+    with pytest.raises(TypeError):
+        values.to_wire(value)
+
+
+def test_a_result_and_an_error_survive_the_wire() -> None:
+    assert codec.decode_reply(codec.encode_result(m.Applied(sequence=1, tick=2)), m.Applied).tick == 2
+    with pytest.raises(VariableError, match="Kp: too large"):
+        codec.decode_reply(codec.encode_error(VariableError("Kp: too large")), m.Applied)
+    with pytest.raises(errors.Refused, match="this is a bug"):
+        codec.decode_reply(codec.encode_error(ZeroDivisionError("x")), m.Applied)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.one_of(st.binary(max_size=300), st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(max_size=9) | st.binary(max_size=9),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["v", "verb", "by", "args", "ok", "x"]), inner, max_size=5),
+    max_leaves=12,
+).map(msgspec.msgpack.encode)))  # fmt: skip
+def test_no_bytes_whatever_get_past_the_decoder_or_break_it(data: bytes) -> None:
+    for lane in keys.LANES:
+        with pytest.raises(LinkError):
+            codec.decode_request(data, lane)
+    with contextlib.suppress(ZendspError):
+        codec.decode_reply(data, m.Status)
+
+
+def test_versions_that_differ_say_which_side_to_upgrade() -> None:
+    older = codec.encode_request("status", {}, "me", version=version.PROTOCOL - 1)
+    with pytest.raises(VersionMismatch, match="upgrade zendsp on the host"):
+        codec.decode_request(older, "quick")
+    newer = codec.encode({"v": version.PROTOCOL + 1, "ok": True, "result": {"new": "form"}})
+    with pytest.raises(
+        VersionMismatch,
+        match=r"the target speaks protocol 2, the host speaks protocol 1: upgrade zendsp on the host",
+    ):
+        codec.decode_reply(newer, m.Status)
+    # An old host reads the sentence of a new target, whatever else has changed.
+    answer = {
+        "v": 9,
+        "ok": False,
+        "error": {"kind": "VersionMismatch", "message": "upgrade", "severity": 3},
+        "more": 1,
+    }
+    with pytest.raises(VersionMismatch, match="upgrade"):
+        codec.decode_reply(codec.encode(answer), m.Status)
+
+
+def test_new_fields_of_a_newer_target_are_ignored() -> None:
+    reply = codec.encode({"v": 1, "ok": True, "result": {"sequence": 1, "tick": 5, "added_later": [1, 2]}})
+    assert codec.decode_reply(reply, m.Applied).tick == 5
+
+
+def test_every_error_of_the_tree_crosses_the_wire_as_itself() -> None:
+    kinds = [e for e in vars(errors).values() if isinstance(e, type) and issubclass(e, ZendspError)]
+    assert len(kinds) > 10
+    for kind in kinds:
+        with pytest.raises(kind, match="why"):
+            codec.decode_reply(codec.encode_error(kind("why")), m.Empty)
+
+
+def test_names_that_keys_cannot_hold_are_refused() -> None:
+    assert keys.check_name("imi-1.b_2") == "imi-1.b_2"
+    for name in ("", "a/b", "a*", "x" * 65, "a b", "ä"):
+        with pytest.raises(ValueError, match="target name"):
+            keys.check_name(name)
+    assert keys.target_of(keys.variable("imi", "Kp")) == "imi"
+
+
+def test_chunks_cover_everything_once_and_gaps_find_what_is_missing() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        first, count, step = (int(n) for n in rng.integers(0, 50, 3))
+        pieces = list(chunks.spans(first, count, step))
+        assert list(itertools.chain(*(range(a, a + n) for a, n in pieces))) == list(
+            range(first, first + count)
+        )
+        kept = [piece for piece in pieces if rng.random() < 0.5]
+        missing = chunks.gaps(kept, first, count)
+        covered = sorted(itertools.chain(*(range(a, a + n) for a, n in kept + missing)))
+        assert covered == list(range(first, first + count))
+
+
+def test_the_folded_checksum_is_as_documented_and_sees_every_damaged_byte() -> None:
+    import zlib
+
+    rng = np.random.default_rng(4)
+    for size in (0, 1, 4095, 4096, 4097, 100_000):
+        data = rng.bytes(size)
+        folded = bytearray(4096)
+        for k, byte in enumerate(data):
+            folded[k % 4096] ^= byte
+        assert chunks.folded_crc(data) == zlib.crc32(folded)
+        if size:
+            for place in rng.integers(0, size, 20):
+                damaged = bytearray(data)
+                damaged[place] ^= 1 << int(rng.integers(0, 8))
+                assert chunks.folded_crc(bytes(damaged)) != chunks.folded_crc(data)
+
+
+def test_an_entry_of_the_registry_counts_only_while_its_process_lives() -> None:
+    import os
+    import subprocess
+
+    assert registry.born(os.getpid())
+    with subprocess.Popen(["true"]) as process:
+        process.wait()
+    assert registry.born(process.pid) == "" or registry.born(process.pid) != registry.born(os.getpid())
+    assert registry.folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == "/run/user/7/zendsp"
+    assert registry.folder({"ZENDSP_RUNTIME_DIR": "/x", "XDG_RUNTIME_DIR": "/run/user/7"}) == "/x"
+
+
+def test_the_documentation_lists_every_verb_and_field_as_they_are() -> None:
+    spec = importlib.util.spec_from_file_location("generate_protocol", DOCS / "generate_protocol.py")
+    assert spec is not None and spec.loader is not None
+    generate = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(generate)
+    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    assert generate.updated(text) == text, (
+        "docs/protocol.md is behind the code: run python docs/generate_protocol.py"
+    )
+    for key in (keys.rpc("<target>", "<lane>"), keys.info("<target>"), keys.variable("<target>", "<name>"), keys.event("<target>"),
+                keys.live("<target>", "<n>"), keys.alive("<target>"), keys.host("<target>", "<host>")):  # fmt: skip
+        assert f"`{key}`" in text, key
