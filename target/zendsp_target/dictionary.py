@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -50,11 +50,14 @@ class Place:
     entry: Entry
     element: int | None = None
     offset: int = 0  # bytes into the variable
+    scalar: bool = field(init=False)  # one number, rather than an array or a table
+    plain: bool = field(init=False)  # a double that the host may write: what is written a hundred times a second
 
-    @property
-    def scalar(self) -> bool:
-        """One number, rather than an array or a table."""
-        return self.element is not None or (self.entry.info.length == 1 and self.entry.info.kind != "table")
+    def __post_init__(self) -> None:
+        info = self.entry.info
+        scalar = self.element is not None or (info.length == 1 and info.kind != "table")
+        object.__setattr__(self, "scalar", scalar)
+        object.__setattr__(self, "plain", scalar and info.type == "double" and info.kind == "parameter")
 
 
 def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes, offset: int) -> Value:

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,13 +26,14 @@ from zendsp_target.shm import SharedFile
 from zendsp_target.values import encode, encode_table
 
 _ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
+_DOUBLE = SCALARS["double"]
+_LARGEST = float(np.finfo(np.float64).max)
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
 _MAX_LOG = 200_000  # lines kept; older ones are dropped
 _MAX_ACKS = 4096
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     name: str
     place: Place
     data: bytes
@@ -171,6 +172,9 @@ class Updates:
         for name, value in values.items():
             try:
                 place = self._dictionary.place(name)
+                if place.plain and type(value) is float and not settings and _inside(place, value):
+                    pieces.append(_Piece(name, place, _DOUBLE.pack(value)))
+                    continue
                 if (place.entry.info.kind == "setting") != settings:
                     raise VariableError(f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun")
                 if place.entry.info.kind == "table":
@@ -286,6 +290,12 @@ class Updates:
             self._applied[sequence] = tick
             if len(self._applied) > _MAX_ACKS:
                 del self._applied[next(iter(self._applied))]
+
+
+def _inside(place: Place, value: float) -> bool:
+    """Plainly right: finite and within limits. All else goes the long way, which finds the words for what is wrong."""
+    info = place.entry.info
+    return info.minimum <= value <= info.maximum and -_LARGEST <= value <= _LARGEST
 
 
 def _shown(place: Place, data: memoryview | bytes, offset: int) -> Value:

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
-from zendsp_target.dictionary import SCALARS, Place
+from zendsp_target.dictionary import Place
 
 _INT32 = np.iinfo(np.int32)
-_LARGEST = float(np.finfo(np.float64).max)
 
 
 def encode(name: str, place: Place, value: object) -> bytes:
@@ -35,11 +34,7 @@ def encode(name: str, place: Place, value: object) -> bytes:
     VariableError
         What is wrong with this variable: value, limit, and what to do.
     """
-    info = place.entry.info
     _check_kind(name, place)
-    # the common case, a hundred times a second from a slider: no arrays. What is not plainly right goes the long way
-    if type(value) is float and info.type == "double" and place.scalar and info.minimum <= value <= info.maximum and abs(value) <= _LARGEST:
-        return SCALARS["double"].pack(value)
     array = _as_elements(name, place, _numbers(name, value))
     _check_limits(name, place, array)
     return _typed(name, place, array).tobytes()
