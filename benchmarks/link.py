@@ -3,7 +3,7 @@
     python benchmarks/link.py [--quick] [--json FILE]
 
 Every figure of ours stands beside the same thing done with nothing but Zenoh, between the same two processes, taken in turns so
-that a busy moment hits both. Ratios are what counts; the machine's own figures are printed for reference.
+that a busy moment hits both; of each, the median of the quicker half counts. The goals are ratios.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -29,20 +30,23 @@ from zendsp_target.endpoints import zenoh_config as target_config
 
 BARE = "bare/quick"
 BULK = "bare/bulk"
-SIXTY_FOUR = """#include "isr.h"
-static double p[64], q[128]; static int32_t n; static double now;
-%s
-void UserInit(void) { %s SIGNAL(q, "", ""); SIGNAL(n, "", ""); SIGNAL(now, "s", "monotonic clock"); }
+DECLARED = "\n".join(f"static double v{k};" for k in range(64))
+PARAMETERS = " ".join(f'PARAMETER(v{k}, 0, "", NO_MIN, NO_MAX, "");' for k in range(64))
+SIXTY_FOUR = f"""#include "isr.h"
 #include <time.h>
-void UserISR_INT2(void) {
-    struct timespec at; clock_gettime(CLOCK_MONOTONIC, &at); now = at.tv_sec + 1e-9 * at.tv_nsec;
-    n++; for (int i = 0; i < 128; i++) q[i] = n + i;
-}
-void UserBackground(void) {}
-""" % (
-    "\n".join(f"static double v{k};" for k in range(64)),
-    " ".join(f'PARAMETER(v{k}, 0, "", NO_MIN, NO_MAX, "");' for k in range(64)),
-)
+static double q[128], now;
+static int32_t n;
+{DECLARED}
+void UserInit(void) {{ {PARAMETERS} SIGNAL(q, "", ""); SIGNAL(n, "", ""); SIGNAL(now, "s", "monotonic clock"); }}
+void UserISR_INT2(void) {{
+    struct timespec at;
+    clock_gettime(CLOCK_MONOTONIC, &at);
+    now = at.tv_sec + 1e-9 * at.tv_nsec;
+    n++;
+    for (int i = 0; i < 128; i++) q[i] = n + i;
+}}
+void UserBackground(void) {{}}
+"""
 
 
 @dataclass(frozen=True)
@@ -71,8 +75,6 @@ def serve_bare(endpoint: str) -> None:
 
     bulk_server = session.declare_queryable(BULK, bulk)
     print("ready", flush=True)
-    import threading
-
     waiting = quick.handler
 
     def serve() -> None:
@@ -145,9 +147,14 @@ def in_turns(count: int, *actions: Callable[[], object]) -> list[np.ndarray]:
     return list(times * 1e-9)
 
 
+def typical(times: np.ndarray) -> float:
+    """Median of the quicker half: what it takes when nothing else wants the CPU."""
+    return float(np.percentile(times, 25))
+
+
 def compare(what: str, ours: np.ndarray, bare: np.ndarray, goal: float) -> Row:
-    """Compare medians: less is better."""
-    a, b = float(np.median(ours)), float(np.median(bare))
+    """Compare typical times: less is better."""
+    a, b = typical(ours), typical(bare)
     return Row(what, a * 1e6, b * 1e6, "µs", a / b, f"≤ {goal}", a / b <= goal)
 
 
@@ -174,19 +181,25 @@ def commit(target: Target, bare: Bare, count: int) -> Row:
     return Row(**{**asdict(row), "what": row.what + f" (mean wait of {wait * 1e6:.0f} µs taken off)"})
 
 
-def load(target: Target, bare: Bare, mib: int, rounds: int) -> list[Row]:
-    """Load of a recording against the same bytes through bare Zenoh into an array."""
-    seconds = (mib << 20) / (8 * 128) / target.info.rate_hz
-    target.acquire_configure(["q"], seconds=seconds)
-    target.acquire_start()
-    while target.acquire_status().state != "done":
-        time.sleep(0.05)
-    rows = target.acquire_status().count
-    target.load_rows(0, rows, 128)
-    bare.load(mib)
-    ours, base = in_turns(rounds, lambda: target.load_rows(0, rows, 128), lambda: bare.load(mib))
-    a, b = rows * 1024 / float(np.median(ours)) / 1e6, (mib << 20) / float(np.median(base)) / 1e6
-    return [Row(f"load a recording of {mib} MiB, checked", a, b, "MB/s", a / b, "≥ 0.8", a / b >= 0.8)]
+def load(bare: Bare, mib: int, rounds: int) -> Row:
+    """Load of a recording against the same bytes through bare Zenoh into an array; the loop rests meanwhile."""
+    with zendsp.local("imi_planar", clock="fast") as target:
+        target.download({"link.c": SIXTY_FOUR})
+        rows = (mib << 20) // (8 * 128)
+        target.acquire_configure(["q"], seconds=rows / target.info.rate_hz)
+        target.acquire_start()
+        target.run_for(rows / target.info.rate_hz)
+        first, second = in_turns(rounds, lambda: target.load_rows(0, rows, 128), lambda: bare.load(mib))
+    ours, base = (mib << 20) / typical(first) / 1e6, (mib << 20) / typical(second) / 1e6
+    return Row(
+        f"load a recording of {mib} MiB, checked",
+        ours,
+        base,
+        "MB/s",
+        ours / base,
+        "≥ 0.8",
+        ours / base >= 0.8,
+    )
 
 
 def live_lag(target: Target, seconds: float) -> Row:
@@ -253,11 +266,11 @@ def main() -> None:
             target.start()
             rows += requests(target, bare, count)
             rows.append(live_lag(target, 2.0 if args.quick else 10.0))
+        rows.append(load(bare, mib, rounds))
         with zendsp.local("imi_planar", rate=20_000.0) as target:
             target.download({"link.c": SIXTY_FOUR})
             target.start()
             rows.append(commit(target, bare, count))
-            rows += load(target, bare, mib, rounds)
             rows.append(stream_to_file(target, 2.0 if args.quick else 10.0))
     finally:
         bare.close()
