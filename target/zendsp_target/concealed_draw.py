@@ -23,6 +23,7 @@ class Scale:
     inertia: float  # kg m^2
     speed: float  # rad/s
     gravity: float  # N m, 0 where the axis is vertical
+    torque: float  # N m, what an ordinary motion asks for at its peaks
 
 
 @dataclass(frozen=True)
@@ -31,23 +32,26 @@ class Usual:
 
     joints: tuple[Scale, ...]
     excluded: frozenset[str] = frozenset()
+    heavy: tuple[int, ...] = ()  # joints whose inertia can be felt over their friction; empty: all
     period: float = 0.001  # s: delays are whole samples
 
 
 MACHINES: dict[str, Usual] = {
-    "imi_planar": Usual((Scale(8.45, 5.3, 3.4, 1.5, 0.0), Scale(2.35, 1.1, 0.15, 2.0, 0.0))),
+    "imi_planar": Usual((Scale(8.45, 5.3, 3.4, 1.5, 0.0, 28.0), Scale(2.35, 1.1, 0.15, 2.0, 0.0, 6.0))),
     # one joint: nothing to couple with
-    "pendulum": Usual((Scale(0.1, 0.005, 2.07e-3, 10.0, 0.167),), frozenset({"coupling"})),
+    "pendulum": Usual((Scale(0.1, 0.005, 2.07e-3, 10.0, 0.167, 0.3),), frozenset({"coupling"})),
     # a saturation below what holds the arm up would drop it
     "wam7": Usual(
         tuple(
             Scale(*row)
             for row in (
-                (4.4, 1.1, 0.6, 0.6, 0.0), (3.1, 3.2, 0.7, 0.6, 30.0), (2.0, 0.8, 0.03, 0.6, 0.0), (1.1, 0.5, 0.12, 0.6, 4.0),
-                (0.2, 0.9, 6e-4, 0.8, 0.0), (0.46, 0.5, 6e-4, 0.8, 0.1), (0.1, 0.9, 7e-5, 0.8, 0.0),
+                (4.4, 1.1, 0.6, 0.6, 0.0, 8.0), (3.1, 3.2, 0.7, 0.6, 30.0, 35.0), (2.0, 0.8, 0.03, 0.6, 0.0, 3.0),
+                (1.1, 0.5, 0.12, 0.6, 4.0, 6.0), (0.2, 0.9, 6e-4, 0.8, 0.0, 1.0), (0.46, 0.5, 6e-4, 0.8, 0.1, 1.0),
+                (0.1, 0.9, 7e-5, 0.8, 0.0, 1.0),
             )
         ),
         frozenset({"saturation"}),
+        heavy=(1, 2, 4),
     ),
 }  # fmt: skip
 
@@ -125,15 +129,16 @@ DRAWS: dict[str, Draw] = {
     "torque_gain": lambda r, s, u: {"ratio": _sign(r) * r.uniform(0.1, 0.25)},
     "torque_offset": lambda r, s, u: {"level": _sign(r) * r.uniform(0.25, 0.6) * s.friction},
     "dead_zone": lambda r, s, u: {"width": r.uniform(0.3, 0.6) * s.friction},
-    "saturation": lambda r, s, u: {"level": r.uniform(1.6, 2.4) * (s.friction + s.gravity)},
+    "saturation": lambda r, s, u: {"level": r.uniform(0.6, 0.85) * s.torque},
     "lag": lambda r, s, u: {"time_constant": r.uniform(0.004, 0.015)},
     "delay": lambda r, s, u: {"time": r.randint(2, 7) * u.period},
     "encoder_eccentricity": lambda r, s, u: {"amplitude": r.uniform(0.01, 0.03), "phase": _angle(r)},
     "disturbance": lambda r, s, u: {
-        "level": _sign(r) * r.uniform(0.6, 1.2) * s.friction, "begin": r.uniform(1.5, 4.0), "duration": r.uniform(0.5, 1.5)},
+        "level": _sign(r) * r.uniform(0.6, 1.2) * s.friction, "begin": r.uniform(0.8, 2.0), "duration": r.uniform(0.5, 1.5)},
     "foreign": lambda r, s, u: {"law": float(r.randrange(3)), "amplitude": r.uniform(0.6, 1.2) * s.friction},
 }  # fmt: skip
 
+INERTIAL = ("inertia", "elasticity", "backlash")
 # What a plain seed draws from: the named physics. "disturbance" and "foreign" come when asked for by effect=.
 NAMED = tuple(name for name in DRAWS if name not in ("disturbance", "foreign"))
 
@@ -167,6 +172,11 @@ def draw_effect(r: random.Random, machine: str, effect: str, joint: int) -> Conc
     if effect == "coupling":
         drawn["from_joint"] = float(r.choice([j for j in range(1, len(usual.joints) + 1) if j != joint]))
     return ConcealedEffect(effect, joint, {k: float(f"{v:.4g}") for k, v in drawn.items()})
+
+
+def _joints(usual: Usual, effect: str) -> tuple[int, ...]:
+    """Joints on which an effect can be felt."""
+    return usual.heavy if effect in INERTIAL and usual.heavy else tuple(range(1, len(usual.joints) + 1))
 
 
 def draw(machine: str, seed: int, effect: str | None = None, joint: int | None = None, count: int = 1,
@@ -214,7 +224,7 @@ def draw(machine: str, seed: int, effect: str | None = None, joint: int | None =
     if not 0 <= count <= len(pool):
         raise Refused(f"concealed: count {count}; 0 to {len(pool)} different effects can be drawn")
     chosen = r.sample(pool, count)
-    effects = tuple(draw_effect(r, machine, name, joint or r.randint(1, len(usual.joints))) for name in chosen)
+    effects = tuple(draw_effect(r, machine, name, joint or r.choice(_joints(usual, name))) for name in chosen)
     return Concealed(machine, effects, f"seed:{seed}", friction)
 
 

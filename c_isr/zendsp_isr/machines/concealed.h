@@ -135,7 +135,7 @@ static inline double concealed_spring(const concealed_effect *e, double q, doubl
 static inline double concealed_foreign(const concealed_effect *e, double t, double q, double qd) {
     switch ((int)e->p[0]) {
     case 0: /* drag that a strap gives only while it is taut */
-        return q > 0.3 ? e->p[1] * qd * cos(7.0 * q) : 0.0;
+        return q > 0.0 ? e->p[1] * qd * cos(7.0 * q) : 0.0;
     case 1: /* a parametric torque: depends on place and on the direction of travel at high speed only */
         return e->p[1] * tanh(qd * qd * q * 3.0) * cos(3.0 * q);
     default: /* friction that breathes with time and place at once */
