@@ -6,6 +6,7 @@ content is never compiled twice, and changed content never meets an old name (``
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.resources
 import json
@@ -21,6 +22,8 @@ from zendsp_isr.compiler import Compiler, Message, find_compiler, run_compiler
 from zendsp_protocol.errors import CompileFailed
 
 BASE_FLAGS = ("-std=gnu11", "-O2", "-g", "-ffp-contract=off", "-Wall", "-Wextra")
+_KEPT = 1000  # compiled results of one kind
+_ABANDONED_S = 3600.0
 _SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now")
 
 
@@ -61,13 +64,24 @@ def cache_root() -> Path:
         Exists.
     """
     base = os.environ.get("ZENDSP_CACHE")
-    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zendsp"
     try:
+        root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zendsp"
         root.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # a home that cannot be written, or none at all
         root = Path(tempfile.gettempdir()) / f"zendsp-{os.getuid()}"
         root.mkdir(mode=0o700, exist_ok=True)
     return root
+
+
+def _prune(folder: Path) -> None:
+    """Drop what has not been used for longest, and what a compiler that was killed left behind."""
+    results = sorted((p for p in folder.iterdir() if p.suffix != ".json" and p.is_file()), key=lambda p: p.stat().st_mtime)
+    for path in results[: max(0, len(results) - _KEPT)]:
+        path.unlink(missing_ok=True)
+        path.with_suffix(".json").unlink(missing_ok=True)
+    for path in folder.glob("build-*"):
+        if time.time() - path.stat().st_mtime > _ABANDONED_S:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def _headers(folders: Sequence[Path]) -> dict[str, bytes]:
@@ -145,8 +159,11 @@ def build(
     target = folder / (key + (".so" if shared else ""))
     notes = folder / f"{key}.json"
     if target.exists() and notes.exists():
+        os.utime(target)  # used: it is not what `_prune` takes first
         messages = tuple(Message(**entry) for entry in json.loads(notes.read_text()))
         return Built(target, key, messages, time.monotonic() - began, True, str(compiler), all_flags)
+    with contextlib.suppress(OSError):  # another process may prune at the same time
+        _prune(folder)
     ok, messages = _compile(compiler, sources, include, all_flags, shared, libraries, timeout_s, target, notes)
     return Built(target if ok else None, key, messages, time.monotonic() - began, False, str(compiler), all_flags)
 

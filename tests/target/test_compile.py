@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
-from zendsp_isr.build import content_key
+from zendsp_isr.build import build, content_key
 from zendsp_isr.compiler import find_compiler, parse_messages
 from zendsp_protocol.errors import CompileFailed, Refused
 from zendsp_target.compile_service import compile_program, program_path
-from zendsp_target.runtime import program_text
+from zendsp_target.runtime import Runtime, program_text
+from zendsp_target.settings import Settings, split_options
 
 HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
 
@@ -113,6 +116,42 @@ def test_the_key_depends_on_everything_that_goes_in() -> None:
         content_key(*base[:3], ["-O3"]),
     }
     assert len(keys) == 6
+
+
+def test_the_cache_keeps_what_is_used_and_drops_the_oldest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path))
+    monkeypatch.setattr("zendsp_isr.build._KEPT", 2)
+    sources = [{"law.c": HEAD + f"void UserISR_INT2(void) {{ x = {i}.0; }}\n"} for i in range(5)]
+    keys = []
+    for age, source in enumerate(sources):
+        keys.append(compile_program(source).key)
+        os.utime(tmp_path / "program" / f"{keys[-1]}.so", (1000.0 + age, 1000.0 + age))
+    assert not compile_program(sources[0]).cached
+    assert compile_program(sources[4]).cached
+    assert len(list((tmp_path / "program").glob("*.so"))) <= 3
+
+
+def test_a_program_made_for_another_header_is_refused_at_load() -> None:
+    result = compile_program({"old.c": HEAD + "void UserISR_INT2(void) { x = 7.0; }\n"})
+    old = program_path(result.key).read_bytes()
+    source = "const int zendsp_isr_abi = 99; void *zendsp; void UserInit(void) {} void UserISR_INT2(void) {}\n"
+    other = build("program", {"other.c": source.encode()}, [])
+    assert other.path is not None and other.path.read_bytes() != old
+    with Runtime("imi_planar", clock="fast") as runtime, pytest.raises(Refused, match=r"another isr\.h"):
+        runtime.load(other.key)
+
+
+def test_options_of_the_runtime_are_read_from_text_and_wrong_ones_are_named() -> None:
+    assert split_options({"realtime": "no", "spin_us": "5", "cpu": 1, "machine.q1": "0.5"}) == (
+        {"realtime": False, "spin_us": 5.0, "cpu": 1},
+        {"q1": "0.5"},
+    )
+    for options, says in (({"spin": "5"}, "spin_us"), ({"cpu": "first"}, "a number"), ({"realtime": "maybe"}, "true or false")):
+        with pytest.raises(Refused, match=says):
+            split_options(options)
+    for settings, says in (({"rate_hz": 0.0}, "rate"), ({"clock": "slow"}, "clock"), ({"priority": 0}, "priority")):
+        with pytest.raises(Refused, match=says):
+            Settings("imi_planar", {}, **settings)  # type: ignore[arg-type]
 
 
 def test_a_compiler_that_does_not_run_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
