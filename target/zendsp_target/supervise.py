@@ -42,15 +42,17 @@ class Supervisor:
     def _run(self) -> None:
         _, lib = layout()
         heartbeat = ffi_address(self._process.control, "heartbeat")
-        seen, since = -1, time.monotonic()
+        seen, stalled, last = -1, 0.0, time.monotonic()
         while not self._process.wait_death(_ROUND_S):
             self._each_round()
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
+            # a computer that stood still (or starved this thread) must not look like a program that did
+            passed, last = min(now - last, 2.0 * _ROUND_S), now
             # odd: within a sample. Even: the loop waits for its deadline, which a slow rate may set far ahead
             allowed = self._process.settings.hang_s + (0.0 if beat % 2 else 2.0 / self._process.settings.rate_hz)
-            if beat != seen:
-                seen, since = beat, now
-            elif now - since > allowed:
+            stalled = stalled + passed if beat == seen else 0.0
+            seen = beat
+            if stalled > allowed:
                 self._end_hung()
                 return
         self._each_round()
