@@ -98,8 +98,8 @@ def integrate_velocity(t: Array, knots: Sequence[float], speeds: Sequence[float]
     """
     k, w = np.asarray(knots, dtype=np.float64), np.asarray(speeds, dtype=np.float64)
     if np.any(np.diff(k) < -1e-9):
-        i = int(np.argmin(np.diff(k)))
-        raise ReferenceError_(f"velocity knots are not in order of time: {k[i]:g} s is followed by {k[i + 1]:g} s")
+        early = int(np.argmin(np.diff(k)))
+        raise ReferenceError_(f"velocity knots are not in order of time: {k[early]:g} s is followed by {k[early + 1]:g} s")
     k = np.maximum.accumulate(k)
     keep = np.concatenate([[True], np.diff(k) > 1e-12])  # a ramp of no length (a triangle's cruise) is dropped
     k, w = k[keep], w[keep]
