@@ -29,7 +29,7 @@ _ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
 _DOUBLE = SCALARS["double"]
 _LARGEST = float(np.finfo(np.float64).max)
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
-_MAX_LOG = 200_000  # lines kept; older ones are dropped
+_MAX_LOG = 100_000  # lines kept; older ones are dropped
 _MAX_ACKS = 4096
 
 
