@@ -77,6 +77,11 @@ class Core:
                 self._session.close()
                 self._session = None
 
+    def runner_pid(self) -> int:
+        """Process id of the native runner, 0 where none runs."""
+        session = self._session
+        return session.process.pid if session is not None and session.alive() else 0
+
     def configure(self, **changes: Any) -> None:
         """Change fields of `Settings` (rate_hz, clock, machine, …) for the next load.
 
