@@ -44,7 +44,9 @@ def convert(machine: str, data: Path, out: Path) -> Recordings:
     """
     absent = missing(machine, data)
     if absent:
-        raise FileNotFoundError(f"{machine}: {', '.join(absent)} absent below {data}; get it from {SOURCES[machine]}")
+        raise FileNotFoundError(
+            f"{machine}: {', '.join(absent)} absent below {data}; get it from {SOURCES[machine]}"
+        )
     out.mkdir(parents=True, exist_ok=True)
     if machine == "emps":  # its files are recordings already
         return Recordings((data / FILES["emps"][0],), (data / FILES["emps"][1],))

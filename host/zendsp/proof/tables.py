@@ -1,0 +1,68 @@
+"""Reads recordings and models of the contract for the peers, apart from the code that is judged."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.proof.draft import Array
+
+
+@dataclass(frozen=True)
+class Table:
+    """One recording: all (rows, n)."""
+
+    time: Array
+    position: Array
+    command: Array
+
+
+def read_columns(path: Path) -> dict[str, Array]:
+    """Every column of a CSV, NPZ, Parquet or MAT (v5, v7.3) file."""
+    if path.suffix == ".npz":
+        with np.load(path) as file:
+            return {k: np.asarray(file[k], float) for k in file.files}
+    if path.suffix == ".parquet":
+        import pyarrow.parquet as pq
+
+        return {k: np.asarray(v, float) for k, v in pq.read_table(path).to_pydict().items()}
+    if path.suffix == ".csv":
+        head = path.open(encoding="utf-8").readline().strip().split(",")
+        return dict(zip(head, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    try:
+        from scipy.io import loadmat
+
+        return {k: np.asarray(v, float) for k, v in loadmat(path).items() if not k.startswith("_")}
+    except NotImplementedError:  # what SciPy says of v7.3
+        import h5py
+
+        with h5py.File(path) as file:
+            return {k: np.asarray(file[k], float).T for k in file}
+
+
+def read_recording(path: Path, columns: dict[str, Any]) -> Table:
+    """The signals that ``[columns]`` names."""
+    raw = read_columns(path)
+
+    def signal(key: str) -> Array:
+        names = columns[key]
+        if isinstance(names, list):
+            return np.stack([raw[n].ravel() for n in names], 1)
+        value = raw[names]
+        rows = raw[columns["time"]].size
+        return value.reshape(rows, -1) if value.shape[0] == rows else value.T.reshape(rows, -1)
+
+    return Table(raw[columns["time"]].ravel(), signal("position"), signal("command"))
+
+
+def read_case(folder: Path) -> tuple[dict[str, Any], list[Table], list[Table]]:
+    """(given model, training recordings, held-out recordings) of a case folder."""
+    listing = json.loads((folder / "case.json").read_text(encoding="utf-8"))
+    model = tomllib.loads((folder / listing["model"]).read_text(encoding="utf-8"))
+    load = [[read_recording(folder / n, model["columns"]) for n in listing[k]] for k in ("train", "heldout")]
+    return model, load[0], load[1]
