@@ -31,6 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),
     "tui": ("zendsp.cli.tui:command", "Console, Execute and Reference in the terminal, or in a browser."),
     "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),
+    "prove": ("zendsp.cli.prove:command", "Judge the diagnosis on concealed cases and real machines."),
 }
 
 

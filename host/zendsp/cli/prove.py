@@ -1,0 +1,156 @@
+"""``zendsp prove``: concealed cases, real machines and implants, counted in the open."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import click
+
+
+def data_folder(given: Path | None) -> Path:
+    """The folder of real recordings: ``--data``, else ``ZENDSP_DATA``."""
+    if given is not None:
+        return given
+    named = os.environ.get("ZENDSP_DATA")
+    if not named:
+        raise click.UsageError(
+            "real recordings are needed: give --data FOLDER or set ZENDSP_DATA to the folder that holds emps/, single_pendulum/, tx40/"
+        )
+    return Path(named)
+
+
+@click.command("prove")
+@click.option("--quick", is_flag=True, help="Thirty cases instead of a few hundred.")
+@click.option("--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws other cases.")
+@click.option(
+    "--resume/--fresh",
+    default=True,
+    show_default=True,
+    help="Go on where an interrupted run stopped, or begin again.",
+)
+@click.option(
+    "--peers/--no-peers", default=True, show_default=True, help="Let PySINDy and FROLS try the same cases."
+)
+@click.option(
+    "--limit",
+    type=click.FloatRange(min=0, min_open=True),
+    default=300.0,
+    show_default=True,
+    help="Seconds a diagnosis may take.",
+)
+@click.option("--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40.")
+@click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
+@click.option("--only", default="", help="With --real: one machine.")
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder of real recordings. Default: ZENDSP_DATA.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder of the run. Default: proof_SEED below the working directory.",
+)
+@click.option(
+    "--page",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Also write the page there, for example docs/proof.md.",
+)
+def command(
+    quick: bool,
+    jobs: int | None,
+    seed: int,
+    resume: bool,
+    peers: bool,
+    limit: float,
+    real: bool,
+    implant: bool,
+    only: str,
+    data: Path | None,
+    out: Path | None,
+    page: Path | None,
+) -> None:
+    """Judge the diagnosis on machines whose physics it was not told.
+
+    Concealed cases are simulated by code of their own, the truth is sealed by hash before the first diagnosis and opened after
+    the last. Exit status 0 when every case got an answer (with --real and --implant: when every promise was kept).
+
+    Example:  zendsp prove --quick
+    """
+    if real or implant:
+        sys.exit(
+            on_real_machines(
+                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only, quick=quick
+            )
+        )
+    from zendsp.proof.run_proof import run_proof
+    from zendsp.proof.scoreboard import text
+    from zendsp.proof.seal import BrokenSeal
+
+    folder = out or Path(f"proof_{'quick_' if quick else ''}{seed}")
+    if not resume:
+        forget(folder)
+    words = f"zendsp prove{' --quick' if quick else ''} --seed {seed}"
+    try:
+        outcome = run_proof(
+            folder,
+            seed=seed,
+            quick=quick,
+            jobs=jobs or os.cpu_count() or 1,
+            limit=limit,
+            with_peers=peers,
+            command=words,
+            tell=lambda line: click.echo(line, err=True),
+        )
+    except (BrokenSeal, FileExistsError) as error:
+        raise click.ClickException(str(error)) from error
+    click.echo(text(outcome.judged, "zendsp"))
+    for method, judged in outcome.peers.items():
+        click.echo("\n" + text(judged, method).split("\n\n  named first, by")[0])
+    click.echo(f"\ntruth sealed before, opened after: {outcome.stamp}\npage: {outcome.page}")
+    if page is not None:
+        page.write_text(outcome.page.read_text(encoding="utf-8"), encoding="utf-8")
+    if any(j.trouble for j in outcome.judged):
+        sys.exit(1)
+
+
+def forget(folder: Path) -> None:
+    """Remove what a run of the proof wrote, and nothing else."""
+    import shutil
+
+    if not (folder / "programme.json").exists():
+        return
+    for name in ("cases", "truth", "zendsp_reports"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    for path in (*folder.glob("*.jsonl"), folder / "programme.json"):
+        path.unlink(missing_ok=True)
+
+
+def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool) -> int:
+    """Print each real machine beside what was published, or the implants; the exit status."""
+    from zendsp.proof import real
+
+    if implant:
+        from zendsp.proof.implant import implant_lines, run_implants
+
+        try:
+            done = run_implants(data, out / "implants", limit, quick)
+        except (FileNotFoundError, RuntimeError) as error:
+            raise click.ClickException(str(error)) from error
+        click.echo("\n".join(implant_lines(done)))
+        return 0 if all(i.named for i in done) else 1
+    known = [m.name for m in real.MACHINES]
+    if only and only not in known:
+        raise click.UsageError(f"no machine {only!r}; known are {', '.join(known)}")
+    results = []
+    for machine in real.MACHINES:
+        if only in ("", machine.name):
+            results.append((machine, real.look_at(machine, data, out, limit)))
+            click.echo("\n".join(real.lines_of(*results[-1])))
+    return real.main_status(results)

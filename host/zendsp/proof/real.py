@@ -1,0 +1,186 @@
+"""Real machines: models that lack the physics, their recordings, and what was published about them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from zendsp.proof.answer import Answer, ContractError, read_report
+from zendsp.proof.convert import Recordings, convert
+from zendsp.proof.score import COMMAND
+
+
+@dataclass(frozen=True)
+class Machine:
+    """One real machine of the proof."""
+
+    name: str
+    published: str  # what the publication says, for the eye
+    compare: str  # model file of the published model, to simulate beside ours; "" where there is none
+    promises: tuple[tuple[str, Callable[[Answer], bool]], ...]
+
+
+def names(answer: Answer, effect: str, joint: int = 1) -> bool:
+    """The answer names `effect` on `joint`, or a set that holds it."""
+    return any(
+        f.joint == joint and (f.effect == effect or effect in f.indistinguishable) for f in answer.findings
+    )
+
+
+def dry_friction(answer: Answer, joint: int = 1) -> bool:
+    """Coulomb friction in any of its forms."""
+    forms = ("coulomb", "coulomb_asymmetry", "stribeck", "presliding", "position_friction")
+    return any(names(answer, form, joint) for form in forms)
+
+
+def screw_ripple(answer: Answer) -> bool:
+    """A ripple once per 2.5 mm turn of the screw: order 2513 per metre, within 2 %."""
+    found = [f.parameters.get("order") for f in answer.findings if f.effect == "ripple"]
+    return any(order is not None and abs(order.value / 2513.27 - 1) < 0.02 for order in found)
+
+
+def wrist_coupling(answer: Answer) -> bool:
+    return any(f.effect == "coupling" and f.joint in (5, 6) for f in answer.findings)
+
+
+MACHINES = (
+    Machine(
+        "emps",
+        "mass 95.11 kg, viscous 203.5 N s/m, Coulomb 20.39 N, offset -3.165 N; asymmetric: 166.7 / 240.4 N s/m, 20.1 / 20.6 N",
+        "emps_published.toml",
+        (
+            ("Coulomb friction", dry_friction),
+            ("asymmetry", lambda a: names(a, "viscous_asymmetry") or names(a, "coulomb_asymmetry")),
+            ("ripple once per turn of the screw", screw_ripple),
+        ),
+    ),
+    Machine(
+        "single_pendulum",
+        "viscous 2.2394e-4 N m s/rad; by hand: Coulomb and quadratic drag together in place of it",
+        "single_pendulum.toml",
+        (
+            ("Coulomb friction", dry_friction),
+            ("quadratic drag", lambda a: names(a, "quadratic_drag")),
+            ("viscous replaced", lambda a: any("viscous" in f.replaces for f in a.findings)),
+        ),
+    ),
+    Machine(
+        "tx40",
+        "Coulomb 7.14, 8.26, 6.34, 2.48, 3.03, 0.282 N m; wrist coupling inertia 0.00964 kg m^2, viscous 0.616, Coulomb 1.95",
+        "",
+        (
+            *((f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j)) for j in range(1, 7)),
+            ("wrist coupling of axes 5 and 6", wrist_coupling),
+        ),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What came out on one machine."""
+
+    machine: str
+    answer: Answer
+    kept: tuple[tuple[str, bool], ...]
+    published_heldout: float | None  # held-out error of the published model, in the report's quantity
+    absent: str = ""  # why there was nothing to run on
+
+    @property
+    def good(self) -> bool:
+        return not self.absent and not self.answer.trouble and all(ok for _, ok in self.kept)
+
+
+def model_folder() -> Path:
+    """``examples/models`` of the source tree.
+
+    Raises
+    ------
+    FileNotFoundError
+        This is an installed package without the examples.
+    """
+    folder = Path(__file__).resolve().parents[3] / "examples" / "models"
+    if not folder.exists():
+        raise FileNotFoundError(f"no {folder}: `zendsp prove --real` needs the source tree with its examples")
+    return folder
+
+
+def diagnose(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:
+    """Run the command on a real recording."""
+    out.mkdir(parents=True, exist_ok=True)
+    line = [*COMMAND, *map(str, recordings.train), "--model", str(model), "--out", str(out), "--json"]
+    for path in recordings.heldout:
+        line += ["--heldout", str(path)]
+    begin = time.perf_counter()
+    try:
+        done = subprocess.run(line, capture_output=True, text=True, timeout=limit)
+    except subprocess.TimeoutExpired:
+        return Answer("", trouble=f"no answer within {limit:g} s", seconds=limit)
+    seconds = time.perf_counter() - begin
+    if done.returncode != 0:
+        words = done.stderr.strip().splitlines() or ["no words"]
+        return Answer("", trouble=f"exit status {done.returncode}: {words[-1][:200]}", seconds=seconds)
+    try:
+        return read_report(out / "report.json", seconds)
+    except (ContractError, KeyError, TypeError, ValueError) as error:
+        return Answer("", trouble=f"broken report: {error}", seconds=seconds)
+
+
+def given_heldout(out: Path) -> float | None:
+    """Held-out error of the model as it was given, from a report."""
+    try:
+        value = json.loads((out / "report.json").read_text(encoding="utf-8"))["fit"]["heldout"]["given"]
+    except (OSError, KeyError, json.JSONDecodeError):
+        return None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def look_at(machine: Machine, data: Path, out: Path, limit: float) -> Seen:
+    """Convert, diagnose, compare one machine."""
+    here = out / machine.name
+    try:
+        recordings = convert(machine.name, data, here)
+    except FileNotFoundError as error:
+        return Seen(machine.name, Answer("", trouble="absent"), (), None, absent=str(error))
+    model = here / f"{machine.name}.toml"
+    model.write_text((model_folder() / model.name).read_text(encoding="utf-8"), encoding="utf-8")
+    answer = diagnose(model, recordings, here / "report", limit)
+    published = None
+    if machine.compare:
+        other = model_folder() / machine.compare
+        reports = here / "report" if other.name == model.name else here / "published"
+        if other.name != model.name:
+            diagnose(other, recordings, reports, limit)
+        published = given_heldout(reports)
+    kept = tuple((what, bool(ask(answer))) for what, ask in machine.promises)
+    return Seen(machine.name, answer, kept, published)
+
+
+def lines_of(machine: Machine, seen: Seen) -> list[str]:
+    """What is printed for one machine."""
+    if seen.absent:
+        return [f"{machine.name}: ABSENT. {seen.absent}"]
+    a = seen.answer
+    if a.trouble:
+        return [f"{machine.name}: FAILED. {a.trouble}"]
+    out = [f"{machine.name}: {a.verdict} in {a.seconds:.1f} s", f"  published: {machine.published}"]
+    for f in a.findings:
+        values = ", ".join(f"{k} {e.value:.5g} ± {e.std:.2g}" for k, e in f.parameters.items())
+        gone = f"  (replaces {', '.join(f.replaces)})" if f.replaces else ""
+        out.append(f"  found: {f.effect} on joint {f.joint}: {values}{gone}")
+    held = f"  held out: calibrated {a.calibrated:.4g}, improved {a.improved:.4g}, noise {a.noise_floor:.2g}"
+    beaten = ""
+    if seen.published_heldout is not None:
+        beaten = f"; published model as given {seen.published_heldout:.4g}"
+    out.append(held + beaten)
+    out += [f"  {'yes' if ok else 'NO '}  {what}" for what, ok in seen.kept]
+    return out
+
+
+def main_status(results: list[tuple[Machine, Seen]]) -> int:
+    """0 when every machine was there and every promise kept; 1 otherwise, absent data included."""
+    return 0 if results and all(seen.good for _, seen in results) else 1

@@ -1,0 +1,93 @@
+"""One run of the proof: make and seal, diagnose, let the peers try, open, count."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from zendsp.proof.answer import Answer
+from zendsp.proof.judge import Judgement, judge
+from zendsp.proof.page import proof_page
+from zendsp.proof.peers import METHODS, ask_peer, available, sysidentpy_trouble
+from zendsp.proof.programme import prepare
+from zendsp.proof.score import answers, write_results
+from zendsp.proof.seal import open_truth
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run of the proof gives."""
+
+    judged: list[Judgement]
+    peers: dict[str, list[Judgement]]
+    stamp: str
+    page: Path
+
+
+def asking(method: str) -> Callable[[Path, Path, float], Answer]:
+    """A peer in the form in which the scorer asks."""
+
+    def ask(folder: Path, out: Path, limit: float) -> Answer:
+        return ask_peer(method, folder)
+
+    return ask
+
+
+def run_proof(
+    folder: Path,
+    *,
+    seed: int,
+    quick: bool,
+    jobs: int,
+    limit: float,
+    with_peers: bool,
+    command: str,
+    tell: Tell,
+) -> Outcome:
+    """Run the whole proof under `folder`; an interrupted run goes on where it stopped.
+
+    Raises
+    ------
+    BrokenSeal
+        A truth was altered between sealing and opening.
+    FileExistsError
+        `folder` holds a run of other cases.
+    """
+    cases, truth, stamp = prepare(folder, seed, quick, jobs)
+    folders = sorted(cases.iterdir())
+    tell(f"{len(folders)} cases made; truth sealed: {stamp}")
+    given: dict[str, Answer] = {}
+    for name, answer in answers(folders, folder / "zendsp.json", jobs, limit):
+        given[name] = answer
+        tell(
+            f"[{len(given)}/{len(folders)}] {name} {answer.seconds:.1f} s {answer.trouble or answer.verdict}"
+        )
+    tried: dict[str, dict[str, Answer]] = {}
+    troubles = available() if with_peers else {}
+    for method in METHODS:
+        if method in troubles and not troubles[method]:
+            tried[method] = {}
+            asked = answers(
+                folders, folder / f"{method}.json", 1, limit, lambda f, _o, _l, m=method: ask_peer(m, f)
+            )
+            for name, answer in asked:
+                tried[method][name] = answer
+            tell(f"{method}: {len(tried[method])} cases")
+    opened = open_truth(truth, stamp)
+    tell("truth opened: the seals hold")
+    judged = [judge(opened[name], given[name]) for name in sorted(opened)]
+    peers = {m: [judge(opened[name], table[name]) for name in sorted(opened)] for m, table in tried.items()}
+    write_results(folder / "results.json", judged, stamp)
+    notes = [f"{m}: {words}" for m, words in troubles.items() if words]
+    if with_peers and (words := sysidentpy_trouble()):
+        notes.append(
+            f"SysIdentPy's own FROLS does not run with the installed NumPy ({words}); FROLS is ours, by the textbook."
+        )
+    if peers:
+        notes.append("The peers know one-joint and planar mechanisms; on seven joints they give no answer.")
+    page = folder / "proof.md"
+    page.write_text(proof_page(judged, peers, command=command, stamp=stamp, notes=notes), encoding="utf-8")
+    return Outcome(judged, peers, stamp, page)
