@@ -213,6 +213,25 @@ def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target, monkeypatch: p
         until(lambda: view.received > seen, "live rows arrive again by themselves")
 
 
+def test_a_target_that_was_started_again_is_found_again(start: Callable[..., Target]) -> None:
+    first = start(clock="fast", name="phoenix")
+    with zendsp.connect("phoenix") as host:
+        first.download("pd.c")
+        host.stage(Kp1=5.0)
+        view = host.live(["tick"])
+        first.close()
+        with pytest.raises(LinkError, match="no target named 'phoenix'"):
+            host.reconnect()
+        second = start(clock="fast", name="phoenix")
+        second.download("pd.c")
+        host.reconnect()
+        assert host.info.pid == second.info.pid
+        host.update()
+        assert host["Kp1"] == 5.0
+        second.start()
+        until(lambda: view.received > 0, "the live view goes on")
+
+
 def test_two_targets_of_one_name_are_refused(start: Callable[..., Target]) -> None:
     first = start(clock="fast", name="same")
     with pytest.raises(LinkError, match=f"'same' runs here already \\(process {first.info.pid}\\)"):

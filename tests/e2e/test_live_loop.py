@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,6 +88,26 @@ def test_a_continuous_ring_keeps_the_newest(fast: Target) -> None:
     fast.run_for(3.0)
     rec = fast.acquire_finish()
     assert rec["n"][-1] == 3000.0 and len(rec) == 500 and rec.start_tick == 2500
+
+
+def test_a_recording_larger_than_the_memory_of_the_target_is_fetched_meanwhile(
+    real: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    configure = type(real).acquire_configure
+
+    def small(self: Target, channels: list[str], seconds: float = 1.0, *rest: Any, **named: Any) -> Any:
+        if seconds > 0.6:
+            raise AcquisitionError("6 channels need 999 MB of shared memory, 1 MB are free")
+        return configure(self, channels, seconds, *rest, **named)
+
+    monkeypatch.setattr(type(real), "acquire_configure", small)
+    rec = real.acquire(["tick", "q"], seconds=2.0)
+    ticks = rec["tick"]
+    assert len(rec) == 2000 and rec.start_tick == ticks[0]
+    # On a machine that stalls for longer than the ring, rows are lost: they are NaN, counted, and all others are in place.
+    there = ~np.isnan(ticks)
+    assert rec.lost >= (~there).sum()
+    assert np.array_equal(ticks[there], (rec.start_tick + np.arange(2000))[there]) and there.sum() > 500
 
 
 def test_errors_say_what_where_and_what_to_do(fast: Target) -> None:

@@ -1,68 +1,27 @@
-"""Acquisition: configure, start, load in checked chunks, and the Recording with all its circumstances."""
+"""Acquisition: configure, start, wait or follow, and bring the Recording home."""
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Sequence
-from importlib import metadata
-from typing import Any
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError, LinkError, Refused, RunnerDied
+from zendsp.errors import AcquisitionError, Refused, RunnerDied
+from zendsp.link.circumstances import describe
 from zendsp.link.parameters import ParameterSets
-from zendsp.link.variables import plain
-from zendsp.recording import Channel, ParameterChange, Recording
-from zendsp.recording.names import split_element
-from zendsp_protocol import codec
+from zendsp.link.requests import PATIENCE_S
+from zendsp.link.transfer import FloatArray, Transfers
+from zendsp.recording import Recording
 from zendsp_protocol import messages as m
-from zendsp_protocol.chunks import folded_crc, gaps
-from zendsp_protocol.version import PROTOCOL
 
-FloatArray = npt.NDArray[np.float64]
 Trigger = m.Trigger
-PATIENCE_S = 30.0  # for a broken link to come back
-REQUEST_BYTES = 64 << 20  # rows asked for at once: what is lost at most when the link breaks
 POLL_S = 0.02
+SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
-class Rows:
-    """Rows as they arrive, each chunk checked and put in its place."""
-
-    def __init__(self, columns: int, rows: int) -> None:
-        self.data: FloatArray = np.empty((rows, columns))
-        self.pieces: list[tuple[int, int]] = []
-        self.origin = 0
-
-    def take(self, attachment: bytes, payload: bytes) -> None:
-        """Accept one chunk.
-
-        Raises
-        ------
-        AcquisitionError
-            Its checksum or its size is wrong; what came before is kept.
-        """
-        header: m.ChunkHeader = codec.decode(attachment, m.ChunkHeader)
-        if folded_crc(payload) != header.crc or len(payload) != 8 * header.rows * header.columns:
-            raise AcquisitionError(
-                f"rows {header.first}…{header.first + header.rows} arrived damaged (checksum)"
-            )
-        place = header.first - self.origin
-        self.data[place : place + header.rows] = np.frombuffer(payload, "<f8").reshape(
-            header.rows, header.columns
-        )
-        self.pieces.append((header.first, header.rows))
-
-    @property
-    def count(self) -> int:
-        """Rows received."""
-        return sum(rows for _, rows in self.pieces)
-
-
-class Acquisition(ParameterSets):
+class Acquisition(ParameterSets, Transfers):
     """Methods of a target that concern acquisition."""
 
     def acquire(
@@ -112,7 +71,8 @@ class Acquisition(ParameterSets):
         Raises
         ------
         AcquisitionError
-            No such channel, or more rows than the target can keep.
+            No such channel, or more rows than the target can keep (on the real clock and without a trigger these are fetched
+            while they are recorded, so that only the host's memory counts).
         Refused
             The program does not run, or another host is recording.
         RunnerDied
@@ -123,14 +83,81 @@ class Acquisition(ParameterSets):
             raise Refused(
                 f"nothing to record: the program is {status.state}; start it first, or give start=True"
             )
-        self.acquire_configure(channels, seconds, decimation, trigger, take=take)
+        ring_s = self._configure_shot(channels, seconds, decimation, trigger, take, status.clock == "real")
         self.request("acquire_start")
         if start:
             # The row of the last wanted sample is written in that sample: so many ticks and not one more.
             self.request("start", ticks=max(1, round(seconds * status.rate_hz)))
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0
+        if ring_s < seconds:
+            wanted = max(1, round(seconds * status.rate_hz / decimation))
+            return self._follow(wanted, note, timeout, patience, progress)
         return self.acquire_finish(timeout, note, progress, patience)
+
+    def _configure_shot(
+        self,
+        channels: Sequence[str],
+        seconds: float,
+        decimation: int,
+        trigger: Trigger | None,
+        take: bool,
+        may_follow: bool,
+    ) -> float:
+        """Configure a shot, or a ring as long as the target has memory for; returns the seconds that are held."""
+        try:
+            self.acquire_configure(channels, seconds, decimation, trigger, take=take)
+            return seconds
+        except AcquisitionError as error:
+            # Only a loop that keeps to real time can be followed; and a trigger needs the whole shot in one piece.
+            if "shared memory" not in str(error) or trigger is not None or not may_follow:
+                raise
+            held = seconds / 2.0
+            while True:
+                try:
+                    self.acquire_configure(channels, held, decimation, continuous=True, take=take)
+                    return held
+                except AcquisitionError:
+                    held /= 2.0
+                    if held < SHORTEST_RING_S:
+                        raise error from None
+
+    def _follow(
+        self,
+        wanted: int,
+        note: str,
+        timeout: float | None,
+        patience: float,
+        progress: Callable[[float], None] | None,
+    ) -> Recording:
+        """Bring rows home while they are recorded, for shots that do not fit into the target's memory."""
+        deadline = None if timeout is None else time.monotonic() + timeout
+        status: m.AcquireStatus = self.insist("acquire_status", patience)
+        data: FloatArray = np.full((wanted, len(status.channels)), np.nan)
+        have = gone = 0
+        while have < wanted:
+            status = self.insist("acquire_status", patience)
+            if status.first > have:  # overwritten before they were fetched: NaN, and counted
+                gone += min(status.first, wanted) - have
+                have = min(status.first, wanted)
+            count = min(status.count, wanted) - have
+            if count > 0:
+                try:
+                    data[have : have + count] = self.load_rows(
+                        have, count, len(status.channels), None, patience
+                    )
+                    have += count
+                except AcquisitionError:
+                    continue  # the oldest of them were overwritten on the way: look again where the ring begins
+                if progress is not None:
+                    progress(have / wanted)
+                continue
+            if status.state != "running" or (deadline is not None and time.monotonic() > deadline):
+                raise AcquisitionError(f"the recording ended after {have} of {wanted} rows ({status.state})")
+            time.sleep(POLL_S)
+        self.request("acquire_stop")
+        status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
+        return describe(self, status, 0, data, note, patience)
 
     def acquire_configure(
         self,
@@ -177,7 +204,7 @@ class Acquisition(ParameterSets):
         AcquisitionError
             Nothing was recorded.
         """
-        status: m.AcquireStatus = self._insist("acquire_status", patience)
+        status: m.AcquireStatus = self.insist("acquire_status", patience)
         if status.count <= status.first:
             raise AcquisitionError(
                 f"nothing was recorded (the recorder is {status.state}); start it and the program"
@@ -185,7 +212,7 @@ class Acquisition(ParameterSets):
         data = self.load_rows(
             status.first, status.count - status.first, len(status.channels), progress, patience
         )
-        return self._recording(status, status.first, data, note, patience)
+        return describe(self, status, status.first, data, note, patience)
 
     def acquire_finish(
         self,
@@ -208,61 +235,28 @@ class Acquisition(ParameterSets):
         RunnerDied
             The program crashed; :meth:`acquire_load` brings home what there is.
         """
-        status: m.AcquireStatus = self._insist("acquire_status", patience)
+        status: m.AcquireStatus = self.insist("acquire_status", patience)
         if status.wanted == 0 and status.state == "running":
             self.acquire_stop()
         self._wait_done(timeout, patience, progress)
         return self.acquire_load(note, None, patience)
-
-    def load_rows(
-        self,
-        first: int,
-        count: int,
-        columns: int,
-        progress: Callable[[float], None] | None = None,
-        patience: float = PATIENCE_S,
-    ) -> FloatArray:
-        """Load rows of the recorder, shape ``(count, columns)``; resumes after a broken link."""
-        rows = Rows(columns, count)
-        rows.origin = first
-        each = max(1, REQUEST_BYTES // (8 * columns))
-        while missing := gaps(rows.pieces, first, count):
-            start, length = missing[0]
-            arguments = {"first": start, "count": min(length, each)}
-            try:
-                self.link.stream("acquire_read", arguments, rows.take)
-            except LinkError:
-                if self.link.closed or not self.link.wait_alive(patience):
-                    raise
-            if progress is not None:
-                progress(rows.count / count)
-        return rows.data
-
-    def _insist(self, verb: str, patience: float, **arguments: Any) -> Any:
-        """Send a request that does no harm when repeated, again after each outage."""
-        while True:
-            try:
-                return self.request(verb, **arguments)
-            except LinkError:
-                if self.link.closed or not self.link.wait_alive(patience):
-                    raise
 
     def _wait_done(
         self, timeout: float | None, patience: float, progress: Callable[[float], None] | None
     ) -> m.AcquireStatus:
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
-            status: m.AcquireStatus = self._insist("acquire_status", patience)
+            status: m.AcquireStatus = self.insist("acquire_status", patience)
             if progress is not None and status.wanted:
                 progress(min(1.0, (status.count - status.first) / status.wanted))
             if status.state in ("done", "idle") and status.count - status.first >= status.wanted:
                 return status
-            overall: m.Status = self._insist("status", patience)
+            overall: m.Status = self.insist("status", patience)
             if overall.state == "crashed":
                 raise RunnerDied(f"{overall.crash}. What was recorded until then: acquire_load()")
             if status.state in ("done", "idle"):
                 return status  # ended before it was full, by a host
-            if overall.state != "running" and self._insist("acquire_status", patience).state not in (
+            if overall.state != "running" and self.insist("acquire_status", patience).state not in (
                 "done",
                 "idle",
             ):
@@ -277,72 +271,3 @@ class Acquisition(ParameterSets):
                     f"{status.state}); acquire_load() brings home what there is"
                 )
             time.sleep(POLL_S)
-
-    def _recording(
-        self, status: m.AcquireStatus, first: int, data: FloatArray, note: str, patience: float
-    ) -> Recording:
-        overall: m.Status = self._insist("status", patience)
-        program: m.Program = self._insist("program", patience)
-        info: m.Info = self._insist("info", patience)
-        start_tick = status.start_tick + first * status.decimation
-        ticks = start_tick + status.decimation * np.arange(len(data))
-        last = int(ticks[-1]) if len(ticks) else 0
-        log = [
-            change for change in self._insist("log", patience, since=program.log_start) if change.tick <= last
-        ]
-        try:
-            parameters = dict(self.parameters().values)
-        except (Refused, RunnerDied, LinkError):
-            parameters = {}  # the program is gone; its log still tells
-        return Recording(
-            t=ticks / overall.rate_hz,
-            data=data,
-            channels=join_channels(status.channels, status.units),
-            sample_time=status.decimation / overall.rate_hz,
-            start_tick=start_tick,
-            decimation=status.decimation,
-            trigger_row=status.trigger_row - first if status.trigger_row >= 0 else -1,
-            lost=status.lost,
-            timing=_plain_timing(overall.timing),
-            log=tuple(_change(change) for change in log),
-            parameters=parameters,
-            sources=dict(program.sources),
-            compiler=program.compiler,
-            flags=tuple(program.flags),
-            machine=overall.machine,
-            target=self.link.target,
-            versions={**info.versions, "protocol": str(PROTOCOL), "host": _host_version()},
-            created=time.time(),
-            note=note,
-            extra={"program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock},
-        )
-
-
-def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel, ...]:
-    """Turn the target's list of columns into channels: a run ``q[0], q[1], …`` is one vector ``q``."""
-    channels: list[Channel] = []
-    for name, unit in zip(columns, units, strict=True):
-        element = split_element(name)
-        if element and element[1] > 0 and channels and channels[-1] == Channel(element[0], unit, element[1]):
-            channels[-1] = Channel(element[0], unit, element[1] + 1)
-        elif element and element[1] == 0:
-            channels.append(Channel(element[0], unit, 1))
-        else:
-            channels.append(Channel(name, unit))
-    vectors = {c.name for c in channels if c.width > 1}
-    alone = {name for name in columns if (e := split_element(name)) and e[1] == 0 and e[0] not in vectors}
-    return tuple(Channel(f"{c.name}[0]", c.unit) if f"{c.name}[0]" in alone else c for c in channels)
-
-
-def _plain_timing(timing: m.Timing) -> dict[str, Any]:
-    return {name: plain(value) for name, value in msgspec.structs.asdict(timing).items()}
-
-
-def _change(change: m.Change) -> ParameterChange:
-    return ParameterChange(
-        change.tick, change.host_time, change.name, plain(change.old), plain(change.new), change.author
-    )
-
-
-def _host_version() -> str:
-    return f"zendsp {metadata.version('zendsp')}, python {platform.python_version()}"

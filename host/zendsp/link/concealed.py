@@ -65,4 +65,6 @@ class Concealment(Requests):
                 f"the target revealed a record that does not fit its seal {answer.sha256[:12]}…: do not trust it, start the target again"
             )
         record = json.loads(answer.record)
-        return Truth(tuple(record["effects"]), record["source"], record["friction"], answer.sha256, answer.tick)
+        return Truth(
+            tuple(record["effects"]), record["source"], record["friction"], answer.sha256, answer.tick
+        )

@@ -54,8 +54,13 @@ def connect(
     >>> with zendsp.connect("imi") as target:    # doctest: +SKIP
     ...     target["Kp1"] = 400.0
     """
+    given = credentials or Credentials.from_environment()
     name, endpoints = locate(name, connect)
-    return Target(Link(name, endpoints, credentials or Credentials.from_environment(), timeout))
+
+    def reopen() -> Link:
+        return Link(*locate(name, connect), given, timeout)
+
+    return Target(Link(name, endpoints, given, timeout), reopen=reopen)
 
 
 def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, list[str]]:

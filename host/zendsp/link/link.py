@@ -87,6 +87,12 @@ class Link:
         """Have ``callback`` called, in a thread of its own, whenever the target comes back after an outage."""
         self._returned.append(callback)
 
+    def take_over(self, old: Link) -> None:
+        """Do for those who waited for the return of ``old`` what they asked for."""
+        for callback in old._returned:
+            self.on_return(callback)
+            callback()
+
     def request(self, verb: str, arguments: Any, timeout: float | None = None) -> Any:
         """Send one request and return its result.
 

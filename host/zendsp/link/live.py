@@ -95,7 +95,8 @@ class LiveView:
             return
         try:
             if self._subscriber is not None:
-                self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+                with contextlib.suppress(zenoh.ZError):  # its session may be gone
+                    self._subscriber.undeclare()  # type: ignore[no-untyped-call]
             self._open()
         except ZendspError:
             return  # the target lives but has no such program now; the view stays silent

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from zendsp.errors import LinkError
 from zendsp.link.link import Link
+
+PATIENCE_S = 30.0  # for a broken link to come back
 
 
 class Requests:
@@ -33,3 +36,12 @@ class Requests:
             What the target says.
         """
         return self.link.request(verb, arguments, timeout)
+
+    def insist(self, verb: str, patience: float = PATIENCE_S, **arguments: Any) -> Any:
+        """Send a request that does no harm when repeated, again after each outage of up to ``patience`` s."""
+        while True:
+            try:
+                return self.request(verb, **arguments)
+            except LinkError:
+                if self.link.closed or not self.link.wait_alive(patience):
+                    raise

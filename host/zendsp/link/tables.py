@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import LinkError, VariableError
-from zendsp.link.requests import Requests
+from zendsp.errors import VariableError
+from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, crc, spans
 
 _DTYPES = {"double": "<f8", "float": "<f4", "int32": "<i4", "bool": "|b1"}
-PATIENCE_S = 30.0  # for a broken link to come back
 
 
 class Tables(Requests):
@@ -62,19 +60,8 @@ class Tables(Requests):
         begun = self.request("table_begin", name=name, dtype=dtype, length=array.size, crc=crc(data))
         for offset, size in spans(0, len(data), CHUNK):
             part = data[offset : offset + size]
-            self._insist(
-                "table_chunk", patience, upload=begun.upload, offset=offset, data=part, crc=crc(part)
-            )
+            self.insist("table_chunk", patience, upload=begun.upload, offset=offset, data=part, crc=crc(part))
             if progress is not None:
                 progress((offset + size) / len(data))
         applied: m.Applied = self.request("table_commit", upload=begun.upload, at_tick=at_tick)
         return applied.tick
-
-    def _insist(self, verb: str, patience: float, **arguments: Any) -> Any:
-        """Send a request that does no harm when repeated, again after each outage."""
-        while True:
-            try:
-                return self.request(verb, **arguments)
-            except LinkError:
-                if self.link.closed or not self.link.wait_alive(patience):
-                    raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from zendsp.errors import LinkError
 from zendsp.link.acquire import Acquisition
 from zendsp.link.concealed import Concealment
 from zendsp.link.drives import Drives
@@ -36,10 +37,16 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
     ...     rec = target.acquire(["q", "tau"], seconds=2.0)
     """
 
-    def __init__(self, link: Link, on_close: Callable[[], None] | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        on_close: Callable[[], None] | None = None,
+        reopen: Callable[[], Link] | None = None,
+    ) -> None:
         super().__init__(link)
         self._staged = {}
         self._on_close = on_close
+        self._reopen = reopen
         try:
             self.info: m.Info = self.request("info")
         except BaseException:
@@ -55,6 +62,26 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
     def alive(self) -> bool:
         """Whether the target is reachable now, as the link itself knows it."""
         return self.link.alive
+
+    def reconnect(self) -> None:
+        """Look the target up again and connect anew: after it was started again, which gave it another address.
+
+        An outage of the link alone needs no call: the connection comes back by itself. Live views go on; what is staged stays.
+
+        Raises
+        ------
+        LinkError
+            No target of that name, or nothing answers; the old connection is closed all the same.
+        """
+        if self._reopen is None:
+            raise LinkError(
+                f"{self.name} was started by this host and ended with it; start another with local()"
+            )
+        old = self.link
+        old.close()
+        self.link = self._reopen()
+        self.info = self.request("info")
+        self.link.take_over(old)
 
     def close(self) -> None:
         """End the connection; a target started by :func:`zendsp.local` ends with it, others go on."""

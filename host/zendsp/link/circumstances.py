@@ -1,0 +1,110 @@
+"""What a recording carries beside its samples, asked of the target when they have come home."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from zendsp.errors import LinkError, Refused, RunnerDied
+from zendsp.link.parameters import ParameterSets
+from zendsp.link.transfer import FloatArray
+from zendsp.link.variables import plain
+from zendsp.recording import Channel, ParameterChange, Recording
+from zendsp.recording.names import split_element
+from zendsp_protocol import messages as m
+from zendsp_protocol.version import PROTOCOL
+
+
+def describe(
+    target: ParameterSets, status: m.AcquireStatus, first: int, data: FloatArray, note: str, patience: float
+) -> Recording:
+    """Make the recording of rows that were loaded.
+
+    Parameters
+    ----------
+    target : ParameterSets
+        Asked for its log, program, parameters and timing.
+    status : AcquireStatus
+        Of the recorder.
+    first : int
+        Number of the first row of ``data``.
+    data : ndarray, shape (rows, columns)
+    note : str
+    patience : float, s
+        For a broken link to come back.
+    """
+    overall: m.Status = target.insist("status", patience)
+    program: m.Program = target.insist("program", patience)
+    info: m.Info = target.insist("info", patience)
+    start_tick = status.start_tick + first * status.decimation
+    ticks = start_tick + status.decimation * np.arange(len(data))
+    last = int(ticks[-1]) if len(ticks) else 0
+    log = [c for c in target.insist("log", patience, since=program.log_start) if c.tick <= last]
+    try:
+        parameters = dict(target.parameters().values)
+    except (Refused, RunnerDied, LinkError):
+        parameters = {}  # the program is gone; its log still tells
+    return Recording(
+        t=ticks / overall.rate_hz,
+        data=data,
+        channels=join_channels(status.channels, status.units),
+        sample_time=status.decimation / overall.rate_hz,
+        start_tick=start_tick,
+        decimation=status.decimation,
+        trigger_row=status.trigger_row - first if status.trigger_row >= 0 else -1,
+        lost=status.lost,
+        timing={name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()},
+        log=tuple(_change(change) for change in log),
+        parameters=parameters,
+        sources=dict(program.sources),
+        compiler=program.compiler,
+        flags=tuple(program.flags),
+        machine=overall.machine,
+        target=target.link.target,
+        versions={**info.versions, "protocol": str(PROTOCOL), "host": _host_version()},
+        created=time.time(),
+        note=note,
+        extra=_extra(overall),
+    )
+
+
+def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel, ...]:
+    """Turn the target's list of columns into channels: a run ``q[0], q[1], …`` is one vector ``q``.
+
+    Examples
+    --------
+    >>> [(c.name, c.width) for c in join_channels(["q[0]", "q[1]", "u", "e[0]"], ["rad", "rad", "V", "rad"])]
+    [('q', 2), ('u', 1), ('e[0]', 1)]
+    """
+    channels: list[Channel] = []
+    for name, unit in zip(columns, units, strict=True):
+        element = split_element(name)
+        if element and element[1] > 0 and channels and channels[-1] == Channel(element[0], unit, element[1]):
+            channels[-1] = Channel(element[0], unit, element[1] + 1)
+        elif element and element[1] == 0:
+            channels.append(Channel(element[0], unit, 1))
+        else:
+            channels.append(Channel(name, unit))
+    vectors = {c.name for c in channels if c.width > 1}
+    alone = {e[0] for name in columns if (e := split_element(name)) and e[1] == 0} - vectors
+    return tuple(Channel(f"{c.name}[0]", c.unit) if c.name in alone and c.width == 1 else c for c in channels)
+
+
+def _extra(overall: m.Status) -> dict[str, Any]:
+    return {"program": overall.program, "scheduling": overall.scheduling, "clock": overall.clock}
+
+
+def _change(change: m.Change) -> ParameterChange:
+    return ParameterChange(
+        change.tick, change.host_time, change.name, plain(change.old), plain(change.new), change.author
+    )
+
+
+def _host_version() -> str:
+    return f"zendsp {metadata.version('zendsp')}, python {platform.python_version()}"
