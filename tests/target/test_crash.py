@@ -180,7 +180,7 @@ def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:
 ORPHAN = """
 import sys, time
 from zendsp_target.runtime import Runtime
-runtime = Runtime("imi_planar", clock="real")
+runtime = Runtime("imi_planar", clock="real", hang_s=60.0)
 runtime.load(runtime.compile({"user.c": sys.argv[1]}).key)
 runtime.start()
 print(runtime._session.process.pid, runtime._folder.path, flush=True)
@@ -188,8 +188,9 @@ time.sleep(600)
 """
 
 
-def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait) -> None:
-    monitor = subprocess.Popen([sys.executable, "-c", ORPHAN, GOOD], stdout=subprocess.PIPE, text=True)
+@pytest.mark.parametrize("code", [GOOD, GOOD.replace("x += 1.0;", "for (;;) x += 1.0;")], ids=["well", "hung"])
+def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait, code: str) -> None:
+    monitor = subprocess.Popen([sys.executable, "-c", ORPHAN, code], stdout=subprocess.PIPE, text=True)
     try:
         assert monitor.stdout is not None
         runner, folder = monitor.stdout.readline().split()

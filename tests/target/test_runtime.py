@@ -128,6 +128,25 @@ def test_a_trigger_keeps_what_came_before_it(runtime: Runtime) -> None:
     assert np.array_equal(rows[:, 0], np.arange(160, 260))
 
 
+def test_a_forced_trigger_fires_once_and_only_the_armed_acquisition(runtime: Runtime) -> None:
+    config = AcquireConfig(("tick",), seconds=0.02, trigger=Trigger("t", 1e6, "rising", pre_s=0.005))
+    runtime.acquire_configure(2, config)
+    runtime.acquire_start(2)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    assert runtime.acquire_status(2).state == "armed"
+    runtime.acquire_start(2, force=True)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    status = runtime.acquire_status(2)
+    assert (status.state, status.trigger_row) == ("done", 50)
+    assert np.array_equal(runtime.acquire_read(2, status.first, 20)[:, 0], np.arange(45, 65))
+    runtime.acquire_start(2)
+    runtime.start(ticks=50)
+    runtime.wait_paused()
+    assert runtime.acquire_status(2).state == "armed"  # armed anew: the old force is spent
+
+
 def test_a_ring_keeps_the_newest_rows_and_counts_what_a_reader_missed(runtime: Runtime) -> None:
     runtime.acquire_configure(1, AcquireConfig(("tick",), seconds=0.1, continuous=True, decimation=2))
     runtime.acquire_start(1)

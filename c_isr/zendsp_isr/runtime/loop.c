@@ -216,6 +216,8 @@ void loop(runner *r) {
             began = now_ns();
             first_tick = c->tick;
             deadline = began + c->period_ns;
+            if (run == RUN_HOME)
+                r->held.mode = MACHINE_OFF; /* nothing of the program's acts while homing */
         }
         if (c->clock == CLOCK_REAL) {
             run_real(r, &deadline, spin);

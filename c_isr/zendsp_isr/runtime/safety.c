@@ -75,7 +75,10 @@ void safety_requests(runner *r) {
 /* Soft start and stop: the gain moves towards what is wanted of the drives. */
 static void move_gain(runner *r) {
     control *c = r->control;
-    const int32_t wanted = c->running == RUN_HOME ? MACHINE_VELOCITY : __atomic_load_n(&c->drive, __ATOMIC_ACQUIRE);
+    /* while homing, the machine's own routine chooses the mode */
+    const int32_t wanted = c->running != RUN_HOME           ? __atomic_load_n(&c->drive, __ATOMIC_ACQUIRE)
+                           : r->held.mode != MACHINE_OFF ? r->held.mode
+                                                         : MACHINE_VELOCITY;
     const double step = r->set.ramp > 0.0 ? 1.0 / (r->set.ramp * c->rate_hz) : 1.0;
     const bool same = wanted == c->drive_mode || c->drive_mode == MACHINE_OFF;
     if (wanted != MACHINE_OFF && same) {

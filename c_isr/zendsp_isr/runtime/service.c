@@ -92,7 +92,7 @@ static void serve_streams(runner *r) {
         slot->failed = failed;
         __atomic_store_n(&r->streams[i], next, __ATOMIC_RELEASE);
         store32(&r->offered[i], wanted);
-        while (load32(&slot->mapped) != wanted && load32(&r->control->run) != RUN_QUIT)
+        while (load32(&slot->mapped) != wanted && load32(&r->control->run) != RUN_QUIT && getppid() == r->control->monitor)
             sleep_ns(200000);
         if (load32(&slot->mapped) == wanted)
             unmap(old);

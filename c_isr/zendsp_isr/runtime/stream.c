@@ -35,6 +35,7 @@ static void begin(stream *s, uint64_t tick) {
     s->place = 0;
     s->countdown = 0;
     s->finish = h->wanted;
+    s->force_seen = load32(&h->force); /* what was forced before does not fire this one */
     if (s->trigger)
         s->before = value_of(s->trigger, s->trigger_type);
     store32(&h->state, h->edge == EDGE_NONE ? STREAM_RUNNING : STREAM_ARMED);
