@@ -28,6 +28,7 @@ RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
 APPLY_LIMIT_S = 5.0
+CATCH_UP_S = 0.05  # for the sample that an update was acknowledged at to be finished
 POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
 
 
@@ -65,6 +66,7 @@ class Service:
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._recorder_owner = ""
         self._log_start = 0
+        self._acknowledged = 0  # newest sample that a host was told of
         self._lock = threading.Lock()
         self.handlers: dict[str, Callable[[Any, str], Any]] = {
             name: getattr(self, f"do_{name}") for name in verbs.VERBS if hasattr(self, f"do_{name}")
@@ -179,6 +181,7 @@ class Service:
         before = len(self.runtime.log())
         self.runtime.load(args.key)
         self._log_start = before
+        self._acknowledged = 0
         self._recorder_owner = ""
         return m.Empty()
 
@@ -210,6 +213,15 @@ class Service:
 
     def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
         tick, found = self.runtime.read(args.names)
+        deadline = 0.0
+        # Whoever was told that an update took effect at a sample must not read the sample before it.
+        while tick < self._acknowledged:
+            now = time.monotonic()
+            deadline = deadline or now + CATCH_UP_S
+            if now > deadline:
+                break  # the loop has stopped in the middle of a sample
+            time.sleep(0.0001)
+            tick, found = self.runtime.read(args.names)
         return {"tick": tick, "values": found}
 
     def do_write(self, args: verbs.Write, by: str) -> dict[str, int]:
@@ -218,7 +230,7 @@ class Service:
     def do_update(self, args: verbs.Write, by: str) -> dict[str, int]:
         sequence = self._write(args, by)
         try:
-            return {"sequence": sequence, "tick": self.runtime.wait_applied(sequence, APPLY_INLINE_S)}
+            return self._applied(sequence, APPLY_INLINE_S)
         except Refused:  # not yet: it waits for its sample
             raise Later(lambda: self._applied(sequence, APPLY_LIMIT_S)) from None
 
@@ -246,7 +258,9 @@ class Service:
         }
 
     def _applied(self, sequence: int, timeout: float) -> dict[str, int]:
-        return {"sequence": sequence, "tick": self.runtime.wait_applied(sequence, timeout)}
+        tick = self.runtime.wait_applied(sequence, timeout)
+        self._acknowledged = max(self._acknowledged, tick)
+        return {"sequence": sequence, "tick": tick}
 
     # large arrays ----------------------------------------------------------------------------------------------------
 
