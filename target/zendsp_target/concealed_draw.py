@@ -39,7 +39,7 @@ class Usual:
 MACHINES: dict[str, Usual] = {
     "imi_planar": Usual((Scale(8.45, 5.3, 3.4, 1.5, 0.0, 28.0), Scale(2.35, 1.1, 0.15, 2.0, 0.0, 6.0))),
     # one joint: nothing to couple with
-    "pendulum": Usual((Scale(0.1, 0.005, 2.07e-3, 10.0, 0.167, 0.3),), frozenset({"coupling"})),
+    "pendulum": Usual((Scale(0.1, 0.005, 2.07e-3, 5.0, 0.167, 0.3),), frozenset({"coupling"})),
     # a saturation below what holds the arm up would drop it
     "wam7": Usual(
         tuple(
@@ -174,6 +174,15 @@ def draw_effect(r: random.Random, machine: str, effect: str, joint: int) -> Conc
     return ConcealedEffect(effect, joint, {k: float(f"{v:.4g}") for k, v in drawn.items()})
 
 
+def _payload(r: random.Random) -> tuple[ConcealedEffect, ...]:
+    """A weight clamped to the bar of the pendulum: inertia and gravity together, m l^2 and m g l."""
+    mass, arm = r.uniform(0.03, 0.08), r.uniform(0.08, 0.16)  # kg, m
+    return (
+        ConcealedEffect("inertia", 1, {"amount": float(f"{mass * arm**2:.4g}")}),
+        ConcealedEffect("gravity", 1, {"torque": float(f"{9.81 * mass * arm:.4g}"), "angle": 0.0}),
+    )
+
+
 def _joints(usual: Usual, effect: str) -> tuple[int, ...]:
     """Joints on which an effect can be felt."""
     return usual.heavy if effect in INERTIAL and usual.heavy else tuple(range(1, len(usual.joints) + 1))
@@ -190,7 +199,7 @@ def draw(machine: str, seed: int, effect: str | None = None, joint: int | None =
     seed : int
         Any whole number.
     effect : str, optional
-        Only this effect; else any named one that the machine can carry.
+        Only this effect; else any named one that the machine can carry. On the pendulum also "payload": inertia and gravity.
     joint : int, optional
         1-based; else any.
     count : int
@@ -216,10 +225,12 @@ def draw(machine: str, seed: int, effect: str | None = None, joint: int | None =
     if machine not in MACHINES:
         raise Refused(f"concealed: nothing can be drawn for {machine!r}, only for {', '.join(MACHINES)}; give a file")
     usual = MACHINES[machine]
+    r = random.Random(f"{machine}/{seed}")
+    if effect == "payload" and machine == "pendulum":
+        return Concealed(machine, _payload(r), f"seed:{seed}", friction)
     if effect is not None and (effect not in DRAWS or effect in usual.excluded):
         choice = ", ".join(name for name in DRAWS if name not in usual.excluded)
         raise Refused(f"concealed: {machine} cannot carry {effect!r}; choose one of {choice}")
-    r = random.Random(f"{machine}/{seed}")
     pool = [effect] if effect else [name for name in NAMED if name not in usual.excluded]
     if not 0 <= count <= len(pool):
         raise Refused(f"concealed: count {count}; 0 to {len(pool)} different effects can be drawn")

@@ -93,6 +93,12 @@ def test_several_effects_and_none_can_be_drawn() -> None:
     assert (chosen.effect, chosen.joint) == ("ripple", 2)
 
 
+def test_a_payload_on_the_pendulum_is_inertia_and_gravity_of_one_mass() -> None:
+    inertia, gravity = load_concealed("seed:9,effect=payload", "pendulum").effects
+    arm = 9.81 * inertia.parameters["amount"] / gravity.parameters["torque"]
+    assert (inertia.effect, gravity.effect) == ("inertia", "gravity") and 0.08 < arm < 0.16
+
+
 def test_effects_are_read_from_toml_and_json_in_the_form_of_a_model_file(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('friction = "plain"\n[[effect]]\nkind = "coupling"\njoint = 2\nfrom_joint = 1\nlaw = "viscous"\ncoefficient = { value = 0.4 }\n')
     (tmp_path / "a.json").write_text(json.dumps({"effect": [{"kind": "delay", "joint": 1, "time": 0.003}]}))

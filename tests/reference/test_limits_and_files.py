@@ -163,3 +163,19 @@ def test_pinocchio_model_of_the_wam_carries_all_of_its_mass() -> None:
     # stretched straight up (all joints at zero) the last joint lies 0.55 + 0.3 m above the shoulder
     pin.forwardKinematics(model, data, np.zeros(7))
     assert data.oMi[7].translation == pytest.approx([0.0, 0.0, 0.85], abs=1e-12)
+
+
+def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -> None:
+    file = tmp_path / "slow_arm.toml"
+    file.write_text(
+        'name = "slow_arm"\nkind = "planar2r"\njoints = 2\nsample_time = 0.002\nhome = [0, 0]\n'
+        "[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [0.5, 0.5]\nacceleration = [2, 2]\ntorque = [50, 50]\n"
+        "[parameters]\np1 = 1.0\np2 = 0.2\np3 = 0.1\nl1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
+    )
+    machine = load_machine(str(file))
+    reference = make_reference("point_to_point", machine, goal=0.8)
+    machine.check(reference)
+    assert reference.sample_time == 0.002 and 0.45 < abs(reference.qd).max() <= 0.5, "the shortest within its limits"
+    file.write_text(file.read_text().replace("coulomb", "colomb"))
+    with pytest.raises(ReferenceError_, match="no machine"):
+        load_machine(str(tmp_path / "other.toml"))
