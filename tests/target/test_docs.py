@@ -51,6 +51,28 @@ def test_a_machine_without_homing_is_homed_at_once(
     assert runtime.status().homed
 
 
+HOMING = """
+static int axis_home(void *h, const machine_sensors *s, machine_actuators *u) {
+    const axis *a = h;
+    const double q = s->enc[0] / (4096 / 6.283185307179586);
+    u->mode = MACHINE_TORQUE;
+    u->aout[0] = 1000.0 * (-0.5 * q - 0.3 * a->qd);
+    return fabs(q) < 2e-3 && fabs(a->qd) < 1e-2 ? MACHINE_HOME_DONE : MACHINE_HOME_BUSY;
+}
+const machine_ops"""
+
+
+def test_a_machine_may_home_in_torque_mode(make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path) -> None:
+    machine = tmp_path / "homing_axis.c"
+    code = first_code("machines.md").replace("const machine_ops", HOMING, 1).replace(".safe = axis_safe", ".home = axis_home, .safe = axis_safe")
+    machine.write_text(code)
+    runtime = make_runtime(first_code("isr.md"), machine=str(machine), machine_config={"q1": 0.5})
+    runtime.home()
+    wait_for(lambda: runtime.status().tick > 10 and runtime.status().state == "loaded", runtime.status)
+    assert runtime.status().homed
+    assert abs(runtime.status().io["enc"][0]) <= 3  # counts: it went there, by torque
+
+
 def test_every_name_of_the_header_is_on_the_page() -> None:
     header = (source_root() / "include" / "isr.h").read_text().split("/* ---- Beneath")[0]
     names = re.findall(r"^#define (\w+)", header, re.MULTILINE)
