@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -18,6 +19,22 @@ from zendsp.tui.link_port import find_targets, open_port, start_machine
 
 PATIENCE_S = 40.0  # the machine that runs the tests is busy with others at the same time
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting_for_an_idle_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Textual's Pilot waits after each key until the process is idle, which it never is while curves roll.
+
+    A key is done when its messages have been handed on, and that takes turns of the event loop, not time.
+    """
+
+    async def turns(min_sleep: float = 0.0, max_sleep: float = 0.0) -> None:
+        for _ in range(60):
+            await asyncio.sleep(0)
+        await asyncio.sleep(0.005)
+
+    monkeypatch.setattr("textual.app.wait_for_idle", turns)
+    monkeypatch.setattr("textual.pilot.wait_for_idle", turns)
 
 
 def pytest_configure(config: pytest.Config) -> None:

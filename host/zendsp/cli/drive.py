@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 
 import click
 
@@ -31,7 +32,7 @@ def command(
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
     """
     with open_target(target, connect) as t:
-        actions = {
+        actions: dict[str, Callable[[], str]] = {
             "on": t.power_on,
             "off": t.power_off,
             "home": t.home_and_wait,
