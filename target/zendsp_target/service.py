@@ -24,6 +24,7 @@ from zendsp_target.drives import Drives
 from zendsp_target.live import LiveStreams
 from zendsp_target.uploads import Uploads
 
+PLAIN = frozenset((float, int, bool))
 RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
@@ -241,21 +242,22 @@ class Service:
         return self.runtime.log(args.since)
 
     def _write(self, args: verbs.Write, by: str) -> int:
-        try:
-            given = {name: values.from_wire(value) for name, value in args.values.items()}
-        except ValueError as error:
-            raise VariableError(str(error)) from error
-        if any(isinstance(value, np.ndarray) and value.size > values.LIST_LIMIT for value in given.values()):
+        given: dict[str, Any] = args.values  # type: ignore[assignment]
+        odd = [name for name, value in given.items() if type(value) not in PLAIN]
+        if odd:
+            try:
+                given = {**given, **{name: values.from_wire(given[name]) for name in odd}}
+            except ValueError as error:
+                raise VariableError(str(error)) from error
             given = self._shaped(given)
         return self.runtime.write(given, by, args.at_tick)
 
     def _shaped(self, given: dict[str, Any]) -> dict[str, Any]:
-        """Give the values of a table their rows and columns back, which the wire does not carry."""
-        columns = {info.name: info.columns for info in self.runtime.variables() if info.kind == "table"}
-        return {
-            n: v.reshape(-1, columns[n]) if n in columns and v.size % columns[n] == 0 else v
-            for n, v in given.items()
-        }
+        """Give the values of a table that came flat their rows and columns back."""
+        flat = [name for name, value in given.items() if isinstance(value, np.ndarray) and value.ndim == 1]
+        columns = {i.name: i.columns for i in self.runtime.variables() if i.name in flat and i.kind == "table"}
+        fits = [name for name in columns if given[name].size % columns[name] == 0]
+        return {**given, **{name: given[name].reshape(-1, columns[name]) for name in fits}}
 
     def _applied(self, sequence: int, timeout: float) -> dict[str, int]:
         tick = self.runtime.wait_applied(sequence, timeout)

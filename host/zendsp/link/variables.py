@@ -136,8 +136,10 @@ def plain(value: Any) -> Any:
 
 
 def _wire(values: Mapping[str, Any]) -> dict[str, Any]:
-    ready, wrong = {}, []
+    ready, wrong = dict(values), []
     for name, value in values.items():
+        if type(value) is float:  # nearly all of them, and ready as they are
+            continue
         try:
             ready[name] = to_wire(value)
         except TypeError as error:
