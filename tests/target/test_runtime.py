@@ -63,18 +63,18 @@ def test_an_update_takes_effect_at_its_sample_and_is_logged_with_the_old_value(r
 
 
 def test_a_table_switches_over_whole_at_one_sample_with_its_length(runtime: Runtime) -> None:
-    runtime.write({"approach_time": 0.1, "use_table": True}, "me")
+    runtime.write({"approach_time": 0.4, "use_table": True}, "me")
     first = np.full((500, 2), 0.25)
     sequence = runtime.write({"ref": first}, "me")
-    runtime.start(ticks=300)
+    runtime.start(ticks=600)
     runtime.wait_paused()
     runtime.wait_applied(sequence, 10.0)
     tick, values = runtime.read(["ref", "r1", "tick"])
     assert np.array_equal(values["ref"], first)
     assert values["r1"] == 0.25
-    assert tick == values["tick"] == 299
+    assert tick == values["tick"] == 599
     second = np.array([[0.1, 0.2], [0.3, 0.4]])
-    runtime.write({"ref": second}, "me", at_tick=400)
+    runtime.write({"ref": second}, "me", at_tick=700)
     runtime.start(ticks=300)
     runtime.wait_paused()
     assert np.array_equal(runtime.read(["ref"])[1]["ref"], second)

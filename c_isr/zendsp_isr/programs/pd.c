@@ -1,6 +1,6 @@
 /* pd.c: PD control of the planar arm around a circle in joint space, or around a reference that the host has downloaded.
  *
- *     tau = Kp (r - q) - Kd qd        qd: difference of positions through a first-order filter
+ *     tau = Kp (r - q) + Kd (rd - qd)        rd, qd: differences of r and q through a first-order filter
  *
  * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left smoothly from where the arm stands.
  */
@@ -17,7 +17,8 @@ static table ref;
 static double q1, q2, qd1, qd2, r1, r2, e1, e2, tau1, tau2;
 static double q[N], e[N], tau[N];
 
-static double start[N], last[N], t0;
+static double rd1, rd2;
+static double start[N], last_q[N], last_r[N], t0;
 static uint32_t seen;
 static bool running;
 
@@ -73,32 +74,45 @@ static void reference(double t) {
     r2 = start[1] + blend * (target2 - start[1]);
 }
 
+/* The drives come on: begin from where the arm stands. A new table: lead over to it from the present reference, without a step. */
+static void begin(void) {
+    const bool fresh = !running || !DRIVE_ENABLED;
+    if (fresh) {
+        r1 = last_q[0] = last_r[0] = q1;
+        r2 = last_q[1] = last_r[1] = q2;
+        qd1 = qd2 = rd1 = rd2 = 0.0;
+        running = true;
+    }
+    if (fresh || (use_table && seen != ref.version)) {
+        start[0] = r1;
+        start[1] = r2;
+        t0 = SAMPLE_TIME;
+        seen = ref.version;
+    }
+}
+
+static void differentiate(void) {
+    const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
+    qd1 += a * ((q1 - last_q[0]) / SAMPLE_PERIOD - qd1);
+    qd2 += a * ((q2 - last_q[1]) / SAMPLE_PERIOD - qd2);
+    rd1 += a * ((r1 - last_r[0]) / SAMPLE_PERIOD - rd1);
+    rd2 += a * ((r2 - last_r[1]) / SAMPLE_PERIOD - rd2);
+    last_q[0] = q1;
+    last_q[1] = q2;
+    last_r[0] = r1;
+    last_r[1] = r2;
+}
+
 void UserISR_INT2(void) {
     q1 = READ_POSITION(0);
     q2 = READ_POSITION(1);
-    /* begin afresh, from where the arm stands, when the drives come on and when a new table has arrived */
-    if (!running || !DRIVE_ENABLED || (use_table && seen != ref.version)) {
-        if (!running || !DRIVE_ENABLED) {
-            qd1 = qd2 = 0.0;
-            last[0] = q1;
-            last[1] = q2;
-        }
-        start[0] = q1;
-        start[1] = q2;
-        t0 = SAMPLE_TIME;
-        seen = ref.version;
-        running = true;
-    }
-    const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
-    qd1 += a * ((q1 - last[0]) / SAMPLE_PERIOD - qd1);
-    qd2 += a * ((q2 - last[1]) / SAMPLE_PERIOD - qd2);
-    last[0] = q1;
-    last[1] = q2;
+    begin();
     reference(SAMPLE_TIME - t0);
+    differentiate();
     e1 = r1 - q1;
     e2 = r2 - q2;
-    tau1 = Kp1 * e1 - Kd1 * qd1;
-    tau2 = Kp2 * e2 - Kd2 * qd2;
+    tau1 = Kp1 * e1 + Kd1 * (rd1 - qd1);
+    tau2 = Kp2 * e2 + Kd2 * (rd2 - qd2);
     WRITE_TORQUE(0, tau1);
     WRITE_TORQUE(1, tau2);
     q[0] = q1;
