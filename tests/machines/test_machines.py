@@ -223,6 +223,22 @@ def test_homing_ends_at_the_home_position(name: str) -> None:
         assert plant.q == pytest.approx(load_machine(name).home, abs=5e-3)
 
 
+@pytest.mark.parametrize("name", ["imi_planar", "wam7"])
+def test_plain_machine_is_the_nominal_model_of_the_host(name: str) -> None:
+    """friction = plain: in steady sliding the torque is inverse dynamics with the figures of the machine description."""
+    rows, _ = swing(name, 5e-5, 2.5, "friction = plain\n")
+    n = len(CENTRE[name])
+    q, qd, tau = rows[:, 1 : 1 + n], rows[:, 1 + n : 1 + 2 * n], rows[:, 1 + 2 * n :]
+    # row k: tau is held from k to k + 1, so compare with the motion in the middle of the sample
+    middle, speed, acceleration = 0.5 * (q[1:] + q[:-1]), 0.5 * (qd[1:] + qd[:-1]), np.diff(qd, axis=0) / 0.001
+    needed = load_machine(name).dynamics.inverse(middle, speed, acceleration)
+    friction = np.asarray(load_machine(name).parameters["coulomb"])
+    sliding = (np.abs(qd[1:]) > 0.15).all(axis=1) & (np.arange(len(tau) - 1) > 200)
+    assert sliding.sum() > 100
+    # LuGre bristles follow a change of level within a milliradian, rotors of 7e-5 kg m^2 ring for a few samples after it
+    assert np.abs(needed - tau[:-1])[sliding].mean(axis=0) / friction == pytest.approx(np.zeros(n), abs=0.02)
+
+
 def test_limits_on_the_host_are_those_of_the_machine() -> None:
     for name in machine_names():
         machine = load_machine(name)
