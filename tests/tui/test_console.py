@@ -302,9 +302,11 @@ async def test_record_then_open_simulation_and_diagnosis(lab: ZendspApp, target:
         run = list_runs(folder / "runs")[0]
         recording = run.recording()
         assert len(recording) == 1500 and recording.lost == 0 and "pd.c" in recording.sources
+        (folder / "arm.toml").write_text('name = "arm"\n')
         for key in ("S", "D"):
             await pilot.press(key)
             await pilot.pause()
+            await _type(pilot, str(folder / "arm.toml"))
             view = lab.screen
             assert isinstance(view, ProcessView)
             await until(pilot, lambda view=view: view.status is not None, "the worker process ends and says so")  # type: ignore[misc]

@@ -178,8 +178,14 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
             await pilot.press("enter")
             await until(pilot, lambda suffix=suffix: (folder / "out" / f"run{suffix}").is_file(), f"exported {suffix}")  # type: ignore[misc]
             assert np.allclose(Recording.load(folder / "out" / f"run{suffix}")["e"], _recording(1.0)["e"])
+        (folder / "arm.toml").write_text('name = "arm"\n')
         for key in ("S", "D"):
             await pilot.press(key)
+            await pilot.pause()
+            assert isinstance(lab.screen, Form)
+            lab.screen.query_one(Input).value = str(folder / "arm.toml")
+            await pilot.pause()
+            await pilot.press("enter")
             await pilot.pause()
             assert isinstance(lab.screen, ProcessView)
             await pilot.press("escape")

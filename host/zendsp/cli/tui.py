@@ -19,13 +19,14 @@ from zendsp.errors import LinkError
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("."), help="Where references, runs and parameter sets are kept (default: here).")
 @click.option("--screen", type=click.Choice(["console", "execute", "reference"]), default="console", show_default=True, help="Screen to begin with.")
 @click.option("--theme", default="zendsp-night", show_default=True, help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.")
+@click.option("--channels", default="", metavar="A,B,…", help="Curves to begin with, for example q[0],tau[0].")
 @click.option("--frames", type=click.FloatRange(1.0, 60.0), default=30.0, show_default=True, help="Pictures a second; fewer over a slow line.")
 @click.option("--web", is_flag=True, help="Serve the same screens in a browser on loopback.")
 @click.option("--port", type=int, default=8000, show_default=True, help="Port of --web.")
 @click.option("--screenshots", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write pictures of the screens (SVG) and end.")
 def command(
-    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, frames: float,
-    web: bool, port: int, screenshots: Path | None,
+    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, channels: str,
+    frames: float, web: bool, port: int, screenshots: Path | None,
 ) -> None:  # fmt: skip
     """Tune, drive and watch a machine: IMIConsole, IMIExecute and IMIReference in the terminal.
 
@@ -44,7 +45,7 @@ def command(
             click.echo(path)
         return
     if web:
-        _serve(target, machine, clock, source, folder, screen, theme, frames, port)
+        _serve(target, machine, clock, source, folder, screen, theme, channels, frames, port)
         return
     from zendsp.reference import MACHINES
     from zendsp.tui.app import ZendspApp
@@ -62,13 +63,14 @@ def command(
         theme=theme,
         begin=machine or "",
         frames=frames,
+        channels=[name.strip() for name in channels.split(",") if name.strip()],
     )
     app.run()
 
 
 def _serve(
-    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, frames: float,
-    port: int,
+    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, channels: str,
+    frames: float, port: int,
 ) -> None:  # fmt: skip
     try:
         from textual_serve.server import Server
@@ -78,6 +80,6 @@ def _serve(
     words += [target] if target else []
     for option, value in (("--local", machine), ("--source", source), ("--folder", folder)):
         words += [option, str(value)] if value else []
-    words += ["--clock", clock, "--screen", screen, "--theme", theme, "--frames", str(frames)]
+    words += ["--clock", clock, "--screen", screen, "--theme", theme, "--frames", str(frames), "--channels", channels]
     click.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends it)")
     Server(shlex.join(words), host="127.0.0.1", port=port, title="zendsp").serve()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -14,7 +14,6 @@ from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.port import Port
-from zendsp.tui.runs import Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.workspace import Workspace
@@ -39,6 +38,8 @@ class ZendspApp(App[None]):
         C file to begin with.
     begin : str
         Machine to start here at once.
+    channels : sequence of str
+        Curves to begin with.
     frames : float
         Pictures a second; fewer for a slow line.
     """
@@ -62,10 +63,13 @@ class ZendspApp(App[None]):
         theme: str = "zendsp-night",
         begin: str = "",
         frames: float = 30.0,
+        channels: Sequence[str] = (),
     ) -> None:
         super().__init__()
         self.session = Session(open_port)
         self.frame_s = 1.0 / frames
+        self.channels = tuple(channels)
+        self.model = ""  # model file that simulation and diagnosis were last given
         self.workspace = Workspace(folder)
         self.source = source
         self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)
@@ -206,18 +210,6 @@ class ZendspApp(App[None]):
 
         folder = Path(str(resources.files("zendsp_isr"))) / "programs"
         return sorted(folder.glob("*.c"))
-
-    def diagnose_command(self, run: Run) -> list[str]:
-        """Return the arguments of ``zendsp`` that diagnose a run."""
-        return ["diagnose", str(run.folder / "recording.mat")]
-
-    def simulate_command(self, run: Run) -> list[str]:
-        """Return the arguments of ``zendsp`` that simulate a run; ValueError where it cannot be simulated."""
-        sources = sorted(run.folder.glob("*.c"))
-        if not sources:
-            raise ValueError(f"{run.name} carries no source: it cannot be simulated")
-        reference = run.folder / "reference.mat"
-        return ["simulate", str(sources[0]), "--model", run.machine, *(["--reference", str(reference)] if reference.is_file() else [])]
 
     def toast(self, text: str, level: str = "information") -> None:
         """Show a short message over the screen; brackets of units survive."""

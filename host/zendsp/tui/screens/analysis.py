@@ -6,7 +6,7 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from textual import on
@@ -14,8 +14,9 @@ from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Button, RichLog, Static
 
+from zendsp.tui.dialogs import Field, Form
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.runs import Run, list_runs
+from zendsp.tui.runs import DATA, Run, list_runs
 from zendsp.tui.screens.base import LabScreen
 
 CALL = "import sys; from zendsp.cli import main; main()"
@@ -84,22 +85,45 @@ class AnalysisActions(LabScreen):
         return runs[0] if runs else None
 
     def action_diagnose(self) -> None:
-        """Diagnose the run."""
+        """Ask for the model, then diagnose the run."""
         run = self.meant_run()
         if run is None:
-            self.say("no run to diagnose yet: record one (r), or play a reference on Execute", "warning")
+            self.say("no run to diagnose yet: record one (r on Console), or play a reference on Execute", "warning")
             return
-        self.app.push_screen(ProcessView(f"Diagnose {run.name}", self.lab.diagnose_command(run), run.folder))
+        out = run.folder / "diagnosis"
+        self._with_model("Diagnose", run, lambda model: ["diagnose", str(run.folder / DATA), "--model", model, "--out", str(out)])
 
     def action_simulate(self) -> None:
-        """Simulate the run."""
+        """Ask for the model, then simulate the run: its source, its reference."""
         run = self.meant_run()
         if run is None:
             self.say("no run to simulate yet: play a reference on Execute first", "warning")
             return
-        try:
-            arguments = self.lab.simulate_command(run)
-        except ValueError as error:
-            self.say(str(error), "warning")
+        sources = sorted(run.folder.glob("*.c"))
+        if not sources:
+            self.say(f"{run.name} carries no source: it cannot be simulated", "warning")
             return
-        self.app.push_screen(ProcessView(f"Simulate {run.name}", arguments, run.folder))
+        reference = run.folder / "reference.mat"
+        rest = ["--reference", str(reference)] if reference.is_file() else []
+        self._with_model("Simulate", run, lambda model: ["simulate", str(sources[0]), "--model", model, *rest])
+
+    def _with_model(self, title: str, run: Run, command: Callable[[str], list[str]]) -> None:
+        """Ask for the model file, the last one given or one named like the machine, and start the worker."""
+        near = [p for pattern in ("*.toml", "models/*.toml", "examples/models/*.toml") for p in sorted(self.lab.workspace.root.glob(pattern))]
+        fitting = [p for p in near if p.stem == run.machine] + near
+        default = self.lab.model or (str(fitting[0]) if fitting else "")
+        fields = [Field("model", "Model file", default, check=_existing, hint="TOML, see docs")]
+
+        def go(answer: Mapping[str, str] | None) -> None:
+            if answer:
+                self.lab.model = answer["model"]
+                self.app.push_screen(ProcessView(f"{title} {run.name}", command(answer["model"]), run.folder))
+
+        self.app.push_screen(Form(f"{title} {run.name}", fields, "The model of the machine whose missing physics is of interest.", title), go)
+
+
+def _existing(text: str) -> str:
+    path = Path(text.strip()).expanduser()
+    if not path.is_file():
+        raise ValueError("no such file")
+    return str(path.resolve())

@@ -68,7 +68,7 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
     def _new_program(self, plotted: list[str]) -> None:
         """Keep the curves that the new program still has; begin with the usual ones where there were none."""
         names = [name for name, _, _ in self.element_names()]
-        keep = [name for name in plotted if name in names]
+        keep = [name for name in plotted or self.lab.channels if name in names]
         if not keep:
             usual = [n for first in FIRST_CURVES for n in names if n == first or n.startswith(f"{first}[")]
             keep = usual[: 4 if self.has_class("-narrow") else 6]
