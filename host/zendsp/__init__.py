@@ -19,6 +19,7 @@ _LAZY = {
     "read_table": "zendsp.recording",
     "diagnose": "zendsp.diagnosis",
     "simulate": "zendsp.physics",
+    "simulate_loop": "zendsp.physics",
     "MatDSPconnect": "zendsp.matdsp",
     "MatDSPclose": "zendsp.matdsp",
     "MatDSPcompile": "zendsp.matdsp",
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     from zendsp.matdsp import MatDSPstop as MatDSPstop
     from zendsp.matdsp import MatDSPupdate as MatDSPupdate
     from zendsp.matdsp import MatDSPvariable as MatDSPvariable
+    from zendsp.physics import simulate as simulate
+    from zendsp.physics import simulate_loop as simulate_loop
     from zendsp.recording import Recording as Recording
     from zendsp.recording import read_table as read_table
 

@@ -1,1 +1,49 @@
-"""physics of zendsp."""
+"""Models of machines, the library of physical effects, simulation, calibration, and C for the ISR."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+# name -> module that holds it; imported on first use: a model file needs neither SciPy nor a compiler
+_LAZY = {
+    "Model": "zendsp.physics.model",
+    "load_model": "zendsp.physics.model_file",
+    "parse_model": "zendsp.physics.model_file",
+    "model_text": "zendsp.physics.model_file",
+    "Effect": "zendsp.physics.effects",
+    "library": "zendsp.physics.effects",
+    "load_effects": "zendsp.physics.effects",
+    "Plant": "zendsp.physics.simulate_plant",
+    "simulate": "zendsp.physics.simulate_run",
+    "simulate_loop": "zendsp.physics.simulate_run",
+    "compensation": "zendsp.physics.codegen",
+    "model_code": "zendsp.physics.codegen",
+    "inverse_dynamics": "zendsp.physics.codegen_model",
+}
+
+if TYPE_CHECKING:
+    from zendsp.physics.codegen import compensation as compensation
+    from zendsp.physics.codegen import model_code as model_code
+    from zendsp.physics.codegen_model import inverse_dynamics as inverse_dynamics
+    from zendsp.physics.effects import Effect as Effect
+    from zendsp.physics.effects import library as library
+    from zendsp.physics.effects import load_effects as load_effects
+    from zendsp.physics.model import Model as Model
+    from zendsp.physics.model_file import load_model as load_model
+    from zendsp.physics.model_file import model_text as model_text
+    from zendsp.physics.model_file import parse_model as parse_model
+    from zendsp.physics.simulate_plant import Plant as Plant
+    from zendsp.physics.simulate_run import simulate as simulate
+    from zendsp.physics.simulate_run import simulate_loop as simulate_loop
+
+__all__ = sorted(_LAZY)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from its module on first use."""
+    if name not in _LAZY:
+        raise AttributeError(f"module 'zendsp.physics' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_LAZY[name]), name)
+    globals()[name] = value
+    return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from zendsp.physics.codegen_terms import Line, Variable, compensable, declare, kernel_terms, lines, why_not
@@ -129,3 +130,103 @@ def _comment(text: str) -> str:
     """The first lines of a C comment, left open; nothing in them can end it."""
     safe = text.replace("*/", "* /").replace("/*", "/ *").split("\n")
     return "\n".join(["/* " + safe[0], *(f" * {line}".rstrip() for line in safe[1:])])
+
+
+def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
+    """A whole model as C functions for the ISR: inverse dynamics, gravity, friction, and every effect that a torque can cancel.
+
+    The text defines ``ModelInit()``, to be called in ``UserInit``; ``ModelTorque(q, qd, qdd, tau)``, the torque of a motion;
+    ``ModelGravity(q, tau)``; ``ModelEffects(q, qd, qdd, tau, extra)``, what friction and the other effects take while ``tau`` acts; and
+    ``MODEL_JOINTS``. Every number is a parameter that can be changed while the program runs.
+
+    Parameters
+    ----------
+    model : Model
+    sign_speed : float
+        Initial value of ``model_sign_speed``, rad/s: dry friction is level · tanh(qd / model_sign_speed); 0 is a hard sign.
+
+    Returns
+    -------
+    str
+        C source to be included after ``isr.h``.
+
+    Raises
+    ------
+    ModelError
+        A model of kind "python".
+
+    Examples
+    --------
+    >>> from zendsp.physics import parse_model
+    >>> bench = parse_model({"name": "bench", "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
+    >>> "tau[0] = model_inertia1 * qdd[0] + 0.0;" in model_code(bench)
+    True
+    """
+    from zendsp.physics.codegen_model import rigid_code
+    from zendsp.physics.simulate_plant import joint_count
+
+    n = joint_count(model)
+    kinds = [model.joint_kind(j + 1) for j in range(n)]
+    numbers, rigid, arrays, note = rigid_code(model)
+    made = lines(kernel_terms(model), "model", kinds=kinds, actuator=model.actuator)
+    numbers += [Variable("model_sign_speed", sign_speed, "rad/s", "speed over which dry friction changes its sign; 0: at once")]
+    numbers += [v for line in made for v in line.variables]
+    defined, declared = declare(numbers)
+    left_out = [f"   Not in it: {t.effect} of joint {t.joint} ({why_not(t.effect)})." for t in model.terms if not compensable(t)]
+    about = "\n".join([f"The model {model.name!r} for the ISR: {note}.", *left_out])
+    effects = "".join(_extra(line) for line in made if not line.inverse)
+    inverse = "".join(
+        f"    {{\n        const double wanted = tau[{line.joint}];\n        tau[{line.joint}] = {line.expression}; /* {line.comment} */\n    }}\n"
+        for line in made
+        if line.inverse
+    )
+    return _MODEL.format(
+        about=_comment(about), joints=n, defined=defined, sign=sign_function("model"), rigid=rigid,
+        declared="\n".join(part for part in (declared, arrays) if part), effects=effects, inverse=inverse,
+    )  # fmt: skip
+
+
+_MODEL = """{about}
+ *
+ *     #include "isr.h"
+ *     #include "model.c"
+ *     … UserInit:      ModelInit();
+ *     … UserISR_INT2:  ModelTorque(q, qd, a, tau);     computed torque for the accelerations a
+ */
+#include "isr.h"
+
+enum {{ MODEL_JOINTS = {joints} }};
+
+{defined}
+
+{sign}
+
+{rigid}
+static inline void ModelInit(void) {{
+{declared}
+}}
+
+/* Friction and the other effects, N m (N), while the torque `tau` acts. */
+static inline void ModelEffects(const double *q, const double *qd, const double *qdd, const double *tau, double *extra) {{
+    (void)q, (void)qd, (void)qdd, (void)tau;
+    for (int j = 0; j < MODEL_JOINTS; j++)
+        extra[j] = 0.0;
+{effects}}}
+
+/* Gravity alone, N m (N). */
+static inline void ModelGravity(const double *q, double *tau) {{ model_gravity(q, q, q, tau); }}
+
+/* Inverse dynamics: the command, as torque, that gives the accelerations qdd. */
+static inline void ModelTorque(const double *q, const double *qd, const double *qdd, double *tau) {{
+    double extra[MODEL_JOINTS];
+    model_rigid(q, qd, qdd, tau);
+    ModelEffects(q, qd, qdd, tau, extra);
+    for (int j = 0; j < MODEL_JOINTS; j++)
+        tau[j] += extra[j];
+{inverse}}}
+"""
+
+
+def _extra(line: Line) -> str:
+    expression = re.sub(r"\btau\b", f"tau[{line.joint}]", line.expression)
+    return f"    extra[{line.joint}] += {expression}; /* {line.comment} */\n"

@@ -1,0 +1,554 @@
+/* A machine as its model file describes it, forward in time: coupled rigid bodies and every effect of the library.
+ *
+ * Completed at build time: EFFECT_FUNCTIONS becomes one small function per physical effect (see effects/), EFFECT_CASES_* the
+ * switches that call them. simulate_tree.h goes before it.
+ *
+ * Scheme: implicit midpoint in two stages. Position halfway is q + h/2 v; a half step from there gives the speed halfway, at which
+ * all forces are taken for the full step. Linear damping, springs in the transmission and bristles are implicit (stable at any
+ * step). Dry friction is set-valued and coupled through M(q): the speed at the end solves A v + h λ = b, λ in friction's interval,
+ * exactly (a joint that friction can hold does not move). Second order in h away from impacts.
+ *
+ * Units: rad or m, s, N m or N. Joints from 0.
+ */
+#include <stdint.h> /* int32_t */
+#include <stdlib.h> /* calloc, free */
+#include <string.h> /* memset, memcpy */
+
+enum { SIM_MAX = 8, SIM_DOF = 2 * SIM_MAX, SIM_P = 6 };
+enum { SIM_DIAGONAL = 0, SIM_PLANAR2R = 1, SIM_TREE = 2 };
+
+typedef struct sim_config {
+    int32_t joints, kind, inner; /* inner: integration steps per sample */
+    int32_t load_sensor;         /* 1: the sensor sits on the load side of an elastic joint */
+    int32_t hold;                /* samples for which a command is held */
+    int32_t effects;
+    double period, t0;           /* s */
+    double delay;                /* s, of every command */
+    double p1, p2, p3;           /* planar2r, kg m^2 */
+    double gravity[3];           /* tree, m/s^2 */
+    double inertia[SIM_MAX], weight[SIM_MAX];      /* diagonal: kg m^2 or kg; torque = weight sin(q) */
+    double gain[SIM_MAX], limit[SIM_MAX];          /* torque per command unit; command units, 0: none */
+    double resolution[SIM_MAX];                    /* of the sensor, 0: continuous */
+    double command_matrix[SIM_MAX * SIM_MAX];      /* joint command = matrix command */
+    double sensor_matrix[SIM_MAX * SIM_MAX];       /* measured = matrix (joint - offset) */
+    double sensor_offset[SIM_MAX];
+    double q0[SIM_MAX], qd0[SIM_MAX];
+    const double *tree;          /* TREE_ROW numbers a joint */
+    const int32_t *effect, *effect_joint; /* index into the library; joint, ascending */
+    const double *effect_p;      /* SIM_P numbers an effect */
+} sim_config;
+
+typedef struct { /* what an effect may look at (the names that the effects' C uses) */
+    double q, qd, qdd, t;
+    double u, tau;
+    double oq, oqd, oqdd;
+    double lag_t;
+} zs;
+
+typedef struct sim_joint { /* what the effects of site "setup" set, and states */
+    double delay, lag, k_spring, c_spring, j_load, gap, s0, s1, bw_force, bw_a, bw_n, j_extra;
+    int two_mass, lag_on;
+    int motor;          /* degree of freedom on the motor side; the joint's own where it is rigid */
+    double j_motor;     /* inertia on the motor side of an elastic joint */
+    double z, hyst, a;  /* bristle, hysteresis, lagged command */
+    double u, tau;      /* command and torque in this step */
+} sim_joint;
+
+typedef struct sim {
+    sim_config c;
+    sim_joint j[SIM_MAX];
+    int dof, ticks, room;
+    int first[SIM_MAX + 1];        /* effects of joint i: first[i] … first[i + 1] */
+    double x[SIM_DOF], v[SIM_DOF]; /* position and speed: joints (load side), then motors of elastic joints */
+    double across[SIM_MAX][SIM_MAX]; /* inertia couplings of the effects */
+    double *ucum;                  /* room + 1 rows of joints: integral of the held command */
+    double held[SIM_MAX];
+    double torque[SIM_MAX];        /* mean over the last sample */
+} sim;
+
+static inline double sgn(double x) { return (x > 0) - (x < 0); }
+static inline double soft(double v, double lim) { return v > lim ? v - lim : v < -lim ? v + lim : 0.0; }
+
+/* EFFECT_FUNCTIONS */
+
+typedef struct { double smooth, dry_pos, dry_neg, visc; } sim_force;
+
+/* Torque of all effects of one joint that opposes the drive, at the state in s. visc: N m s/rad. */
+static void gather(const sim *S, int joint, const double *x, const double *v, zs s, sim_force *f) {
+    double visc = 0, dry_scale = 1, visc_scale = 1;
+    zs w = s; /* a viscous effect is a torque; its slope is wanted, also at rest */
+    if (fabs(w.qd) < 1e-9)
+        w.qd = w.qd < 0 ? -1e-9 : 1e-9;
+    memset(f, 0, sizeof *f);
+    for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
+        const double *p = S->c.effect_p + i * SIM_P;
+        switch (S->c.effect[i]) {
+/* EFFECT_CASES_FORCE */
+        default: break;
+        }
+    }
+    f->dry_pos = f->dry_pos * dry_scale > 0 ? f->dry_pos * dry_scale : 0;
+    f->dry_neg = f->dry_neg * dry_scale > 0 ? f->dry_neg * dry_scale : 0;
+    f->visc = visc / w.qd * visc_scale;
+    (void)x, (void)v;
+}
+
+static double act(const sim *S, int joint, double u) {
+    const double limit = S->c.limit[joint];
+    if (limit > 0)
+        u = u > limit ? limit : u < -limit ? -limit : u;
+    for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
+        const double *p = S->c.effect_p + i * SIM_P;
+        switch (S->c.effect[i]) {
+/* EFFECT_CASES_ACTUATOR */
+        default: break;
+        }
+    }
+    return S->c.gain[joint] * u;
+}
+
+static double sense(const sim *S, int joint, double q) {
+    zs s;
+    memset(&s, 0, sizeof s);
+    s.q = q;
+    double out = q;
+    for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
+        const double *p = S->c.effect_p + i * SIM_P;
+        switch (S->c.effect[i]) {
+/* EFFECT_CASES_SENSOR */
+        default: break;
+        }
+    }
+    return out;
+}
+
+static void setup_joint(sim *S, int joint) {
+    double delay = 0, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0, s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1;
+    double j_extra = 0;
+    int two_mass = 0, lag_on = 0;
+    for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
+        const double *p = S->c.effect_p + i * SIM_P;
+        switch (S->c.effect[i]) {
+/* EFFECT_CASES_SETUP */
+        default: break;
+        }
+    }
+    sim_joint *j = &S->j[joint];
+    *j = (sim_joint){.delay = delay + S->c.delay, .lag = lag, .k_spring = k_spring, .c_spring = c_spring, .j_load = j_load,
+                     .gap = gap, .s0 = s0, .s1 = s1, .bw_force = bw_force, .bw_a = bw_a, .bw_n = bw_n, .j_extra = j_extra,
+                     .two_mass = two_mass, .lag_on = lag_on && lag > 0, .motor = joint};
+}
+
+/* Rigid-body inertia M (n x n) of the joints at x. */
+static void inertia(const sim *S, const double *x, tree_pose *pose, double *M) {
+    const int n = S->c.joints;
+    if (S->c.kind == SIM_TREE) {
+        tree_place(n, S->c.tree, x, pose);
+        tree_mass(n, S->c.tree, pose, M);
+    } else if (S->c.kind == SIM_PLANAR2R) {
+        const double c = S->c.p3 * cos(x[1]);
+        M[0] = S->c.p1 + 2 * c;
+        M[1] = M[2] = S->c.p2 + c;
+        M[3] = S->c.p2;
+    } else {
+        for (int i = 0; i < n * n; i++)
+            M[i] = i % (n + 1) == 0 ? S->c.inertia[i / (n + 1)] : 0.0;
+    }
+}
+
+/* Coriolis, centrifugal and gravity torque. */
+static void bias(const sim *S, const double *x, const double *v, const tree_pose *pose, double *out) {
+    if (S->c.kind == SIM_TREE)
+        tree_torque(S->c.joints, S->c.tree, pose, S->c.gravity, v, 0, out);
+    else if (S->c.kind == SIM_PLANAR2R) {
+        const double s = S->c.p3 * sin(x[1]);
+        out[0] = -s * v[1] * (2 * v[0] + v[1]);
+        out[1] = s * v[0] * v[0];
+    } else
+        for (int i = 0; i < S->c.joints; i++)
+            out[i] = S->c.weight[i] != 0 ? S->c.weight[i] * sin(x[i]) : 0.0;
+}
+
+/* Gaussian elimination without pivoting (A is positive definite up to the effects' couplings); rows and columns of joints that
+ * friction holds are left out. Solution in v. */
+static void eliminate(int n, const double *A, const double *b, const int8_t *stuck, double *v) {
+    int at[SIM_DOF], m = 0;
+    for (int i = 0; i < n; i++) {
+        v[i] = 0;
+        if (!stuck[i])
+            at[m++] = i;
+    }
+    double B[SIM_DOF * SIM_DOF], r[SIM_DOF];
+    for (int i = 0; i < m; i++) {
+        r[i] = b[at[i]];
+        for (int k = 0; k < m; k++)
+            B[i * m + k] = A[at[i] * n + at[k]];
+    }
+    for (int i = 0; i < m; i++)
+        for (int k = i + 1; k < m; k++) {
+            const double f = B[k * m + i] / B[i * m + i];
+            if (f == 0)
+                continue;
+            for (int l = i + 1; l < m; l++)
+                B[k * m + l] -= f * B[i * m + l];
+            r[k] -= f * r[i];
+        }
+    for (int i = m - 1; i >= 0; i--) {
+        for (int l = i + 1; l < m; l++)
+            r[i] -= B[i * m + l] * r[l];
+        r[i] /= B[i * m + i];
+    }
+    for (int i = 0; i < m; i++)
+        v[at[i]] = r[i];
+}
+
+/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest. v comes in as a guess. */
+static void solve(int n, const double *A, const double *b, const double *up, const double *down, double *v) {
+    if (n == 1) {
+        v[0] = (b[0] > up[0] ? b[0] - up[0] : b[0] < -down[0] ? b[0] + down[0] : 0) / A[0];
+        return;
+    }
+    int8_t side[SIM_DOF], stuck[SIM_DOF];
+    double r[SIM_DOF];
+    int dry = 0;
+    for (int i = 0; i < n; i++) {
+        dry |= up[i] > 0 || down[i] > 0;
+        side[i] = v[i] > 0 ? 1 : v[i] < 0 ? -1 : 0;
+        if (up[i] <= 0 && down[i] <= 0)
+            side[i] = 2; /* free: no sign to keep */
+    }
+    for (int trial = 0; trial < 12; trial++) {
+        for (int i = 0; i < n; i++) {
+            stuck[i] = side[i] == 0;
+            r[i] = b[i] - (side[i] == 1 ? up[i] : side[i] == -1 ? -down[i] : 0);
+        }
+        eliminate(n, A, r, stuck, v);
+        if (!dry)
+            return;
+        int changed = 0;
+        for (int i = 0; i < n; i++) {
+            if (side[i] == 2)
+                continue;
+            if (side[i] != 0) {
+                if (v[i] * side[i] < 0) {
+                    side[i] = 0;
+                    changed = 1;
+                }
+                continue;
+            }
+            double load = b[i];
+            for (int k = 0; k < n; k++)
+                load -= A[i * n + k] * v[k];
+            if (load > up[i])
+                side[i] = 1, changed = 1;
+            else if (load < -down[i])
+                side[i] = -1, changed = 1;
+        }
+        if (!changed)
+            return;
+    }
+    for (int sweep = 0; sweep < 200; sweep++) { /* it cycled (many joints at the edge at once): converge slowly but surely */
+        double change = 0, size = 0;
+        for (int i = 0; i < n; i++) {
+            double load = b[i];
+            for (int k = 0; k < n; k++)
+                if (k != i)
+                    load -= A[i * n + k] * v[k];
+            const double next = (load > up[i] ? load - up[i] : load < -down[i] ? load + down[i] : 0) / A[i * n + i];
+            change = fmax(change, fabs(next - v[i]));
+            size = fmax(size, fabs(next));
+            v[i] = next;
+        }
+        if (change <= 1e-14 * size)
+            return;
+    }
+}
+
+/* Bouc-Wen variable after h at constant speed, and its mean on the way. */
+static double hysteresis(const sim_joint *j, double z, double speed, double h, double *mean) {
+    const double way = j->bw_a * fabs(speed) * h;
+    const int steps = 1 + (way > 8 ? 63 : (int)(8 * way));
+    double sum = 0;
+    for (int i = 0; i < steps; i++) {
+        const double d = h / steps;
+        double rate = 0, at = z;
+        for (int stage = 0; stage < 2; stage++) {
+            const double size = pow(fabs(at), j->bw_n);
+            rate = j->bw_a * (speed - 0.5 * fabs(speed) * size * sgn(at) - 0.5 * speed * size);
+            at = z + 0.5 * d * rate;
+        }
+        double next = z + d * rate;
+        next = next > 1 ? 1 : next < -1 ? -1 : next;
+        sum += 0.5 * (z + next);
+        z = next;
+    }
+    *mean = sum / steps;
+    return z;
+}
+
+/* (1 - exp(-x)) / x and (1 - that) / x, without cancellation near 0. */
+static void decay(double x, double *phi, double *psi) {
+    if (x < 1e-4) {
+        *phi = 1 - 0.5 * x + x * x / 6;
+        *psi = 0.5 - x / 6 + x * x / 24;
+    } else {
+        *phi = -expm1(-x) / x;
+        *psi = (1 - *phi) / x;
+    }
+}
+
+/* Speeds after H seconds from speeds v, forces at (xm, ve). M: joints' inertia at xm. keep: also advance bristles and hysteresis. */
+static void stage(sim *S, double H, double t, const double *M, const tree_pose *pose, const double *xm, const double *v,
+                  const double *ve, double *out, int keep) {
+    const int n = S->c.joints, N = S->dof;
+    double A[SIM_DOF * SIM_DOF], b[SIM_DOF], up[SIM_DOF], down[SIM_DOF], g[SIM_MAX];
+    double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX];
+    bias(S, xm, ve, pose, g);
+    for (int i = 0; i < N; i++) {
+        up[i] = down[i] = 0;
+        for (int k = 0; k < N; k++)
+            A[i * N + k] = 0;
+    }
+    for (int i = 0; i < n; i++) {
+        for (int k = 0; k < n; k++)
+            A[i * N + k] = M[i * n + k] + S->across[i][k];
+        const sim_joint *j = &S->j[i];
+        if (j->motor != i) {
+            A[i * N + i] -= j->j_motor;
+            A[j->motor * N + j->motor] = j->j_motor;
+        }
+        A[j->motor * N + j->motor] += j->j_extra;
+    }
+    for (int i = 0; i < N; i++) {
+        b[i] = i < n ? -H * g[i] : 0;
+        for (int k = 0; k < N; k++)
+            b[i] += A[i * N + k] * v[k];
+    }
+    for (int i = 0; i < n; i++) {
+        const sim_joint *j = &S->j[i];
+        const int m = j->motor;
+        zs s = {.q = xm[m], .qd = ve[m], .t = t, .u = j->u, .tau = j->tau, .lag_t = H};
+        sim_force f;
+        gather(S, i, xm, ve, s, &f);
+        double slope = f.visc, push = j->tau - f.smooth; /* slope: implicit damping, taken at the mean of old and new speed */
+        if (j->bw_force > 0) {
+            double mean;
+            zh[i] = hysteresis(j, j->hyst, ve[m], H, &mean);
+            push -= j->bw_force * mean;
+        }
+        const double level = ve[m] > 0 || (ve[m] == 0 && j->z > 0) ? f.dry_pos : f.dry_neg;
+        if (j->s0 > 0 && level > 0) {
+            double psi;
+            const double x = H * j->s0 * fabs(ve[m]) / level;
+            decay(x, &phi[i], &psi);
+            E[i] = exp(-x);
+            push -= j->s0 * j->z * phi[i] + j->s1 * j->z * (E[i] - 1) / H;
+            slope += j->s0 * H * psi + j->s1 * phi[i];
+        } else {
+            up[m] = H * f.dry_pos;
+            down[m] = H * f.dry_neg;
+            E[i] = phi[i] = 0;
+        }
+        A[m * N + m] += 0.5 * H * slope;
+        b[m] += H * (push - 0.5 * slope * v[m]);
+        if (m != i) { /* spring between motor and load, contact judged halfway */
+            const double twist = S->x[m] - S->x[i], rate = v[m] - v[i];
+            const double open = soft(twist + 0.5 * H * rate, 0.5 * j->gap);
+            if (j->gap <= 0 || open != 0) {
+                const double rest = twist - (twist + 0.5 * H * rate - open); /* measured from the edge of the gap */
+                const double c = 0.5 * H * j->k_spring + j->c_spring;
+                A[m * N + m] += 0.5 * H * c;
+                A[i * N + i] += 0.5 * H * c;
+                A[m * N + i] -= 0.5 * H * c;
+                A[i * N + m] -= 0.5 * H * c;
+                b[m] -= H * (j->k_spring * rest + 0.5 * c * rate);
+                b[i] += H * (j->k_spring * rest + 0.5 * c * rate);
+            }
+        }
+    }
+    memcpy(out, v, sizeof(double) * (size_t)N);
+    solve(N, A, b, up, down, out);
+    if (!keep)
+        return;
+    for (int i = 0; i < n; i++) {
+        sim_joint *j = &S->j[i];
+        const double mean = 0.5 * (v[j->motor] + out[j->motor]);
+        if (j->bw_force > 0)
+            j->hyst = zh[i];
+        if (j->s0 > 0)
+            j->z = j->z * E[i] + phi[i] * H * mean;
+    }
+}
+
+/* Integral of the held command of a joint up to time t since the first sample; no command before it. */
+static double cum(const sim *S, int joint, double t) {
+    const double x = t / S->c.period;
+    if (x <= 0)
+        return 0;
+    int i = (int)x;
+    if (i >= S->ticks)
+        i = S->ticks - 1;
+    const double *u = S->ucum + (size_t)i * S->c.joints + joint;
+    return u[0] + (x - i) * (u[S->c.joints] - u[0]);
+}
+
+static void inner_step(sim *S, double tl, double h) {
+    const int n = S->c.joints;
+    for (int i = 0; i < n; i++) {
+        sim_joint *j = &S->j[i];
+        double u = j->delay == 0 ? S->held[i] : (cum(S, i, tl + h - j->delay) - cum(S, i, tl - j->delay)) / h;
+        if (j->lag_on) {
+            const double ex = exp(-h / j->lag), mean = u + (j->a - u) * (j->lag / h) * (1 - ex);
+            j->a = u + (j->a - u) * ex;
+            u = mean;
+        }
+        j->u = u;
+        j->tau = act(S, i, u);
+        S->torque[i] += j->tau / S->c.inner;
+    }
+    double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF];
+    tree_pose pose;
+    for (int i = 0; i < S->dof; i++)
+        xm[i] = S->x[i] + 0.5 * h * S->v[i];
+    inertia(S, xm, &pose, M);
+    const double t = S->c.t0 + tl + 0.5 * h;
+    stage(S, 0.5 * h, t, M, &pose, xm, S->v, S->v, vm, 0);
+    stage(S, h, t, M, &pose, xm, S->v, vm, vn, 1);
+    for (int i = 0; i < S->dof; i++) {
+        S->x[i] += 0.5 * h * (S->v[i] + vn[i]);
+        S->v[i] = vn[i];
+    }
+}
+
+/* A machine at rest at its start. room: samples to come. NULL: out of memory. */
+sim *sim_new(const sim_config *c, int room) {
+    sim *S = calloc(1, sizeof *S);
+    double *ucum = calloc((size_t)(room + 1) * (size_t)c->joints, sizeof *ucum);
+    if (!S || !ucum) {
+        free(S);
+        free(ucum);
+        return 0;
+    }
+    S->c = *c;
+    S->ucum = ucum;
+    S->room = room;
+    S->dof = c->joints;
+    for (int i = 0; i < c->effects; i++)
+        for (int k = c->effect_joint[i]; k < c->joints; k++)
+            S->first[k + 1]++;
+    double M[SIM_MAX * SIM_MAX];
+    tree_pose pose;
+    inertia(S, c->q0, &pose, M);
+    for (int i = 0; i < c->joints; i++) {
+        setup_joint(S, i);
+        S->x[i] = c->q0[i];
+        S->v[i] = c->qd0[i];
+        sim_joint *j = &S->j[i];
+        if (j->two_mass) { /* the motor has what the load has not, as in kernel.c */
+            const double all = M[i * c->joints + i];
+            j->j_motor = all - j->j_load > 0.02 * all ? all - j->j_load : 0.02 * all;
+            j->motor = S->dof++;
+            S->x[j->motor] = c->q0[i];
+            S->v[j->motor] = c->qd0[i];
+        }
+    }
+    for (int i = 0; i < c->effects; i++) {
+        const double *p = c->effect_p + i * SIM_P;
+        const int joint = c->effect_joint[i];
+        switch (c->effect[i]) {
+/* EFFECT_CASES_ACROSS */
+        default: break;
+        }
+        (void)p, (void)joint;
+    }
+    return S;
+}
+
+void sim_free(sim *S) {
+    if (S)
+        free(S->ucum);
+    free(S);
+}
+
+/* True motion of the side that the sensor sees, and the torque of the last sample. */
+void sim_truth(const sim *S, double *q, double *qd, double *torque) {
+    for (int i = 0; i < S->c.joints; i++) {
+        const int at = S->c.load_sensor ? i : S->j[i].motor;
+        q[i] = S->x[at];
+        qd[i] = S->v[at];
+        torque[i] = S->torque[i];
+    }
+}
+
+/* What the sensors say: measured (own coordinates, quantised), counts (0 where continuous). */
+void sim_measure(const sim *S, double *measured, int32_t *counts) {
+    const int n = S->c.joints;
+    double joint[SIM_MAX];
+    for (int i = 0; i < n; i++)
+        joint[i] = sense(S, i, S->x[S->c.load_sensor ? i : S->j[i].motor]) - S->c.sensor_offset[i];
+    for (int i = 0; i < n; i++) {
+        double m = 0;
+        for (int k = 0; k < n; k++)
+            m += S->c.sensor_matrix[i * n + k] * joint[k];
+        const double step = S->c.resolution[i];
+        counts[i] = step > 0 ? (int32_t)floor(m / step + 0.5) : 0;
+        measured[i] = step > 0 ? counts[i] * step : m;
+    }
+}
+
+/* One sample with a command (own unit and coordinates). Returns 0, or 1 where the motion ran away. */
+int sim_advance(sim *S, const double *command) {
+    const int n = S->c.joints, k = S->ticks;
+    if (k >= S->room)
+        return 2;
+    if (k % S->c.hold == 0)
+        for (int i = 0; i < n; i++) {
+            double u = 0;
+            for (int l = 0; l < n; l++)
+                u += S->c.command_matrix[i * n + l] * command[l];
+            S->held[i] = u;
+        }
+    for (int i = 0; i < n; i++) {
+        S->ucum[(size_t)(k + 1) * n + i] = S->ucum[(size_t)k * n + i] + S->held[i] * S->c.period;
+        S->torque[i] = 0;
+    }
+    S->ticks++;
+    const double h = S->c.period / S->c.inner;
+    for (int i = 0; i < S->c.inner; i++)
+        inner_step(S, k * S->c.period + i * h, h);
+    for (int i = 0; i < S->dof; i++)
+        if (!(fabs(S->x[i]) < 1e5 && fabs(S->v[i]) < 1e7))
+            return 1;
+    return 0;
+}
+
+/* Closed loop: command = ff + kp (r - y) - kd rate + ki sum, rate the filtered difference of what the sensor says (cutoff in Hz,
+ * 0: unfiltered), limited at `most` where that is above 0. Rows of n. Returns the rows completed. */
+int sim_loop(sim *S, int rows, const double *r, const double *ff, const double *kp, const double *kd, const double *ki,
+             double cutoff, const double *most, double *measured, double *command, double *q, double *qd, double *torque) {
+    const int n = S->c.joints;
+    const double T = S->c.period, mix = cutoff > 0 ? 1 - exp(-6.283185307179586 * cutoff * T) : 1;
+    double rate[SIM_MAX] = {0}, last[SIM_MAX] = {0}, sum[SIM_MAX] = {0};
+    int32_t counts[SIM_MAX];
+    for (int k = 0; k < rows; k++) {
+        const size_t at = (size_t)k * n;
+        double *y = measured + at, *u = command + at;
+        sim_measure(S, y, counts);
+        double unused[SIM_MAX];
+        sim_truth(S, q + at, qd + at, unused);
+        for (int i = 0; i < n; i++) {
+            if (k)
+                rate[i] += mix * ((y[i] - last[i]) / T - rate[i]);
+            last[i] = y[i];
+            sum[i] += ki[i] * T * (r[at + i] - y[i]);
+            u[i] = ff[at + i] + kp[i] * (r[at + i] - y[i]) - kd[i] * rate[i] + sum[i];
+            if (most[i] > 0)
+                u[i] = u[i] > most[i] ? most[i] : u[i] < -most[i] ? -most[i] : u[i];
+        }
+        const int bad = sim_advance(S, u);
+        memcpy(torque + at, S->torque, sizeof(double) * (size_t)n);
+        if (bad)
+            return k + 1;
+    }
+    return rows;
+}

@@ -1,0 +1,218 @@
+"""A model file as the simulator's C takes it, and one simulated machine that can be stepped."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+from zendsp.physics.codegen_terms import kernel_terms
+from zendsp.physics.effects import get_effect
+from zendsp.physics.model import Model, per_joint
+from zendsp.physics.rigid import urdf_path
+from zendsp.physics.simulate_native import (
+    MAX_JOINTS,
+    MAX_PARAMETERS,
+    TREE_ROW,
+    SimulatorLibrary,
+    simulator_library,
+)
+
+Array = npt.NDArray[np.float64]
+
+KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2}
+INNER = 4  # integration steps per sample where nothing else is asked for
+
+
+@lru_cache(maxsize=16)
+def _tree(path: str, _changed: float) -> tuple[Array, Array]:
+    import pinocchio as pin  # imports 0.3 s: only where a URDF is used
+
+    try:
+        robot = pin.buildModelFromUrdf(path)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"{path}: is not a URDF that Pinocchio reads: {error}") from error
+    if robot.nq != robot.nv:
+        raise ModelError(f"{path}: has a joint of more than one degree of freedom, or a continuous one: use revolute with limits")
+    if robot.nv > MAX_JOINTS:
+        raise ModelError(f"{path}: has {robot.nv} joints; the simulator takes at most {MAX_JOINTS}")
+    rows = np.zeros((robot.nv, TREE_ROW))
+    for k in range(1, robot.njoints):
+        row, joint, placement, body = rows[k - 1], robot.joints[k], robot.jointPlacements[k], robot.inertias[k]
+        name = joint.shortname()
+        motion = np.asarray(joint.createData().S).ravel()
+        if motion.shape != (6,):
+            raise ModelError(f"{path}: joint {robot.names[k]} is {name}; expected revolute or prismatic")
+        slides = bool(np.abs(motion[:3]).max() > 0.5)
+        row[0] = robot.parents[k] - 1
+        row[1] = slides
+        row[2:5] = motion[:3] if slides else motion[3:]
+        row[5:14] = np.asarray(placement.rotation).ravel()
+        row[14:17] = placement.translation
+        row[17], row[18:21] = body.mass, body.lever
+        I = np.asarray(body.inertia)
+        row[21:27] = I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
+        row[27] = robot.armature[k - 1]
+    return rows, np.array(robot.gravity.linear, dtype=np.float64)
+
+
+def tree_of(model: Model) -> tuple[Array, Array]:
+    """The links of a URDF model.
+
+    Parameters
+    ----------
+    model : Model
+        Of kind "urdf".
+
+    Returns
+    -------
+    rows : ndarray, shape (joints, 28)
+        As simulate_tree.h describes them.
+    gravity : ndarray, shape (3,), m/s^2
+
+    Raises
+    ------
+    ModelError
+        No such file, not a URDF, or joints that are neither revolute nor prismatic.
+    """
+    path = urdf_path(model)
+    rows, gravity = _tree(path, Path(path).stat().st_mtime)
+    return rows.copy(), gravity.copy()
+
+
+def joint_count(model: Model) -> int:
+    """Number of joints of a model, also of a URDF whose columns name none."""
+    return len(tree_of(model)[0]) if model.kind == "urdf" else model.joints
+
+
+def _mechanism(model: Model, key: str, joints: int) -> list[float]:
+    items = model.mechanism.get(key, ())
+    return [per_joint(tuple(q.value for q in items), j + 1, 0.0) for j in range(joints)]
+
+
+def _square(rows: tuple[tuple[float, ...], ...], n: int, what: str) -> Array:
+    if not rows:
+        return np.eye(n)
+    matrix = np.array(rows, dtype=np.float64)
+    if matrix.shape != (n, n):
+        raise ModelError(f"{what} matrix is {matrix.shape[0]} x {matrix.shape[1]}; the machine has {n} joints")
+    return matrix
+
+
+class Plant:
+    """One simulated machine, stepped sample by sample.
+
+    Parameters
+    ----------
+    model : Model
+    samples : int
+        How many samples it will live.
+    inner : int
+        Integration steps per sample.
+    position, velocity : array_like, shape (joints,), optional
+        Where it starts, rad or m, and rad/s or m/s; 0 where absent.
+    t0 : float
+        Time of the first sample, s (friction that drifts needs it).
+
+    Raises
+    ------
+    ModelError
+        A model that the simulator cannot take: kind "python", no sample time, too many joints.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        samples: int,
+        *,
+        inner: int = INNER,
+        position: npt.ArrayLike | None = None,
+        velocity: npt.ArrayLike | None = None,
+        t0: float = 0.0,
+    ) -> None:
+        if model.kind not in KINDS:
+            raise ModelError(f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected {', '.join(KINDS)}")
+        if not model.sample_time:
+            raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
+        self.model, self.samples, self.period, self.inner = model, int(samples), float(model.sample_time), int(inner)
+        self.native: SimulatorLibrary = simulator_library()
+        self._keep: list[Any] = []
+        self.joints = joint_count(model)
+        if self.joints > MAX_JOINTS:
+            raise ModelError(f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}")
+        c = self.native.ffi.new("sim_config *")
+        self._fill(c, position, velocity, t0)
+        self.config = c
+        pointer = self.native.lib.sim_new(c, self.samples)
+        if pointer == self.native.ffi.NULL:
+            raise ModelError(f"{model.name}: no memory for {samples} samples")
+        self.pointer = self.native.ffi.gc(pointer, self.native.lib.sim_free)
+
+    def _fill(self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None, t0: float) -> None:
+        model, n = self.model, self.joints
+        c.joints, c.kind, c.inner, c.period, c.t0 = n, KINDS[model.kind], self.inner, self.period, t0
+        c.load_sensor = int(model.sensor.side == "load")
+        c.delay = model.actuator.delay
+        c.hold = max(1, round((model.actuator.hold or self.period) / self.period))
+        if model.kind == "urdf":
+            rows, gravity = tree_of(model)
+            c.tree = self._pointer(rows)
+            c.gravity = gravity.tolist()
+        elif model.kind == "planar2r":
+            c.p1, c.p2, c.p3 = (model.mechanism[k][0].value for k in ("p1", "p2", "p3"))
+        else:
+            c.inertia = _mechanism(model, "inertia" if model.kind == "rotary" else "mass", n)
+            c.weight = _mechanism(model, "gravity", n) if model.kind == "rotary" else [0.0] * n
+        for j in range(n):
+            c.gain[j] = per_joint(model.actuator.gain, j + 1, 1.0)
+            c.limit[j] = per_joint(model.actuator.limit, j + 1, 0.0)
+            c.resolution[j] = per_joint(model.sensor.resolution, j + 1, 0.0)
+            c.sensor_offset[j] = per_joint(model.sensor.offset, j + 1, 0.0)
+        for name, start in (("q0", position), ("qd0", velocity)):
+            values = np.zeros(n) if start is None else np.broadcast_to(np.asarray(start, dtype=np.float64), (n,))
+            setattr(c, name, values.tolist())
+        c.command_matrix = _square(model.actuator.matrix, n, "[actuator]").ravel().tolist()
+        c.sensor_matrix = np.linalg.inv(_square(model.sensor.matrix, n, "[sensor]")).ravel().tolist()
+        self._effects(c)
+
+    def _effects(self, c: Any) -> None:
+        terms = sorted(kernel_terms(self.model), key=lambda term: term.joint)
+        table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
+        kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(max(1, len(terms)), np.int32)
+        for i, term in enumerate(terms):
+            kinds[i], joints[i] = self.native.index[term.effect], term.joint - 1
+            for k, parameter in enumerate(get_effect(term.effect).parameters):
+                table[i, k] = term.value(parameter.name, parameter.default or 0.0)
+            if term.effect == "coupling":
+                table[i, 0] -= 1
+                if not 0 <= table[i, 0] < self.joints:
+                    raise ModelError(f"{self.model.name}: coupling from_joint = {table[i, 0] + 1:g}; expected 1 … {self.joints}")
+        c.effects = len(terms)
+        c.effect, c.effect_joint, c.effect_p = self._pointer(kinds), self._pointer(joints), self._pointer(table)
+
+    def _pointer(self, array: npt.NDArray[Any]) -> Any:
+        array = np.ascontiguousarray(array)
+        self._keep.append(array)
+        return self.native.ints(array) if array.dtype == np.int32 else self.native.doubles(array)
+
+    def measure(self) -> Array:
+        """What the sensors say now, in their own coordinates, shape (joints,)."""
+        measured, counts = np.empty(MAX_JOINTS), np.empty(MAX_JOINTS, np.int32)
+        self.native.lib.sim_measure(self.pointer, self.native.doubles(measured), self.native.ints(counts))
+        return measured[: self.joints].copy()
+
+    def truth(self) -> tuple[Array, Array, Array]:
+        """Position, speed, and torque of the last sample, each (joints,)."""
+        out = np.empty((3, MAX_JOINTS))
+        self.native.lib.sim_truth(self.pointer, *(self.native.doubles(row) for row in out))
+        q, qd, torque = out[:, : self.joints].copy()
+        return q, qd, torque
+
+    def advance(self, command: npt.ArrayLike) -> bool:
+        """Let one sample pass under a command (joints,); False where the motion ran away or its samples are used up."""
+        u = np.ascontiguousarray(np.broadcast_to(np.asarray(command, dtype=np.float64), (self.joints,)))
+        return int(self.native.lib.sim_advance(self.pointer, self.native.doubles(u))) == 0
