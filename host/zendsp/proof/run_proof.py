@@ -69,12 +69,7 @@ def run_proof(
     troubles = available() if with_peers else {}
     for method in METHODS:
         if method in troubles and not troubles[method]:
-            tried[method] = {}
-            asked = answers(
-                folders, folder / f"{method}.json", 1, limit, lambda f, _o, _l, m=method: ask_peer(m, f)
-            )
-            for name, answer in asked:
-                tried[method][name] = answer
+            tried[method] = dict(answers(folders, folder / f"{method}.json", 1, limit, asking(method)))
             tell(f"{method}: {len(tried[method])} cases")
     opened = open_truth(truth, stamp)
     tell("truth opened: the seals hold")
