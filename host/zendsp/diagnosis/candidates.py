@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable
 
 import numpy as np
 
+from zendsp.diagnosis.score import deviance
 from zendsp.diagnosis.screen import Candidate, Screen, make_term
 from zendsp.physics.effects import Effect, library
 from zendsp.physics.fit import Data, fit, joint_handles
@@ -72,30 +74,66 @@ def simulated(data: Data, model: Model, joint: int) -> list[list[Candidate]]:
             continue
         if effect.name == "presliding" and not present & set(DRY):
             continue
-        out.append([Candidate(effect.name, joint, (term,), (), math.nan) for term in starts(effect, joint, record, model)])
+        terms = scan(data, model, joint, effect, record)
+        if terms:
+            out.append([Candidate(effect.name, joint, (term,), (), math.nan) for term in terms])
     return out
+
+
+SCANS = {  # resonance as frequency in Hz, gap and deflection as a share of the span, the rest as a share of the scale
+    "elasticity": {"stiffness": (4.0, 8.0, 15.0, 30.0, 60.0), "load_inertia": (0.2, 0.45, 0.75)},
+    "backlash": {"gap": (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064), "stiffness": (20.0, 45.0), "load_inertia": (0.25, 0.5, 0.75)},
+    "presliding": {"stiffness": (10.0, 30.0, 100.0, 300.0, 1000.0)},
+    "hysteresis": {"force": (0.05, 0.15, 0.5), "stiffness": (3.0, 10.0, 30.0, 100.0, 300.0)},
+}
+
+
+def scan(data: Data, model: Model, joint: int, effect: Effect, record: JointRecord, keep: int = 2) -> list[Term]:
+    """The most likely start values on a coarse grid, one simulation each, the rest of the model as it stands."""
+    grid = SCANS.get(effect.name)
+    if grid is None:
+        return list(starts(effect, joint, record, model))
+    s = record.scale
+    inertia = float(np.mean(record.inertia_and_bias(model)[0]))
+    dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
+    scored = []
+    for numbers in itertools.product(*grid.values()):
+        point = dict(zip(grid, numbers, strict=True))
+        values = {}
+        share = point.get("load_inertia", 0.5)
+        for name, number in point.items():
+            if name == "stiffness" and "load_inertia" in grid:
+                values[name] = (2 * np.pi * number) ** 2 * inertia * share * (1 - share)
+            elif name == "stiffness":
+                force = dry if effect.name == "presliding" else point["force"] * s.torque
+                values[name] = number * force / s.position
+            elif name == "gap":
+                values[name] = number * s.position
+            elif name == "load_inertia":
+                values[name] = share * inertia
+            else:
+                values[name] = number * s.of(effect.parameter(name).size)
+        if "load_inertia" in grid:  # a gap is found from a lossy contact: a bouncing one has no gradient to follow
+            values["damping"] = (0.1 if effect.name == "elasticity" else 0.8) * math.sqrt(values["stiffness"] * values["load_inertia"])
+        if effect.name == "presliding":
+            values["damping"] = 0.1 * math.sqrt(values["stiffness"] * inertia)
+        term = make_term(effect, joint, values)
+        scored.append((deviance(data, model.with_terms((*model.terms, term)), (joint,)), len(scored), term))
+    scored.sort(key=lambda item: item[:2])
+    return [term for _, _, term in scored[:keep]]
 
 
 def starts(effect: Effect, joint: int, record: JointRecord, model: Model) -> Iterable[Term]:
     """Start values in SI units: resonances are given as -frequency in Hz, gaps as a share of the span, the rest in scales."""
     s = record.scale
     inertia = float(np.mean(record.inertia_and_bias(model)[0]))
-    dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
     for start in effect.starts:
         values = {}
         for name, number in start.items():
             if name == "stiffness" and number < 0:
                 values[name] = (2 * np.pi * -number) ** 2 * inertia * 0.24
-            elif name == "stiffness" and effect.name == "presliding":
-                values[name] = number * dry / s.position
             else:
                 values[name] = number * s.of(effect.parameter(name).size)
-        if effect.name == "elasticity":
-            values["damping"] = 0.05 * math.sqrt(values["stiffness"] * values["load_inertia"])
-        if effect.name == "presliding":
-            values["damping"] = 0.1 * math.sqrt(values["stiffness"] * inertia)
         yield make_term(effect, joint, values)
-        if effect.name == "hysteresis":
-            yield make_term(effect, joint, {**values, "exponent": 2.0})
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from zendsp.diagnosis.assemble import Assembled, assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.evidence import compare, torque_share
+from zendsp.diagnosis.evidence import compare, torque_share, unmodelled_torque
 from zendsp.diagnosis.findings import file_model, kernel_model
 from zendsp.diagnosis.naming import name_findings
 from zendsp.diagnosis.prepare import prepare
@@ -54,7 +54,8 @@ class Acceptance:
             strong = gain > 400 and held.gain > 0.02 * gain and held.z > 0.5  # active in a small part of the record
             if not strong:
                 return False
-        return torque_share(before, rival.scored, rival.joint) > MIN_SHARE
+        share = torque_share(before, rival.scored, rival.joint)
+        return share > max(MIN_SHARE, 0.5 * unmodelled_torque(rival.scored, rival.joint) if gain < 400 else 0.0)
 
 
 def diagnose(
@@ -120,17 +121,18 @@ def diagnose(
     whole = assemble(train, test, given, searches, jobs)
     outcome = judge(train, test, given, searches, whole, jobs)
     findings, rejected = name_findings(train, test, given, searches, whole, outcome, jobs, tell)
-    improved = whole.improved if outcome.verdict != "unexplained" or findings else whole.improved
+    verdict = "missing" if findings else outcome.verdict if outcome.verdict != "missing" else "complete"
+    improved = whole.improved if findings else whole.calibrated
     lacking = {j: mismatch(train, whole.calibrated, j) for j in range(1, given.joints + 1)}
     places, times = _where(lacking)
     tell("proposing the next recording")
     proposal = propose(train_signals, given, whole, searches, findings, outcome, seed)
     floor = noise_floor(test)
     return Diagnosis(
-        verdict=outcome.verdict,
+        verdict=verdict,
         findings=findings,
-        regions=places if outcome.verdict != "complete" else (),
-        times=times if outcome.verdict != "complete" else (),
+        regions=places if verdict != "complete" else (),
+        times=times if verdict != "complete" else (),
         unit="m" if given.joint_kind(1) == "linear" else "rad",
         estimation=_table(train, given, whole.calibrated, improved),
         heldout=_table(test, given, whole.calibrated, improved),
@@ -200,4 +202,4 @@ def _table(data: Data, given: Model, calibrated: Model, improved: Model) -> FitT
     return FitTable(*(float(np.float64(model_error(data, m))) for m in (given, calibrated, improved)))
 
 
-__all__ = ["Acceptance", "Assembled", "diagnose", "replace"]
+

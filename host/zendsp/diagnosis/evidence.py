@@ -32,26 +32,24 @@ class Evidence:
         return float(np.mean(self.blocks > 0)) if len(self.blocks) else 0.0
 
 
-def point_deviance(data: Data, model: Model, joint: int, scale: float) -> list[Array]:
-    """-2 log density of each sample that counts, per recording; 0 for the others. ``scale``: variance of the weighted innovations."""
-    out = []
+def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
+    """-2 log density of each sample that counts, per recording, with the noise scale that suits these recordings best."""
+    runs, total, count = [], 0.0, 0
     for rec in data.records:
         record = rec[joint - 1]
-        bandwidth = data.bandwidth[joint - 1]
-        r = run(record, model, bandwidth, inner=data.inner).innovations
-        w = record.gains(bandwidth)[2]
+        r = np.minimum(np.abs(run(record, model, data.bandwidth[joint - 1], inner=data.inner).innovations), 1e4)
+        runs.append((record, r))
+        total += float(r @ r)
+        count += int(record.counted.sum())
+    scale = max(total / max(count, 1), 1e-9)
+    out = []
+    for record, r in runs:
+        w = record.gains(data.bandwidth[joint - 1])[2]
+        value = r**2 / scale
         counted = record.counted
-        value = np.minimum(r**2, 1e8) / scale
         value[counted] += np.log(scale) - 2 * np.log(w[counted])
         out.append(value)
     return out
-
-
-def noise_scale(scored: Scored, joint: int) -> float:
-    """Variance of the weighted innovations in the recordings of the fit."""
-    r = scored.fit.residual
-    count = sum(int(rec[joint - 1].counted.sum()) for rec in scored.data.records)
-    return max(float(r @ r) / max(count, 1), 1e-9)
 
 
 def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
@@ -60,7 +58,7 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     Parameters
     ----------
     before, after : Scored
-        Each predicts with its own observer and noise scale, as found in its own fit.
+        Each predicts with its own observer, as found in its own fit.
     test : Data
     joint : int
         1-based.
@@ -76,7 +74,7 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
 
 def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
     data = test.at_bandwidth(joint, scored.data.bandwidth[joint - 1])
-    return point_deviance(data, scored.model, joint, noise_scale(scored, joint))
+    return point_deviance(data, scored.model, joint)
 
 
 def evidence(differences: Sequence[Array], data: Data) -> Evidence:
@@ -117,3 +115,16 @@ def torque_share(before: Scored, after: Scored, joint: int, bandwidth: float = 3
         count += record.n - skip
         scale = max(record.scale.torque, 1e-300)
     return float(np.sqrt(squares / max(count, 1))) / scale
+
+
+def unmodelled_torque(scored: Scored, joint: int) -> float:
+    """Process noise that a model needs, as a torque within the observer's band relative to the RMS torque of the recording.
+
+    An observer of bandwidth w stands for white acceleration of w² sqrt(R) a sample, of which the band holds sqrt(w T).
+    """
+    bandwidth = scored.data.bandwidth[joint - 1]
+    record = scored.data.records[0][joint - 1]
+    m = record.measurement
+    white = m.resolution**2 / 12 + m.noise**2 if m.resolution > 0 or m.noise > 0 else float(np.median(np.abs(m.variance)))
+    inertia = float(np.mean(record.inertia_and_bias(scored.model)[0]))
+    return float(inertia * bandwidth**2 * np.sqrt(white) * np.sqrt(bandwidth * record.sample_time)) / record.scale.torque

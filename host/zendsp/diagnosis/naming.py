@@ -69,7 +69,7 @@ def name_findings(
             rejected += lost
         if not named:
             rejected += [_why(r, search.base, test) for r in search.tried[:6]]
-        ranked += [(0.5 * abs(z), finding) for z, finding in shifted(given, search, whole, {n.term.effect for n in named})]
+        ranked += [(0.5 * abs(z), finding) for z, finding in shifted(given, search, whole, {n.term.effect for n in named}, test)]
     ranked.sort(key=lambda item: -item[0])
     unique = {(r.effect, r.joint): r for r in sorted(rejected, key=lambda r: r.score)}
     return tuple(f for _, f in ranked), tuple(sorted(unique.values(), key=lambda r: -r.score)[:12])
@@ -122,6 +122,8 @@ def _finding(
         else:
             margin = min(margin, behind)
             lost.append(Rejected(r.effect, joint, _reason(behind, item.loss), -0.5 * behind))
+    if term.effect == "coulomb" and "torque_offset" in {t.effect for t in new_terms(given, search.final.model, joint)} and "coulomb_asymmetry" not in same:
+        same.append("coulomb_asymmetry")  # Coulomb friction and an offset are asymmetric Coulomb friction
     held = compare(item.without, search.final, test, joint)
     replaces = tuple(sorted(set(search.dropped) & set(_replaceable(given, joint))))
     sure = confidence(item.loss, held.z, margin, result, search.final.data.bandwidth[joint - 1])

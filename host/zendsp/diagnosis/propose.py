@@ -1,11 +1,161 @@
-"""The next recording."""
+"""The next recording: the reference that best separates what is still open.
+
+Candidate motions within the reach of the recordings at hand are simulated in closed loop under the best hypothesis; the rival is refitted to
+what was simulated, and the motion that leaves it most in error is proposed (T-optimality: Hunter and Reiner 1965; Atkinson and
+Fedorov 1975).
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
-from zendsp.diagnosis.result import Next
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.prepare import prepare
+from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.result import Finding, Next
+from zendsp.diagnosis.score import deviance
+from zendsp.diagnosis.search import JointSearch, Rival
+from zendsp.diagnosis.verdict import Outcome
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Data, fit, joint_handles
+from zendsp.physics.joint import JointRecord
+from zendsp.physics.loop import mean_inertia, simulate_joint_loop
+from zendsp.physics.model import Model, per_joint
+
+Array = npt.NDArray[np.float64]
+
+SECONDS = 10.0
 
 
-def propose(*_args: Any) -> Next | None:
+def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Generator) -> dict[str, Array]:
+    """Candidate references of 10 s within position limits and the speeds already seen, rad or m."""
+    period = record.sample_time
+    t = np.arange(round(SECONDS / period)) * period
+    q, qd, _ = record.motion.states
+    low, high = max(limits[0], float(q.min())), min(limits[1], float(q.max()))
+    centre, reach = 0.5 * (low + high), 0.45 * (high - low)
+    top = float(np.quantile(np.abs(qd), 0.99))
+    fade = np.clip(t / 0.5, 0, 1) * np.clip((SECONDS - t) / 0.5, 0, 1)
+
+    def limited(shape: Array, span: float, speed: float) -> Array:
+        shape = shape / max(float(np.max(np.abs(shape))), 1e-12)
+        fastest = float(np.max(np.abs(np.gradient(shape, period))))
+        out: Array = centre + min(span, speed / max(fastest, 1e-12)) * shape * fade
+        return out
+
+    lines = np.arange(1, 25)
+    multisine = sum(np.cos(2 * np.pi * k * 0.1 * t - np.pi * k * (k - 1) / 24 + rng.uniform(0, 0.5)) / k for k in lines)
+    slow = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in (0.07, 0.13, 0.23))
+    triangle = 2 * np.abs(2 * ((0.2 * t) % 1) - 1) - 1
+    chirp = np.sin(2 * np.pi * (0.1 * t + 0.5 * (4.0 - 0.1) / SECONDS * t**2))
+    two_speeds = np.where(t < SECONDS / 2, np.sin(2 * np.pi * 0.15 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2)))
+    return {
+        "a multisine over the whole range": limited(np.asarray(multisine), reach, 1.2 * top),
+        "a slow multisine with many reversals": limited(np.asarray(slow), 0.6 * reach, 0.25 * top),
+        "slow triangles over the whole range": limited(triangle, reach, 0.3 * top),
+        "small slow reversals": limited(np.sin(2 * np.pi * 0.5 * t), 0.05 * reach, 0.05 * top),
+        "a chirp from 0.1 to 4 Hz": limited(chirp, 0.5 * reach, 1.2 * top),
+        "slow and fast sines over the whole range": limited(two_speeds, reach, 1.2 * top),
+    }
+
+
+def propose(
+    train: Sequence[Signals], given: Model, whole: Assembled, searches: Sequence[JointSearch], findings: Sequence[Finding], outcome: Outcome, seed: int
+) -> Next | None:
+    """What to record next, where something is still open; None where nothing is.
+
+    Parameters
+    ----------
+    train : sequence of Signals
+    given : Model
+    whole : Assembled
+    searches : sequence of JointSearch
+    findings : sequence of Finding
+    outcome : Outcome
+    seed : int
+        Of the random phases.
+
+    Returns
+    -------
+    Next or None
+    """
+    open_ones = [f for f in findings if f.indistinguishable]
+    if not open_ones:
+        return _without_rival(given, findings, outcome, searches)
+    finding = open_ones[0]
+    search = searches[finding.joint - 1]
+    rival = _rival(search, finding)
+    experiment = get_effect(finding.effect).experiment if finding.effect != "disturbance" else ""
+    names = ", ".join(finding.indistinguishable)
+    if rival is None:
+        return Next(f"To tell {finding.effect} from {names} at joint {finding.joint}: {experiment}", None, (finding.effect, *finding.indistinguishable))
+    best = _best_motion(train[0], given, search, rival, finding.joint, seed)
+    if best is None:
+        return Next(f"No motion within the reach of these recordings separates {finding.effect} from {names}. {experiment}", None, (finding.effect, *finding.indistinguishable))
+    name, motion, gain = best
+    q = np.tile(np.array([np.mean(train[0].position[:, j]) for j in range(given.joints)]), (len(motion), 1))
+    q[:, finding.joint - 1] = motion
+    text = (
+        f"To tell {finding.effect} from {names} at joint {finding.joint}, record {name} ({SECONDS:.0f} s, {motion.min():.3g} … {motion.max():.3g} {'m' if given.joint_kind(finding.joint) == 'linear' else 'rad'}):"
+        f" if {finding.effect} is true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood less likely."
+    )
+    return Next(text, (q, train[0].sample_time), (finding.effect, rival.effect))
+
+
+def _without_rival(given: Model, findings: Sequence[Finding], outcome: Outcome, searches: Sequence[JointSearch]) -> Next | None:
+    if outcome.verdict == "unexplained":
+        joint = next(j.joint for j in outcome.joints if j.kind == "unexplained")
+        return Next(f"Record joint {joint} again through the same states in another order and at other speeds: what repeats with the state is physics.", None)
+    weak = [f for f in findings if f.confidence < 0.8 and f.effect != "disturbance"]
+    if weak:
+        return Next(f"To confirm {weak[0].effect} at joint {weak[0].joint}: {get_effect(weak[0].effect).experiment}", None)
     return None
+
+
+def _rival(search: JointSearch, finding: Finding) -> Rival | None:
+    for step in search.steps:
+        for rival in step.rivals:
+            if rival.effect in finding.indistinguishable and step.chosen.effect == finding.effect:
+                return rival
+    return None
+
+
+def _best_motion(signals: Signals, given: Model, search: JointSearch, rival: Rival, joint: int, seed: int) -> tuple[str, Array, float] | None:
+    record = search.final.data.records[0][joint - 1]
+    inertia = mean_inertia(record, search.final.model)
+    gain = abs(per_joint(given.actuator.gain, joint, 1.0)) or 1.0
+    speed = 2 * np.pi * 4.0
+    limits = given.limits.get("position", (-np.inf, np.inf))
+    best: tuple[str, Array, float] | None = None
+    truth = next(step.chosen.scored.model for step in search.steps if rival in step.rivals)
+    for name, motion in motions(record, (float(limits[0]), float(limits[1])), np.random.default_rng(seed)).items():
+        resolution = record.measurement.resolution
+        loop = simulate_joint_loop(
+            truth, joint, motion, record.sample_time, kp=inertia * speed**2 / gain, kd=1.4 * inertia * speed / gain, inertia=inertia, resolution=resolution
+        )
+        if not np.isfinite(loop.position).all() or np.ptp(loop.position) <= 8 * resolution:
+            continue
+        value = _separation(signals, given, truth, rival, joint, loop.position, loop.command)
+        if best is None or value > best[2]:
+            best = (name, motion, value)
+    return best if best is not None and best[2] > 20.0 else None
+
+
+def _separation(signals: Signals, given: Model, truth: Model, rival: Rival, joint: int, position: Array, command: Array) -> float:
+    """How much less likely the refitted rival makes a recording that the truth has simulated (deviance)."""
+    n = len(position)
+    still = np.tile(signals.position.mean(axis=0), (n, 1))
+    still[:, joint - 1] = position
+    effort = np.zeros((n, still.shape[1]))
+    effort[:, joint - 1] = command
+    made = replace(signals, time=np.arange(n) * signals.sample_time, position=still, command=effort, reference=None, notes=())
+    data: Data = prepare([made], given, 8.0)
+    fitted = fit(data, rival.scored.model, joint_handles(data, rival.scored.model, joint), joints=(joint,), iterations=5, tolerance=1e-3)
+    return deviance(data, fitted.model, (joint,)) - deviance(data, truth, (joint,))
+
+
+

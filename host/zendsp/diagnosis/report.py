@@ -1,16 +1,69 @@
-"""Writes the report folder."""
+"""Writes the report folder: report.json, report.html, figures, model.toml, compensation.c, next_reference.mat."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 from zendsp.diagnosis.result import Diagnosis
 from zendsp.physics.model_file import model_text
 
 
-def write_report(d: Diagnosis, out: Path) -> None:
-    """report.json, model.toml."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "report.json").write_text(json.dumps(d.report(), indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8")
-    (out / "model.toml").write_text(model_text(d.improved), encoding="utf-8")
+def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Path:
+    """Write everything that ``zendsp diagnose --out`` promises.
+
+    Parameters
+    ----------
+    d : Diagnosis
+    out : path
+        Folder, made where it does not exist.
+    pictures : bool
+        Also report.html and its figures (matplotlib is imported only then).
+
+    Returns
+    -------
+    Path
+        The folder.
+    """
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(_finite(d.report()), indent=1, ensure_ascii=False, allow_nan=False)
+    (folder / "report.json").write_text(text, encoding="utf-8")
+    (folder / "model.toml").write_text(model_text(d.improved), encoding="utf-8")
+    _compensation(d, folder)
+    if d.next_recording is not None and d.next_recording.reference is not None:
+        from zendsp.reference import Reference, save_reference
+
+        q, period = d.next_recording.reference
+        reference = Reference(q, period, kind="separating", unit=d.unit)
+        save_reference(reference, folder / "next_reference.mat", check=False)
+    if pictures:
+        from zendsp.diagnosis.figures import draw_all
+        from zendsp.diagnosis.html import page
+
+        figures = draw_all(d, folder)
+        (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
+    return folder
+
+
+def _compensation(d: Diagnosis, folder: Path) -> None:
+    try:
+        from zendsp.physics.codegen import compensation
+    except ImportError:
+        return
+    found = {(f.effect, f.joint) for f in d.findings}
+    terms = [t for t in d.improved.terms if (t.effect, t.joint) in found]
+    (folder / "compensation.c").write_text(compensation(terms), encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    """Infinities and NaN have no place in JSON: they become null."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

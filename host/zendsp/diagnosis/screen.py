@@ -75,8 +75,7 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
             if linear_axis:
                 axes[name] = [2 * np.pi * m / span for m in np.arange(1.0, 160.0, 0.5)]
             else:
-                first = 2 if not any(v.value for v in model.mechanism.get("gravity", ())) else 1
-                axes[name] = [float(i) for i in range(first, HARMONICS + 1)]
+                axes[name] = [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
         elif name == "period":
             whole = [] if linear_axis else [2 * np.pi / m for m in range(1, 25) if 2 * np.pi / m > 0.03 * span]
             axes[name] = whole or [u * span for u in units]
@@ -102,6 +101,8 @@ class Screen:
         rows = self._rows(data, joint, joints_fitted)
         self.r = fit.residual[: sum(r.n * len(joints_fitted) for r in self.records)][rows]
         jac = fit.jacobian[: len(fit.residual)][: sum(r.n * len(joints_fitted) for r in self.records)][rows]
+        # the sensor's zero is held within a count by its prior: it must not absorb what only a larger shift could
+        jac = jac[:, [h.place != "offset" for h in fit.handles]]
         norms = np.linalg.norm(jac, axis=0)
         jac = jac[:, norms > 0] / norms[norms > 0]
         self.q = np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(self.r), 0))

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from zendsp.diagnosis.candidates import screened, simulated
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
-from zendsp.diagnosis.screen import Candidate, with_candidate
+from zendsp.diagnosis.screen import Candidate, make_term, with_candidate
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.model import Model, Term
@@ -102,7 +102,8 @@ class Searcher:
         for the next one, and both are judged together.
         """
         found = JointSearch(self.joint, base)
-        current, waiting = base, []
+        current = base
+        waiting: list[Step] = []
         while len(found.steps) + len(waiting) < most:
             rivals = self.round(current)
             if not found.tried:
@@ -125,8 +126,10 @@ class Searcher:
             else:
                 break
             current = rivals[0].scored
+            if not waiting:
+                current = self._split_asymmetry(found, current)
         if found.steps:
-            found.best = found.steps[-1].chosen.scored
+            found.best = current if not waiting else found.steps[-1].chosen.scored
             found.best, found.dropped = self.simplify(found)
         return found
 
@@ -161,7 +164,6 @@ class Searcher:
         if only:
             listed = [[c] for _, c in options if c.effect in only]
             listed += [g for g in simulated(current.data, current.model, self.joint) if g[0].effect in only]
-        listed = [[c for c in group if c.effect != "hysteresis" or c.terms[0].value("exponent") == 1.0] or group for group in listed]
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
@@ -182,7 +184,7 @@ class Searcher:
         for candidate in group:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(current.data, model, self.joint)
-            rounds = 2 if len(group) > 1 else 4
+            rounds = 3 if len(group) > 1 else 4
             result = fit(current.data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1)
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
@@ -192,7 +194,8 @@ class Searcher:
             return None
         if len(group) > 1:
             handles = best.scored.fit.handles
-            result = fit(current.data, best.scored.model, handles, joints=(self.joint,), iterations=5, tolerance=1e-2, jobs=1)
+            more = 10 if best.effect == "backlash" else 5
+            result = fit(current.data, best.scored.model, handles, joints=(self.joint,), iterations=more, tolerance=1e-2, jobs=1)
         else:
             result = best.scored.fit
         data, value = tune_bandwidth(current.data, result.model, (self.joint,), down_only=True)
@@ -209,6 +212,21 @@ class Searcher:
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
                 options.append(fit_scored(rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=1, rounds=2))
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
+
+    def _split_asymmetry(self, found: JointSearch, current: Scored) -> Scored:
+        """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither, they stand for themselves."""
+        had = {t.effect for t in found.base.model.at(self.joint)}
+        term = next((t for t in current.model.at(self.joint) if t.effect == "coulomb_asymmetry"), None)
+        if term is None or had & {"coulomb", "coulomb_asymmetry"} or "torque_offset" in {t.effect for t in current.model.at(self.joint)}:
+            return current
+        up, down = term.value("level_pos"), term.value("level_neg")
+        parts = (
+            make_term(get_effect("coulomb"), self.joint, {"level": 0.5 * (up + down)}),
+            make_term(get_effect("torque_offset"), self.joint, {"level": 0.5 * (up - down)}),
+        )
+        model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
+        other = fit_scored(current.data, model, joint_handles(current.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=1)
+        return other if other.deviance < current.deviance + 10.0 else current
 
     def simplify(self, found: JointSearch) -> tuple[Scored, tuple[str, ...]]:
         """Drop every term, given or found, that the recording does not need any more."""

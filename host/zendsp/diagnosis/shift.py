@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from dataclasses import replace
 
 from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.result import Estimate, Finding
+from zendsp.diagnosis.score import fit_scored
 from zendsp.diagnosis.search import JointSearch
+from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
 TOLERANCE = 0.045  # relative standard deviation of a given inertia, mass or gravity figure
 FAR = 3.0  # standard deviations
 
 
-def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collection[str]) -> list[tuple[float, Finding]]:
+def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collection[str], test: Data) -> list[tuple[float, Finding]]:
     """Findings about mechanism parameters that moved far from their given values, with their z.
 
     Parameters
@@ -26,6 +30,8 @@ def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collecti
     given : Model
     search : JointSearch
     whole : Assembled
+    test : Data
+        Held-out recordings: the shift has to pay there too.
     found : collection of str
         Effects already found at the joint; an effect that carries inertia itself explains the shift.
 
@@ -51,6 +57,8 @@ def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collecti
     if main not in moves or abs(moves[main][1]) < FAR:
         return _gravity_only(given, joint, moves)
     ratio, z, amount, std = moves[main]
+    if not _needed(given, search, main, test):
+        return []
     unit = "kg m²" if given.kind == "rotary" else "kg"
     same = []
     others = [m for key, m in moves.items() if key != main]
@@ -64,6 +72,20 @@ def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collecti
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
     return [(z, Finding("inertia", joint, values, sure, 0.0, tuple(same), (), text))]
+
+
+def _needed(given: Model, search: JointSearch, key: str, test: Data) -> bool:
+    """Whether the recordings, held-out ones included, insist on the shift."""
+    final, joint = search.final, search.joint
+    items = given.mechanism[key]
+    held = tuple(replace(q, free=False) for q in items)
+    model = replace(final.model, mechanism={**final.model.mechanism, key: held})
+    handles = tuple(h for h in joint_handles(final.data, model, joint) if not (h.place == "mechanism" and h.key == key))
+    fixed = fit_scored(final.data, model, handles, (joint,), rounds=3)
+    if fixed.deviance - final.deviance < 100.0:
+        return False
+    evidence = compare(fixed, final, test, joint)
+    return evidence.gain > 50.0 and evidence.z > 3.0
 
 
 def _gravity_only(given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]) -> list[tuple[float, Finding]]:

@@ -36,7 +36,7 @@ def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[
     if name == "order":
         return max(low, 1.5 * 2 * np.pi / span if effect_name == "ripple" and span < 2 * np.pi else 1.2), high
     if effect_name == "encoder_eccentricity" and name == "amplitude":
-        return low, 0.15
+        return low, 0.06  # 3.4 degrees: no encoder disc is further off centre
     if effect_name == "stribeck" and name == "velocity":
         return 2e-3 * top_speed, 2.0 * top_speed
     if name == "time_constant" and effect_name == "friction_drift":
@@ -45,10 +45,10 @@ def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[
         return low, 0.5 * span
     if name == "stiffness" and two_mass:
         return 0.05 * s.inertia * slowest**2, 0.25 * s.inertia * fastest**2
-    if name == "damping" and effect_name == "elasticity":
+    if name == "damping" and two_mass:
         return low, 2.0 * s.inertia * fastest * 0.2
     if name == "load_inertia":
-        return 0.02 * s.inertia, 0.97 * s.inertia if effect_name == "elasticity" else 0.97 * s.inertia
+        return 0.02 * s.inertia, 0.97 * s.inertia
     if name == "stiffness":
         return max(low, 0.05 * s.torque / span), 1e5 * s.torque / span
     if name in ("width", "level") and get_effect(effect_name).site == "actuator":

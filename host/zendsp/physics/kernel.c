@@ -42,6 +42,10 @@ typedef struct {
     int reset;                /* free run: restart from (rq, rqd) every so many samples, no correction; 0 = observer */
     const double *rq, *rqd;   /* n: states to restart from */
     double t0;                /* time of the first sample, s */
+    double kp, kd;            /* closed loop: command = kp (ref - position) - kd velocity; 0 = recorded command */
+    const double *ref;        /* n: reference of that loop */
+    double resolution;        /* of the sensor in that loop, 0 = none */
+    double *uloop;            /* n + 1: integral of the loop's command, written; must be what ucum points to */
 } zk_model;
 
 static inline double sgn(double x) { return (x > 0) - (x < 0); }
@@ -122,6 +126,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
     double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1;
     double j_extra = 0;
     int two_mass = 0, lag_on = 0;
+    double yloop = M->q0, vloop = 0;
     for (int i = 0; i < M->nfx; i++) {
         const double *p = M->p + i * MAXP;
         switch (M->kind[i]) {
@@ -130,7 +135,16 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         }
     }
     for (int k = 0; k < M->n; k++) {
-        if (M->reset > 0) {
+        if (M->kp > 0) { /* simulated in closed loop: the innovations are the measured position */
+            double y = sense(M, M->load_sensor ? ql : q);
+            if (M->resolution > 0) y = M->resolution * floor(y / M->resolution + 0.5);
+            r[k] = y;
+            vloop += 0.2 * ((y - yloop) / M->T - vloop);
+            yloop = y;
+            double u = M->kp * (M->ref[k] - y) - M->kd * vloop;
+            if (M->limit > 0) u = u > M->limit ? M->limit : u < -M->limit ? -M->limit : u;
+            M->uloop[k + 1] = M->uloop[k] + u * M->T;
+        } else if (M->reset > 0) {
             if (k % M->reset == 0) {
                 double dq = M->rq[k] - (M->load_sensor ? ql : q), dv = M->rqd[k] - (M->load_sensor ? qdl : qd);
                 q += dq; ql += dq; qd += dv; qdl += dv;
@@ -147,7 +161,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
             q += dq; qd += dv; ql += dq; qdl += dv;
         }
         double lead = M->load_sensor ? ql : q;
-        if (!(fabs(lead - M->m[k]) < 1e3) || !(fabs(qd) < 1e5)) { for (; k < M->n; k++) r[k] = 1e3; return 1 + k; }
+        if (!(fabs(lead - (M->kp > 0 ? M->ref[k] : M->m[k])) < 1e3) || !(fabs(qd) < 1e5)) { for (; k < M->n; k++) r[k] = 1e3; return 1 + k; }
         if (xq) xq[k] = lead;
         if (xqd) xqd[k] = M->load_sensor ? qdl : qd;
         if (k == M->n - 1) { if (torque) torque[k] = k ? torque[k - 1] : 0; break; }

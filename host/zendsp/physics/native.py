@@ -28,6 +28,7 @@ typedef struct {
     const double *inertia; const double *bias; double gravity; const double *other; const double *extra;
     int nfx; const int *kind; const double *p; double q0; double qd0; int load_sensor; int reset;
     const double *rq; const double *rqd; double t0;
+    double kp; double kd; const double *ref; double resolution; double *uloop;
 } zk_model;
 int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque);
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out);

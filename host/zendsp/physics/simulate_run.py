@@ -166,7 +166,7 @@ def simulate_loop(
         A mapping as the model's ``[controller]``: kind "pd", kp, kd, and where wanted ki, cutoff (Hz, of the speed filter, 0: none).
         Default: the model's own. A callable (t, r, y) → command is called once a sample (slower).
     command : array_like, shape (N,) or (N, joints), optional
-        Open loop: the command itself (or what is added to the controller's).
+        The command itself, open loop; with a reference or a controller beside it, what is added to the controller's.
     seconds : float, optional
         Default: as long as the longer of reference and command.
     position, velocity : array_like, shape (joints,), optional
@@ -202,7 +202,7 @@ def simulate_loop(
     if command is not None:
         extra_rows = np.asarray(command, dtype=np.float64).reshape(-1, n)
         feed = extra_rows if feed is None else feed + _stretch(extra_rows, len(feed), hold=False)
-    law = controller if controller is not None else model.controller
+    law = controller if controller is not None else {} if reference is None and command is not None else model.controller
     open_loop = (not callable(law) and not law) or mode == "torque"
     if open_loop and feed is None:
         raise ModelError(f"{model.name}: has no [controller] and no command was given: there is nothing to drive it")

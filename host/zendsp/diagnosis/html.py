@@ -1,0 +1,111 @@
+"""The report as one self-contained page that prints well and needs no network."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from pathlib import Path
+
+from zendsp.diagnosis.findings import number
+from zendsp.diagnosis.result import Diagnosis, FitTable
+
+STYLE = """
+body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
+h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem;border-bottom:1px solid #ccc}
+.verdict{padding:.8rem 1rem;border-left:6px solid #888;background:#f4f4f2;margin:1rem 0;font-size:1.05rem}
+.missing{border-color:#b4451f}.complete{border-color:#3a7d44}.unexplained{border-color:#8a6d00}
+table{border-collapse:collapse;width:100%;margin:.5rem 0}th,td{text-align:left;padding:.25rem .6rem;border-bottom:1px solid #e2e2e2;vertical-align:top}
+td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;display:block;margin:.4rem 0}
+.small{color:#666;font-size:.85rem}figure{margin:.6rem 0;break-inside:avoid}@media print{body{margin:0;max-width:none}h2{break-after:avoid}}
+"""
+
+HEADLINES = {
+    "complete": "Complete: nothing significant is missing from this model.",
+    "missing": "Missing physics was found.",
+    "unexplained": "Unexplained: something is missing that no known effect explains; no physics is claimed.",
+}
+
+
+def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
+    """HTML of the whole report, pictures inside.
+
+    Parameters
+    ----------
+    d : Diagnosis
+    figures : list of (section, caption, path)
+
+    Returns
+    -------
+    str
+    """
+    parts = [
+        f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'><title>Diagnosis: {escape(d.given.name)}</title>",
+        f"<style>{STYLE}</style><h1>Diagnosis of the model “{escape(d.given.name)}”</h1>",
+        f"<div class='verdict {d.verdict}'><b>{HEADLINES[d.verdict]}</b>{_sentences(d)}</div>",
+        "<h2>The fit</h2>",
+        _fit_table(d),
+        _pictures(figures, "fit"),
+    ]
+    if d.findings:
+        parts += ["<h2>What was left out</h2>", _findings_table(d), _pictures(figures, "law")]
+    parts += ["<h2>Where the mismatch lives</h2>", _where(d), _pictures(figures, "where")]
+    parts += ["<h2>What remains</h2>", f"<p>{escape(d.unexplained) or 'Nothing that depends on the state of the machine.'}</p>", _pictures(figures, "white")]
+    if d.rejected:
+        parts += ["<h2>Rejected rivals</h2>", _rejected(d)]
+    if d.next_recording:
+        parts += ["<h2>Record next</h2>", f"<p>{escape(d.next_recording.sentence)}</p>"]
+    if d.notes:
+        parts += ["<h2>About the data</h2><ul>", *[f"<li>{escape(n)}" for n in d.notes], "</ul>"]
+    parts.append(f"<p class=small>{d.seconds:.1f} s. Errors are judged on recordings that the models were not fitted to; calibrated = the given model with its free parameters refitted.</p></html>")
+    return "\n".join(parts)
+
+
+def _sentences(d: Diagnosis) -> str:
+    items = [f"<li>{escape(f.sentence)} <span class=small>confidence {100 * f.confidence:.0f} %</span>" for f in d.findings]
+    if d.unexplained:
+        items.append(f"<li>{escape(d.unexplained)}")
+    return f"<ul>{''.join(items)}</ul>" if items else ""
+
+
+def _fit_table(d: Diagnosis) -> str:
+    def row(name: str, t: FitTable) -> str:
+        return f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td class=n><b>{t.improved:.3g}</b><td class=n>{d.noise_floor:.3g}"
+
+    head = f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th class=n>calibrated<th class=n>improved<th class=n>noise floor"
+    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}</table>"
+
+
+def _findings_table(d: Diagnosis) -> str:
+    rows = ["<tr><th>effect<th>joint<th>parameters<th class=n>share<th class=n>confidence<th>cannot be told from<th>replaces"]
+    for f in d.findings:
+        numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
+        rows.append(
+            f"<tr><td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td class=n>{100 * f.share:.0f} %<td class=n>{100 * f.confidence:.0f} %"
+            f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"
+        )
+    return f"<table>{''.join(rows)}</table>"
+
+
+def _where(d: Diagnosis) -> str:
+    if not d.regions:
+        return "<p>Nowhere in particular.</p>"
+    rows = ["<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"]
+    for r in d.regions:
+        rows.append(f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}<td class=n>{100 * r.share:.0f} %<td class=n>{100 * r.time_share:.0f} %")
+    spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in d.times)
+    return f"<table>{''.join(rows)}</table><p>In time: {spans or 'spread evenly'}.</p>"
+
+
+def _rejected(d: Diagnosis) -> str:
+    rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood"]
+    rows += [f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:.0f}" for r in d.rejected]
+    return f"<table>{''.join(rows)}</table>"
+
+
+def _pictures(figures: list[tuple[str, str, Path]], section: str) -> str:
+    out = []
+    for place, caption, path in figures:
+        if place == section:
+            data = base64.b64encode(path.read_bytes()).decode()
+            out.append(f"<figure><img alt='{escape(caption, quote=True)}' src='data:image/png;base64,{data}'></figure>")
+    return "".join(out)
