@@ -140,6 +140,7 @@ def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence
         "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
+        "transport/shared_memory/enabled": False,  # the recorder needs what there is; and see the host's settings
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
     }
     if security.encrypted:

@@ -190,8 +190,7 @@ def test_every_acknowledged_write_takes_effect(fast: Target) -> None:
     assert [change.tick for change in log] == ticks and ticks == sorted(ticks)
 
 
-def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ZENDSP_SHARED_MEMORY", "0")  # everything shall pass through the cable
+def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target) -> None:
     fast.download("pd.c")
     whole = fast.acquire(["q", "e", "tau"], seconds=300.0, start=True)
     with relay_to(fast.link.endpoints[0]) as relay, zendsp.connect(fast.name, connect=relay.endpoint) as far:
@@ -230,6 +229,21 @@ def test_a_target_that_was_started_again_is_found_again(start: Callable[..., Tar
         assert host["Kp1"] == 5.0
         second.start()
         until(lambda: view.received > 0, "the live view goes on")
+
+
+def test_connecting_again_and_again_leaves_nothing_open(fast: Target) -> None:
+    def files(pid: int) -> int:
+        return len(os.listdir(f"/proc/{pid}/fd"))
+
+    def connect_often() -> None:
+        for _ in range(10):
+            with zendsp.connect(fast.name) as host:
+                host.status()
+
+    connect_often()  # what is opened once and kept is no leak
+    before = files(os.getpid()), files(fast.info.pid)
+    connect_often()
+    until(lambda: files(os.getpid()) <= before[0] + 2 and files(fast.info.pid) <= before[1] + 2, "files are closed again")
 
 
 def test_two_targets_of_one_name_are_refused(start: Callable[..., Target]) -> None:

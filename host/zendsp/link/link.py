@@ -7,11 +7,12 @@ import getpass
 import itertools
 import os
 import platform
+import queue
 import re
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import zenoh
@@ -123,7 +124,7 @@ class Link:
         Parameters
         ----------
         on_part : callable
-            Called with ``(attachment, payload)`` of each part, in a thread of Zenoh's.
+            Called with ``(attachment, payload)`` of each part, in this thread.
 
         Raises
         ------
@@ -131,28 +132,14 @@ class Link:
             The stream broke off; the parts that came are whole.
         """
         row = self._row(verb)
-        last: list[zenoh.Reply] = []
-        faults: list[BaseException] = []
-        done = threading.Event()
-
-        def take(reply: zenoh.Reply) -> None:
-            sample = reply.ok
-            try:
-                if sample is not None and sample.attachment is not None:
-                    on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
-                else:
-                    last.append(reply)
-            except BaseException as error:
-                faults.append(error)
-
         payload = codec.encode_request(verb, arguments, self.author)
-        self._get(row, take, done, payload, timeout or row.timeout, zenoh.Priority.DATA_LOW)
-        self._until(done, timeout or row.timeout)
-        if faults:
-            raise faults[0]
-        if not last:
-            raise self.silence(verb, row.timeout)
-        self._result(last[0], row)
+        for reply in self._replies(row, payload, timeout or row.timeout, zenoh.Priority.DATA_LOW):
+            sample = reply.ok
+            if sample is None or sample.attachment is None:
+                self._result(reply, row)
+                return
+            on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
+        raise self.silence(verb, row.timeout)
 
     def silence(self, verb: str, timeout: float) -> LinkError:
         """Say what an absent answer means: gone, or not answering."""
@@ -193,27 +180,22 @@ class Link:
 
     def _patient(self, row: Verb, payload: bytes, timeout: float) -> zenoh.Reply:
         """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
-        replies: list[zenoh.Reply] = []
-        done = threading.Event()
-        self._get(row, replies.append, done, payload, timeout, zenoh.Priority.DATA)
-        self._until(done, timeout)
-        if not replies:
-            raise self.silence(row.name, timeout)
-        return replies[0]
+        for reply in self._replies(row, payload, timeout, zenoh.Priority.DATA):
+            return reply
+        raise self.silence(row.name, timeout)
 
-    def _get(
-        self,
-        row: Verb,
-        take: Callable[[zenoh.Reply], None],
-        done: threading.Event,
-        payload: bytes,
-        timeout: float,
-        priority: zenoh.Priority,
-    ) -> None:
+    def _replies(
+        self, row: Verb, payload: bytes, timeout: float, priority: zenoh.Priority
+    ) -> Iterator[zenoh.Reply]:
+        """Yield replies as they come, until the last, or until the target is gone.
+
+        Zenoh's thread only hands them over: what is done with one must not hold up the next on its way.
+        """
+        came: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
         try:
             self._session.get(
                 keys.rpc(self.target, row.lane),
-                zenoh.handlers.Callback(take, done.set),
+                zenoh.handlers.Callback(came.put, lambda: came.put(None)),
                 payload=payload,
                 consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
                 timeout=timeout,
@@ -221,13 +203,20 @@ class Link:
             )
         except zenoh.ZError as error:
             raise self.silence(row.name, timeout) from error
-
-    def _until(self, done: threading.Event, timeout: float) -> None:
         deadline = time.monotonic() + timeout + 1.0
-        while not done.wait(STEP_S):
-            if not self._alive.is_set() or time.monotonic() > deadline:
-                done.wait(STEP_S)  # what is on its way may still arrive
+        gone = False
+        while True:
+            try:
+                reply = came.get(timeout=STEP_S)
+            except queue.Empty:
+                if gone or time.monotonic() > deadline:
+                    return
+                gone = not self._alive.is_set()  # what is on its way may still arrive: one more round
+                continue
+            if reply is None:
                 return
+            deadline = time.monotonic() + timeout + 1.0  # what still arrives is not late
+            yield reply
 
     def _result(self, reply: zenoh.Reply, row: Verb) -> Any:
         sample = reply.ok

@@ -62,11 +62,9 @@ def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: fl
         "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": LEASE_MS,
+        # Each closed session would leave a segment open in this process, and containers often have 64 MB of it in all.
+        "transport/shared_memory/enabled": False,
     }
-    if (
-        os.environ.get("ZENDSP_SHARED_MEMORY") == "0"
-    ):  # Zenoh moves large messages between processes of a machine through it
-        settings["transport/shared_memory/enabled"] = False
     if credentials.authority:
         settings["transport/link/tls/root_ca_certificate"] = credentials.authority
     if credentials.certificate:

@@ -15,6 +15,7 @@ from zendsp_protocol.chunks import folded_crc, gaps
 
 FloatArray = npt.NDArray[np.float64]
 REQUEST_BYTES = 64 << 20  # rows asked for at once: what is lost at most when the link breaks
+MOST_IDLE = 3  # requests in a row without a single row, until it is given up
 
 
 class Rows:
@@ -65,13 +66,16 @@ class Transfers(Requests):
         rows = Rows(columns, count)
         rows.origin = first
         each = max(1, REQUEST_BYTES // (8 * columns))
+        idle = 0  # rounds in a row that brought nothing
         while missing := gaps(rows.pieces, first, count):
+            before = rows.count
             start, length = missing[0]
             arguments = {"first": start, "count": min(length, each)}
             try:
                 self.link.stream("acquire_read", arguments, rows.take)
             except LinkError:
-                if self.link.closed or not self.link.wait_alive(patience):
+                idle = idle + 1 if rows.count == before else 0
+                if self.link.closed or idle >= MOST_IDLE or not self.link.wait_alive(patience):
                     raise
             if progress is not None:
                 progress(rows.count / count)
