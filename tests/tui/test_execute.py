@@ -14,10 +14,10 @@ from textual.widgets import Button, Input
 from zendsp.errors import ReferenceError_
 from zendsp.link import Target
 from zendsp.recording import Recording
-from zendsp.reference import load_machine, load_reference, make_reference, save_reference
+from zendsp.reference import Reference, load_machine, load_reference, make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form, Message
-from zendsp.tui.playing import Setup, make_playlist, smooth_move
+from zendsp.tui.playing import Player, Setup, make_playlist, smooth_move
 from zendsp.tui.runs import compare, discard_run, list_runs, rename_run, store_run
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView
@@ -209,12 +209,27 @@ def _recording(gain: float) -> Recording:
 # -- without a terminal ---------------------------------------------------------------------------------------------------
 
 
+def _player(capacity: int = 10**6, torque: str = "") -> Player:
+    return Player("ref", 2, capacity, torque, ("use_table", "row_rate"))
+
+
+def test_a_torque_law_needs_a_program_that_takes_torque() -> None:
+    machine = load_machine("imi_planar")
+    law = Reference(np.zeros((100, 2)), 1e-3, tau=np.ones((100, 2)), mode="torque")
+    with pytest.raises(ReferenceError_, match="ref_tau"):
+        make_playlist([law], machine, np.zeros(2), Setup(), _player())
+    playlist = make_playlist([law], machine, np.zeros(2), Setup(), _player(torque="ref_tau"))
+    begin, end = (round(t * playlist.rate) for t in playlist.play)
+    assert (playlist.torque[begin:end] == 1.0).all()
+    assert not playlist.torque[:begin].any() and not playlist.torque[end:].any()
+
+
 def test_a_playlist_has_no_jump_and_keeps_within_the_limits() -> None:
     machine = load_machine("imi_planar")
     reference = make_reference("circle", machine)
     start = np.array([-0.5, 0.9])
     setup = Setup(cycles=3, share=0.25)
-    playlist = make_playlist([reference, reference], machine, start, setup, 10**9)
+    playlist = make_playlist([reference, reference], machine, start, setup, _player())
     assert np.allclose(playlist.rows[0], start) and np.allclose(playlist.rows[-1], machine.home)
     speed = np.abs(np.diff(playlist.rows, axis=0)) * playlist.rate
     fastest = np.maximum(np.abs(reference.qd).max(axis=0), 0.25 * machine.limits.speed)
@@ -237,9 +252,9 @@ def test_a_move_between_positions_is_at_rest_at_both_ends() -> None:
 def test_rows_that_do_not_fit_are_thinned_not_cut() -> None:
     machine = load_machine("imi_planar")
     reference = make_reference("circle", machine)
-    full = make_playlist([reference], machine, reference.q[0], Setup(), 10**9)
-    small = make_playlist([reference], machine, reference.q[0], Setup(), full.rows.size // 3)
-    assert small.rows.size <= full.rows.size // 3
+    full = make_playlist([reference], machine, reference.q[0], Setup(), _player())
+    small = make_playlist([reference], machine, reference.q[0], Setup(), _player(len(full.rows) // 3))
+    assert len(small.rows) <= len(full.rows) // 3 and small.rate == round(small.rate)
     assert small.duration == pytest.approx(full.duration, abs=4 / small.rate)
     assert np.allclose(small.rows[-1], full.rows[-1])
     at = np.arange(len(small.rows) - 1) / small.rate
@@ -251,7 +266,7 @@ def test_without_pre_positioning_an_arm_elsewhere_is_refused() -> None:
     machine = load_machine("imi_planar")
     reference = make_reference("circle", machine)
     with pytest.raises(ReferenceError_, match="rad away from the start"):
-        make_playlist([reference], machine, reference.q[0] + 0.1, Setup(preposition=False), 10**9)
+        make_playlist([reference], machine, reference.q[0] + 0.1, Setup(preposition=False), _player())
 
 
 def test_runs_survive_renaming_and_a_broken_neighbour(tmp_path: Path) -> None:

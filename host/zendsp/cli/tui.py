@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import sys
 from pathlib import Path
@@ -73,13 +74,17 @@ def _serve(
     frames: float, port: int,
 ) -> None:  # fmt: skip
     try:
-        from textual_serve.server import Server
+        from zendsp.tui.web import serve
     except ImportError as error:
         raise LinkError("--web needs textual-serve: pip install 'zendsp[web]'") from error
-    words = [sys.executable, "-c", "from zendsp.cli import main; main()", "tui"]
-    words += [target] if target else []
-    for option, value in (("--local", machine), ("--source", source), ("--folder", folder)):
-        words += [option, str(value)] if value else []
-    words += ["--clock", clock, "--screen", screen, "--theme", theme, "--frames", str(frames), "--channels", channels]
-    click.echo(f"http://127.0.0.1:{port}  (Ctrl-C ends it)")
-    Server(shlex.join(words), host="127.0.0.1", port=port, title="zendsp").serve()
+    from zendsp.link import local
+
+    # one machine for all pages, not one for each
+    with local(machine, clock=clock) if machine else contextlib.nullcontext() as started:
+        name = started.name if started is not None else target
+        words = [sys.executable, "-c", "from zendsp.cli import main; main()", "tui"]
+        words += [name] if name else []
+        for option, value in (("--source", source), ("--folder", folder), ("--channels", channels)):
+            words += [option, str(value)] if value else []
+        words += ["--screen", screen, "--theme", theme, "--frames", str(frames)]
+        serve(shlex.join(words), port)

@@ -103,9 +103,11 @@ class PlayJob:
         here = present_position(snapshot, self._machine.joints)
         if player is None or here is None:
             raise Refused("the loaded program cannot play a table: see the preflight list")
-        playlist = make_playlist(self._references, self._machine, here, self._setup, player.capacity)
+        playlist = make_playlist(self._references, self._machine, here, self._setup, player)
         if snapshot.state == "running":
             port.pause()
+        if player.torque_table:  # first: the motion begins when `ref` switches over
+            port.fill(player.torque_table, playlist.torque)
         port.fill(player.table, playlist.rows)
         values = player_values(player, playlist)
         if values:
@@ -133,6 +135,8 @@ class PlayJob:
         """Let the program hold the arm where it is, and pause when it stands: a pause in motion would let it coast."""
         here = present_position(snapshot, self._machine.joints)
         if here is not None:
+            if player.torque_table:
+                port.fill(player.torque_table, np.zeros((1, len(here))))
             port.fill(player.table, np.repeat(here[None, :], 2, axis=0))
             if snapshot.clock == "real":
                 time.sleep(REST_S)

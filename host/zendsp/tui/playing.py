@@ -1,8 +1,8 @@
 """Playing a planned reference: one table of rows from where the arm stands, through the motion, back home; and who takes it.
 
-A program can play references if it declares ``TABLE(ref, …)`` with one column for each joint. Where it declares them, these
-parameters are set as well: ``use_table`` (1), ``row_rate`` (rows a second), ``approach_time`` (kept short: the table begins
-where the arm stands).
+A program can play references if it follows the convention of docs/references.md: a table ``ref`` with one column for each
+joint, and where it has them ``ref_tau`` (torque that goes with the rows), ``use_table`` (set to 1), ``row_rate`` (rows a
+second) and ``approach_time`` (kept short: the table begins where the arm stands).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ Floats = npt.NDArray[np.float64]
 TABLES = ("ref", "reference", "q_ref", "qref")
 APPROACH_S = 0.2  # of a program that blends into the table by itself
 SETTLE_S = 0.5  # at rest before and after the motion
-FALLBACK_ROWS = 60_000
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,9 @@ class Player:
     """How the loaded program takes references."""
 
     table: str
-    capacity: int  # numbers it holds
+    columns: int
+    capacity: int  # rows it holds
+    torque_table: str  # "" where it takes no torque
     parameters: tuple[str, ...]  # those of use_table, row_rate, approach_time that it has
 
 
@@ -58,6 +59,7 @@ class Playlist:
     """Rows for the table, and what happens when."""
 
     rows: Floats  # (N, joints), rad
+    torque: Floats  # (N, joints), N m; zero where the reference says nothing
     rate: float  # rows a second
     phases: tuple[tuple[str, float, float], ...]  # name, begin, end in s from the first row
 
@@ -86,7 +88,8 @@ def find_player(variables: Sequence[Variable]) -> Player | None:
         return None
     names = {v.name for v in variables if v.kind == "parameter"}
     known = tuple(n for n in ("use_table", "row_rate", "approach_time") if n in names)
-    return Player(chosen.name, chosen.length, known)
+    torque = next((v.name for v in tables if v.name == f"{chosen.name}_tau" and v.columns == chosen.columns), "")
+    return Player(chosen.name, chosen.columns, chosen.length // chosen.columns, torque, known)
 
 
 def present_position(snapshot: Snapshot, joints: int) -> Floats | None:
@@ -116,7 +119,7 @@ def smooth_move(start: Floats, goal: Floats, machine: Machine, share: float, per
     return np.asarray(start + (goal - start) * s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
-def make_playlist(references: Sequence[Reference], machine: Machine, start: Floats, setup: Setup, capacity: int) -> Playlist:
+def make_playlist(references: Sequence[Reference], machine: Machine, start: Floats, setup: Setup, player: Player) -> Playlist:
     """Join everything into one table.
 
     Parameters
@@ -128,35 +131,37 @@ def make_playlist(references: Sequence[Reference], machine: Machine, start: Floa
     start : ndarray, shape (joints,)
         Where the arm stands, rad.
     setup : Setup
-    capacity : int
-        Numbers that the program's table holds; where the rows do not fit, every second, third … row is left out, since the
-        program interpolates between rows.
+    player : Player
+        Where the rows do not fit into its table, every second, third … row is left out, since programs interpolate.
 
     Raises
     ------
     ReferenceError_
-        No reference, wrong number of joints, or the arm is not at its start and pre-positioning is off.
+        No reference, wrong number of joints, a torque that the program cannot take, or the arm is not at its start and
+        pre-positioning is off.
     """
     if not references:
         raise ReferenceError_("choose a reference first (o)")
     period = references[0].sample_time
     parts: list[Floats] = []
+    torques: list[Floats] = []
     phases: list[tuple[str, float, float]] = []
     here = np.asarray(start, dtype=np.float64)
 
-    def add(name: str, rows: Floats) -> None:
+    def add(name: str, rows: Floats, torque: Floats | None = None) -> None:
         nonlocal here
         begin = sum(len(p) for p in parts) * period
         parts.append(rows)
+        torques.append(np.zeros_like(rows) if torque is None else torque)
         phases.append((name, begin, begin + len(rows) * period))
         here = rows[-1]
 
     still = round(SETTLE_S / period)
     for k, reference in enumerate(references):
-        if reference.joints != machine.joints:
-            raise ReferenceError_(f"the reference has {reference.joints} joints, {machine.name} has {machine.joints}")
-        if reference.mode != "position":
-            raise ReferenceError_("this reference is a torque law; the program follows positions: choose a motion of the joints")
+        if reference.joints != player.columns:
+            raise ReferenceError_(f"the reference has {reference.joints} joints, the program's table {player.columns} columns")
+        if reference.mode == "torque" and not player.torque_table:
+            raise ReferenceError_("this reference is a torque law and the program has no table ref_tau: build one that has")
         if abs(reference.sample_time - period) > 1e-12:
             raise ReferenceError_("the chosen references have different sample times: play them one by one")
         away = float(np.abs(reference.q[0] - here).max())
@@ -168,18 +173,25 @@ def make_playlist(references: Sequence[Reference], machine: Machine, start: Floa
             name = f"play {cycle + 1}/{setup.cycles}" if setup.cycles > 1 else "play"
             if cycle and float(np.abs(reference.q[0] - here).max()) > 1e-3:
                 add("return to start", smooth_move(here, reference.q[0], machine, setup.share, period))
-            add(name if len(references) == 1 else f"{name} of {k + 1}", np.asarray(reference.q))
+            add(name if len(references) == 1 else f"{name} of {k + 1}", np.asarray(reference.q), reference.tau)
     if setup.go_home:
         back = smooth_move(here, machine.home, machine, setup.share, period)
         add("go home", np.vstack((np.repeat(here[None, :], still, axis=0), back)))
-    rows = np.vstack(parts)
-    thin = max(1, -(-rows.size // max(capacity, 1)))
+    rows, torque = np.vstack(parts), np.vstack(torques)
+    thin = _thinning(len(rows), player.capacity, round(1.0 / period))
     if thin > 1:
-        last = rows[-1:]
-        rows = np.vstack((rows[::thin], last))
-    if rows.size > capacity:
-        rows = rows[: capacity // machine.joints]
-    return Playlist(rows, 1.0 / (period * thin), tuple(phases))
+        rows, torque = np.vstack((rows[::thin], rows[-1:])), np.vstack((torque[::thin], torque[-1:]))
+    return Playlist(rows, torque, 1.0 / (period * thin), tuple(phases))
+
+
+def _thinning(rows: int, capacity: int, rate: int) -> int:
+    """Return every how many rows one is kept: they must fit, and the rows a second must stay a whole number."""
+    thin = 1
+    while rows // thin + 2 > capacity or rate % thin:
+        thin += 1
+        if thin > rate:
+            raise ReferenceError_(f"{rows} rows do not fit into the program's table of {capacity}: play fewer cycles")
+    return thin
 
 
 def player_values(player: Player, playlist: Playlist) -> dict[str, Any]:

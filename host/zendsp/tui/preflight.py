@@ -78,7 +78,7 @@ def _playable(s: Snapshot, references: Sequence[Reference], machine: Machine, se
     if here is None:
         return Condition("position known", False, "the program has no signal q (or q1, q2 …)")
     try:
-        playlist = make_playlist(references, machine, here, setup, player.capacity)
+        playlist = make_playlist(references, machine, here, setup, player)
     except ReferenceError_ as error:
         return Condition("can be played from here", False, str(error))
     return Condition(f"can be played from here: {playlist.duration:.1f} s in all", True)

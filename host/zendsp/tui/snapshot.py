@@ -20,6 +20,7 @@ class Variable:
     maximum: float
     initial: Any
     description: str
+    columns: int = 1  # of a table: values a row
 
     @property
     def writable(self) -> bool:
