@@ -95,6 +95,7 @@ typedef struct runner {
     uint32_t speed_place, speed_window, speed_known;
     double lowest[MACHINE_JOINTS], highest[MACHINE_JOINTS]; /* rad, limits in force (wider while a joint is brought back) */
     uint32_t overruns_in_row;
+    uint64_t busy_ns; /* from the start of a sample to its end, machine included; smoothed over eight samples */
     bool input_seen;
 } runner;
 
