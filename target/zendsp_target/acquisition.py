@@ -230,7 +230,9 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     )  # fmt: skip
 
 
-def read(stream: Stream, first: int, count: int) -> npt.NDArray[np.float64]:
+def read(
+    stream: Stream, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float64]:
     """Copy rows.
 
     Parameters
@@ -240,6 +242,8 @@ def read(stream: Stream, first: int, count: int) -> npt.NDArray[np.float64]:
         Index of the first row.
     count : int
         At most so many; fewer where fewer are written.
+    into : ndarray, shape (count or more, channels), optional
+        Memory to use again and again; fresh pages cost more than filling them.
 
     Returns
     -------
@@ -259,7 +263,9 @@ def read(stream: Stream, first: int, count: int) -> npt.NDArray[np.float64]:
     count = min(count, max(0, written - first), capacity)
     if count == 0:
         return np.empty((0, len(stream.channels)))
-    rows = np.empty((count, len(stream.channels)))
+    rows = np.empty((count, len(stream.channels))) if into is None else into[:count]
+    if rows.shape != (count, len(stream.channels)) or not rows.flags.c_contiguous:
+        raise AcquisitionError(f"memory of shape {rows.shape} does not hold {count} rows of {len(stream.channels)} channels")
     source = stream.file.pointer("double", stream.offset)
     gone = int(lib.monitor_rows(count_word, source, capacity, len(stream.channels), first, count, ffi.from_buffer("double[]", rows)))
     # a stream at rest is not being written: its last row is whole

@@ -74,9 +74,11 @@ class Recorder:
         found, session = self._streams[number]
         return acquisition.status(found, self._fed(session))
 
-    def read(self, number: int, first: int, count: int) -> npt.NDArray[np.float64]:
+    def read(
+        self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+    ) -> npt.NDArray[np.float64]:
         """Rows of a stream, shape (rows, channels)."""
-        return acquisition.read(self._stream(number)[0], first, count)
+        return acquisition.read(self._stream(number)[0], first, count, into)
 
     def _stream(self, number: int) -> tuple[acquisition.Stream, Session]:
         found = self._streams.get(number)

@@ -169,9 +169,11 @@ class Runtime(Motion):
         """Where a stream stands."""
         return self._recorder.status(stream)
 
-    def acquire_read(self, stream: int, first: int, count: int) -> npt.NDArray[np.float64]:
+    def acquire_read(
+        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+    ) -> npt.NDArray[np.float64]:
         """Rows of a stream, shape (rows, channels). See `acquisition.read`."""
-        return self._recorder.read(stream, first, count)
+        return self._recorder.read(stream, first, count, into)
 
     # ---- status -------------------------------------------------------------------------------------------------------------
 
