@@ -93,11 +93,12 @@ def swing(name: str, substep: float, seconds: float = 10.0, more: str = "") -> t
         return follow(plant, lambda t: centre + np.array(amplitude) * np.sin(2 * np.pi * frequency * t), kp, kd, seconds), plant.counts
 
 
+@pytest.mark.parametrize("more", ["friction = full\n", "friction = plain\n"])
 @pytest.mark.parametrize(("name", "substep"), [("imi_planar", 1e-4), ("pendulum", 1e-4), ("wam7", 5e-5)])
-def test_halving_the_step_changes_positions_by_less_than_an_encoder_count_in_10_s(name: str, substep: float) -> None:
+def test_halving_the_step_changes_positions_by_less_than_an_encoder_count_in_10_s(name: str, substep: float, more: str) -> None:
     n = len(CENTRE[name])
-    rows, counts = swing(name, substep)
-    finer, _ = swing(name, substep / 2)
+    rows, counts = swing(name, substep, more=more)
+    finer, _ = swing(name, substep / 2, more=more)
     assert np.ptp(rows[:, 1 : 1 + n], axis=0).min() > 0.1, "every joint must move"
     assert (np.abs(rows - finer)[:, 1 : 1 + n] * counts).max() < 1.0
 

@@ -102,11 +102,14 @@ static inline void concealed_prepare(concealed *c, concealed_effect *e) {
     }
 }
 
-/* The same friction that a simple model has: viscous and Coulomb, equal in both directions, no breakaway. */
+/* The same friction that a simple model has: viscous and Coulomb, equal in both directions, no breakaway, and bristles so stiff that
+ * the joint gives way by less than an encoder count before it slides. */
 static inline void concealed_plain(plant_friction *f) {
     f->viscous_pos = f->viscous_neg = 0.5 * (f->viscous_pos + f->viscous_neg);
     f->coulomb_pos = f->coulomb_neg = 0.5 * (f->coulomb_pos + f->coulomb_neg);
     f->breakaway_pos = f->breakaway_neg = f->coulomb_pos;
+    f->stiffness *= 50.0;
+    f->damping *= 7.0; /* about its root: the same damping ratio */
 }
 
 /* Call at the end of open(), when the plant is complete. Config keys: effect1, effect2, … and
