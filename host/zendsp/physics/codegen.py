@@ -49,7 +49,7 @@ def compensation(
     --------
     >>> from zendsp.physics.model import Quantity, Term
     >>> text = compensation([Term("coulomb", 1, {"level": Quantity(0.05)})])
-    >>> "comp_share * (comp_coulomb1_level * comp_sign(qd[0]))" in text
+    >>> "comp_share * (comp_coulomb1_level * comp_sign(vel[0]))" in text
     True
     """
     model = Model("found", None, "rotary", {}, terms=tuple(terms))
@@ -86,15 +86,15 @@ static inline void CompensationInit(void) {{
 {declared}
 }}
 
-/* Torque to add to the command `tau` of a joint (from 0); q, qd, qdd: all joints, SI units. */
-static inline double Compensation(int32_t joint, const double *q, const double *qd, const double *qdd, double tau) {{
-    double wanted = tau;
-    (void)q, (void)qd, (void)qdd;
+/* Torque to add to the command `torque` of a joint (from 0); position, speed and acceleration of all joints, SI units. */
+static inline double Compensation(int32_t joint, const double *pos, const double *vel, const double *acc, double torque) {{
+    double wanted = torque;
+    (void)pos, (void)vel, (void)acc;
     switch (joint) {{
 {cases}    default:
         break;
     }}
-{inverse}    return wanted - tau;
+{inverse}    return wanted - torque;
 }}
 """
 
@@ -159,7 +159,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     --------
     >>> from zendsp.physics import parse_model
     >>> bench = parse_model({"name": "bench", "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
-    >>> "tau[0] = model_inertia1 * qdd[0] + 0.0;" in model_code(bench)
+    >>> "torque[0] = model_inertia1 * acc[0] + 0.0;" in model_code(bench)
     True
     """
     from zendsp.physics.codegen_model import rigid_code
@@ -176,7 +176,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     about = "\n".join([f"The model {model.name!r} for the ISR: {note}.", *left_out])
     effects = "".join(_extra(line) for line in made if not line.inverse)
     inverse = "".join(
-        f"    {{\n        const double wanted = tau[{line.joint}];\n        tau[{line.joint}] = {line.expression}; /* {line.comment} */\n    }}\n"
+        f"    {{\n        const double wanted = torque[{line.joint}];\n        torque[{line.joint}] = {line.expression}; /* {line.comment} */\n    }}\n"
         for line in made
         if line.inverse
     )
@@ -206,27 +206,27 @@ static inline void ModelInit(void) {{
 {declared}
 }}
 
-/* Friction and the other effects, N m (N), while the torque `tau` acts. */
-static inline void ModelEffects(const double *q, const double *qd, const double *qdd, const double *tau, double *extra) {{
-    (void)q, (void)qd, (void)qdd, (void)tau;
+/* Friction and the other effects, N m (N), while `torque` acts. */
+static inline void ModelEffects(const double *pos, const double *vel, const double *acc, const double *torque, double *extra) {{
+    (void)pos, (void)vel, (void)acc, (void)torque;
     for (int j = 0; j < MODEL_JOINTS; j++)
         extra[j] = 0.0;
 {effects}}}
 
 /* Gravity alone, N m (N). */
-static inline void ModelGravity(const double *q, double *tau) {{ model_gravity(q, q, q, tau); }}
+static inline void ModelGravity(const double *pos, double *torque) {{ model_gravity(pos, pos, pos, torque); }}
 
-/* Inverse dynamics: the command, as torque, that gives the accelerations qdd. */
-static inline void ModelTorque(const double *q, const double *qd, const double *qdd, double *tau) {{
+/* Inverse dynamics: the command, as torque, that gives the accelerations `acc`. */
+static inline void ModelTorque(const double *pos, const double *vel, const double *acc, double *torque) {{
     double extra[MODEL_JOINTS];
-    model_rigid(q, qd, qdd, tau);
-    ModelEffects(q, qd, qdd, tau, extra);
+    model_rigid(pos, vel, acc, torque);
+    ModelEffects(pos, vel, acc, torque, extra);
     for (int j = 0; j < MODEL_JOINTS; j++)
-        tau[j] += extra[j];
+        torque[j] += extra[j];
 {inverse}}}
 """
 
 
 def _extra(line: Line) -> str:
-    expression = re.sub(r"\btau\b", f"tau[{line.joint}]", line.expression)
+    expression = re.sub(r"\btorque\b", f"torque[{line.joint}]", line.expression)
     return f"    extra[{line.joint}] += {expression}; /* {line.comment} */\n"

@@ -50,7 +50,7 @@ def rigid_code(model: Model) -> tuple[list[Variable], str, str, str]:
 
 
 def _function(name: str, body: str) -> str:
-    return f"static inline void {name}(const double *q, const double *qd, const double *qdd, double *tau) {{\n    (void)q, (void)qd, (void)qdd;\n{body}}}\n"
+    return f"static inline void {name}(const double *pos, const double *vel, const double *acc, double *torque) {{\n    (void)pos, (void)vel, (void)acc;\n{body}}}\n"
 
 
 def _diagonal(model: Model) -> tuple[list[Variable], str, str, str]:
@@ -64,9 +64,9 @@ def _diagonal(model: Model) -> tuple[list[Variable], str, str, str]:
         term = "0.0"
         if per_joint(weights, j + 1, 0.0) != 0.0:
             variables.append(Variable(f"model_gravity{j + 1}", per_joint(weights, j + 1, 0.0), "N m", f"gravity torque of joint {j + 1}, m g l"))
-            term = f"model_gravity{j + 1} * sin(q[{j}])"
-        rigid += f"    tau[{j}] = {name} * qdd[{j}] + {term};\n"
-        gravity += f"    tau[{j}] = {term};\n"
+            term = f"model_gravity{j + 1} * sin(pos[{j}])"
+        rigid += f"    torque[{j}] = {name} * acc[{j}] + {term};\n"
+        gravity += f"    torque[{j}] = {term};\n"
     return variables, _function("model_rigid", rigid) + "\n" + _function("model_gravity", gravity), "", f"{key} qdd + gravity sin(q)"
 
 
@@ -74,11 +74,11 @@ def _planar(model: Model) -> tuple[list[Variable], str, str, str]:
     words = {"p1": "inertia of both links about axis 1", "p2": "inertia of link 2 about axis 2", "p3": "coupling of the links"}
     variables = [Variable(f"model_{k}", model.mechanism[k][0].value, "kg m^2", text) for k, text in words.items()]
     rigid = (
-        "    const double c = model_p3 * cos(q[1]), s = model_p3 * sin(q[1]);\n"
-        "    tau[0] = (model_p1 + 2.0 * c) * qdd[0] + (model_p2 + c) * qdd[1] - s * qd[1] * (2.0 * qd[0] + qd[1]);\n"
-        "    tau[1] = (model_p2 + c) * qdd[0] + model_p2 * qdd[1] + s * qd[0] * qd[0];\n"
+        "    const double c = model_p3 * cos(pos[1]), s = model_p3 * sin(pos[1]);\n"
+        "    torque[0] = (model_p1 + 2.0 * c) * acc[0] + (model_p2 + c) * acc[1] - s * vel[1] * (2.0 * vel[0] + vel[1]);\n"
+        "    torque[1] = (model_p2 + c) * acc[0] + model_p2 * acc[1] + s * vel[0] * vel[0];\n"
     )
-    gravity = "    tau[0] = tau[1] = 0.0;\n"
+    gravity = "    torque[0] = torque[1] = 0.0;\n"
     note = "M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]]"
     return variables, _function("model_rigid", rigid) + "\n" + _function("model_gravity", gravity), "", note
 
@@ -124,18 +124,18 @@ static inline void model_links(double *tree) {
     }
 }
 
-static inline void model_rigid(const double *q, const double *qd, const double *qdd, double *tau) {
+static inline void model_rigid(const double *pos, const double *vel, const double *acc, double *torque) {
     double tree[MODEL_JOINTS * TREE_ROW];
     tree_pose pose;
     model_links(tree);
-    tree_place(MODEL_JOINTS, tree, q, &pose);
-    tree_torque(MODEL_JOINTS, tree, &pose, model_g, qd, qdd, tau);
+    tree_place(MODEL_JOINTS, tree, pos, &pose);
+    tree_torque(MODEL_JOINTS, tree, &pose, model_g, vel, acc, torque);
 }
 
-static inline void model_gravity(const double *q, const double *qd, const double *qdd, double *tau) {
+static inline void model_gravity(const double *pos, const double *vel, const double *acc, double *torque) {
     const double still[MODEL_JOINTS] = {0.0};
-    (void)qd, (void)qdd;
-    model_rigid(q, still, still, tau);
+    (void)vel, (void)acc;
+    model_rigid(pos, still, still, torque);
 }
 """
 

@@ -16,11 +16,13 @@ _INVERSE = {
 }
 # The law of a coupling is part of the structure, not a number to be tuned: 0 inertia, 1 coriolis, 2 viscous, 3 coulomb.
 _COUPLING = (
-    "p[2] * qdd[{other}]",
-    "p[2] * qd[{other}] * qd[{other}]",
-    "p[2] * qd[{other}]",
-    "p[2] * tanh((qd[{joint}] + qd[{other}]) / p[3])",
+    "p[2] * acc[{other}]",
+    "p[2] * vel[{other}] * vel[{other}]",
+    "p[2] * vel[{other}]",
+    "p[2] * tanh((vel[{joint}] + vel[{other}]) / p[3])",
 )
+# In C the arguments have names of their own: programs have globals q, qd, tau.
+_NAMES = {"q": "pos[{}]", "qd": "vel[{}]", "qdd": "acc[{}]", "tau": "torque"}
 _WHY_NOT = {
     "friction_drift": "it changes with time: identify friction again when the machine is warm",
     "presliding": "it depends on a deflection that is not measured",
@@ -46,7 +48,8 @@ class Variable:
 
 @dataclass(frozen=True)
 class Line:
-    """One term in C: ``expression`` of joint ``joint`` (from 0), over q, qd, qdd (arrays) and tau; ``inverse`` acts on tau at the end."""
+    """One term in C: ``expression`` of joint ``joint`` (from 0), over pos, vel, acc (arrays) and torque; ``inverse`` acts on
+    ``wanted`` at the end."""
 
     joint: int
     expression: str
@@ -152,7 +155,7 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
         body = effect.compensable
         if effect.site == "dry" and "sgn(" not in body:  # levels per direction: the size here, the sign once and smooth
             body = f"fabs({body}) * sgn(qd)"
-        body = re.sub(r"\b(q|qd|qdd)\b(?!\[)", rf"\1[{j}]", body)
+        body = re.sub(r"\b(q|qd|qdd|tau)\b", lambda m: _NAMES[m[1]].format(j), body)
     variables: list[Variable] = []
     for k, parameter in enumerate(effect.parameters):
         if f"p[{k}]" not in body:

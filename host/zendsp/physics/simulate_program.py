@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import mmap
 import os
 import pickle
@@ -156,6 +157,7 @@ def run_program(build: Build, plant: Plant, job: Job, timeout_s: float) -> Outco
         status = 1
         with contextlib.suppress(BaseException):
             os.close(out)
+            faulthandler.disable()  # a crash of the program is told in one sentence, by the parent
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             _child(build, plant, job, progress, into)
             status = 0

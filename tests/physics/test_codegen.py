@@ -1,0 +1,202 @@
+"""C made from models: the same torque as Python and Pinocchio, in a target and in a simulation, and it does cancel what was found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from zendsp.cli.codegen import command
+from zendsp.errors import ModelError
+from zendsp.physics import (
+    compensation,
+    inverse_dynamics,
+    library,
+    load_model,
+    model_code,
+    parse_model,
+    simulate,
+)
+from zendsp.physics.codegen_terms import compensable
+from zendsp.physics.model import Actuator, Model, Quantity, Term
+from zendsp_target.api import AcquireConfig
+from zendsp_target.runtime import Runtime
+
+MODELS = Path(__file__).parents[2] / "examples" / "models"
+STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror")
+
+PROBE = """#include "isr.h"
+#include "model.c"
+static double q[MODEL_JOINTS], qd[MODEL_JOINTS], qdd[MODEL_JOINTS], tau[MODEL_JOINTS], g[MODEL_JOINTS];
+void UserInit(void) {
+    ModelInit();
+    SIGNAL(q, "rad", ""); SIGNAL(qd, "rad/s", ""); SIGNAL(qdd, "rad/s^2", ""); SIGNAL(tau, "N m", ""); SIGNAL(g, "N m", "");
+}
+void UserISR_INT2(void) {
+    for (int j = 0; j < MODEL_JOINTS; j++) {
+        q[j] = sin(3.0 * SAMPLE_TIME + j);
+        qd[j] = 2.0 * cos(5.0 * SAMPLE_TIME + 2.0 * j);
+        qdd[j] = 7.0 * sin(11.0 * SAMPLE_TIME + 3.0 * j);
+    }
+    ModelTorque(q, qd, qdd, tau);
+    ModelGravity(q, g);
+}
+void UserBackground(void) {}
+"""
+
+
+def probe(model: Model) -> dict[str, str]:
+    return {"probe.c": PROBE, "model.c": model_code(model)}
+
+
+def wam_by_hand(q: Any, qd: Any, qdd: Any) -> Any:
+    """Pinocchio and the friction of the model file, written out."""
+    import pinocchio as pin
+
+    robot = pin.buildModelFromUrdf(str(MODELS / "wam7.urdf"))
+    data = robot.createData()
+    tau = np.array([np.array(pin.rnea(robot, data, *row)) for row in zip(q, qd, qdd, strict=True)])
+    for term in load_model(MODELS / "wam7.toml").terms:
+        v = qd[:, term.joint - 1]
+        pos, neg = (p.value for p in term.parameters.values())
+        level = np.where(v > 0, pos, neg)
+        tau[:, term.joint - 1] += level * (v if term.effect == "viscous_asymmetry" else np.tanh(v / 0.02))
+    return tau
+
+
+def test_the_wam_in_c_is_pinocchio_plus_friction_to_1e_9_in_a_simulation_and_on_a_target() -> None:
+    model = load_model(MODELS / "wam7.toml")
+    sim = simulate(probe(model), model, seconds=0.3, flags=STRICT)
+    assert np.abs(sim["tau"] - wam_by_hand(sim["q"], sim["qd"], sim["qdd"])).max() < 1e-9
+    assert np.abs(inverse_dynamics(model, sim["q"], sim["qd"], sim["qdd"], sign_speed=0.02) - sim["tau"]).max() < 1e-9
+    with Runtime("wam7", clock="fast") as runtime:
+        result = runtime.compile(probe(model), ("-Wall", "-Wextra"))
+        assert result.ok and not result.diagnostics, result.diagnostics
+        runtime.load(result.key)
+        names = [f"{n}[{j}]" for n in ("q", "qd", "qdd", "tau") for j in range(7)]
+        runtime.acquire_configure(0, AcquireConfig(tuple(names), seconds=0.2))
+        runtime.acquire_start(0)
+        runtime.start(ticks=205)
+        runtime.wait_paused()
+        q, qd, qdd, tau = np.split(runtime.acquire_read(0, 0, 200), 4, axis=1)
+    assert np.abs(tau - wam_by_hand(q, qd, qdd)).max() < 1e-9
+
+
+def test_the_planar_arm_in_c_is_its_equation() -> None:
+    model = load_model(MODELS / "imi_planar.toml")
+    rec = simulate(probe(model), model, seconds=0.5, flags=STRICT)
+    (q1, q2), (v1, v2), (a1, a2) = rec["q"].T, rec["qd"].T, rec["qdd"].T
+    c, s = 0.242 * np.cos(q2), 0.242 * np.sin(q2)
+    first = (3.473 + 2 * c) * a1 + (0.196 + c) * a2 - s * v2 * (2 * v1 + v2) + 5.3 * v1 + 8.45 * np.tanh(v1 / 0.02)
+    second = (0.196 + c) * a1 + 0.196 * a2 + s * v1**2 + 1.1 * v2 + 2.35 * np.tanh(v2 / 0.02)
+    assert np.abs(rec["tau"] - np.stack([first, second], axis=1)).max() < 1e-9 and np.all(rec["g"] == 0)
+
+
+def test_numbers_are_parameters_that_change_the_torque_while_it_runs() -> None:
+    model = load_model(MODELS / "pendulum.toml")
+    plain = simulate(probe(model), model, seconds=0.2)
+    heavy = simulate(probe(model), model, seconds=0.2, parameters={"model_inertia1": 0.01, "model_coulomb1_level": 0.0})
+    expected = (0.01 - 2.07e-3) * plain["qdd"] - 0.1 * np.tanh(plain["qd"] / 0.02)
+    assert np.abs(heavy["tau"] - plain["tau"] - expected).max() < 1e-12
+
+
+def every_effect() -> list[Term]:
+    numbers = {"from_joint": 2.0, "law": 1.0, "order": 7.0, "period": 0.5, "exponent": 2.0, "velocity": 0.3, "split": 0.7, "smooth": 0.05}
+    return [Term(e.name, 1, {p.name: Quantity(numbers.get(p.name, 0.11 + 0.01 * k)) for k, p in enumerate(e.parameters)}) for e in library().values()]
+
+
+def test_every_effect_that_has_c_has_the_same_torque_in_python() -> None:
+    """Each alone, against the Python law; those of actuator and load need a command and are checked below."""
+    base = {"sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}}, "columns": {"position": ["a", "b"]}}
+    checked = []
+    for term in every_effect():
+        if not compensable(term) or term.effect in ("torque_gain", "dead_zone", "load_friction"):
+            continue
+        model = parse_model(base).with_terms((term,))
+        rec = simulate(probe(model), model, seconds=0.4)
+        expected = inverse_dynamics(model, rec["q"], rec["qd"], rec["qdd"], sign_speed=0.02)
+        without = inverse_dynamics(model.with_terms(()), rec["q"], rec["qd"], rec["qdd"])
+        assert np.abs(rec["tau"] - expected).max() < 1e-9, term.effect
+        assert np.abs(expected - without).max() > 1e-3, f"{term.effect}: the test has power"
+        checked.append(term.effect)
+    assert len(checked) >= 14
+
+
+LOOP = """#include "isr.h"
+#define N 1
+#include "motion.h"
+#include "compensation.c"
+static double tau[N];
+void UserInit(void) { MotionInit(); CompensationInit(); SIGNAL(tau, "N m", ""); }
+void UserISR_INT2(void) {
+    MotionStep();
+    tau[0] = 0.01 * rdd[0] + 20.0 * e[0] + 0.4 * (rd[0] - qd[0]);
+    tau[0] += Compensation(0, r, rd, rdd, tau[0]); /* along the reference: it knows the reversals */
+    WRITE_TORQUE(0, tau[0]);
+}
+void UserBackground(void) {}
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [("coulomb", {"level": 0.2}), ("gravity", {"torque": 0.5, "angle": 0.4}), ("stiffness", {"coefficient": 0.6, "neutral": 0.2}), ("ripple", {"order": 6.0, "amplitude": 0.2, "phase": 0.5}),
+     ("torque_gain", {"ratio": -0.4}), ("dead_zone", {"width": 0.15}), ("quadratic_drag", {"coefficient": 0.05}), ("coulomb_asymmetry", {"level_pos": 0.1, "level_neg": 0.3})],
+)  # fmt: skip
+def test_compensation_takes_the_effect_out_of_the_loop(kind: str, values: dict[str, float]) -> None:
+    from zendsp.reference import Reference
+    from zendsp_isr.build import source_root
+
+    model = parse_model({"sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}, "effect": [{"kind": kind, "joint": 1, **values}]})
+    motion = (source_root() / "programs" / "motion.h").read_text()
+    sources = {"loop.c": LOOP, "motion.h": motion, "compensation.c": compensation(model.terms, actuator=model.actuator)}
+    t = 0.001 * np.arange(3000)
+    reference = Reference((0.6 * np.sin(4.0 * t))[:, None], 0.001)
+    error = {}
+    for share in (0.0, 1.0):
+        rec = simulate(sources, model, reference=reference, parameters={"comp_share": share, "approach_time": 0.2})
+        error[share] = float(np.sqrt(np.mean(rec["e"][700:3200] ** 2)))
+    assert error[1.0] < 0.35 * error[0.0], error  # what is left: a sign taken late, a sample of delay, quantised speed
+
+
+def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
+    terms = [t for t in every_effect() if not compensable(t)]
+    assert {t.effect for t in terms} >= {"delay", "lag", "backlash", "elasticity", "presliding", "hysteresis", "saturation"}
+    text = compensation(terms, title="a */ b", sentences=["Joint 1 lacks everything. */"])
+    for term in terms:
+        assert f"Not compensated: {term.effect} of joint 1 (" in text
+    model = load_model(MODELS / "pendulum.toml")
+    rec = simulate({"loop.c": LOOP.replace('#include "motion.h"', '#include "motion.h"'), "motion.h": _motion(), "compensation.c": text}, model, seconds=0.05, flags=STRICT)
+    assert np.all(np.isfinite(rec["tau"]))
+
+
+def _motion() -> str:
+    from zendsp_isr.build import source_root
+
+    return (source_root() / "programs" / "motion.h").read_text()
+
+
+def test_all_compensable_effects_together_compile_without_a_warning() -> None:
+    terms = every_effect()
+    text = compensation([*terms, *[t for t in terms if t.effect == "ripple"]], actuator=Actuator(gain=(2.0,)))
+    body = LOOP.replace("#define N 1", "#define N 2").replace("tau[0] +=", "tau[1] = 0.0;\n    tau[0] +=")
+    model = parse_model({"sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}}, "columns": {"position": ["a", "b"]}})
+    rec = simulate({"loop.c": body, "motion.h": _motion(), "compensation.c": text}, model, seconds=0.02, flags=STRICT)
+    assert "comp_ripple1_2_order" in rec.parameters and "comp_dead_zone1_width" in rec.parameters
+
+
+def test_a_python_model_has_no_c() -> None:
+    with pytest.raises(ModelError, match="python"):
+        model_code(parse_model({"sample_time": 0.001, "mechanism": {"kind": "python", "entry": "m:f"}}))
+
+
+def test_model2c_writes_what_the_function_gives(tmp_path: Path) -> None:
+    out = tmp_path / "model.c"
+    done = CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert out.read_text() == model_code(load_model(MODELS / "imi_planar.toml"))
+    shown = CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--effects-only"])
+    assert "Compensation(int32_t joint" in shown.output and "comp_coulomb2_level" in shown.output
