@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import zenoh
 
@@ -33,13 +31,16 @@ def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: 
         )
     columns = max(1, len(status.channels))
     rows_each = max(1, min(max(args.chunk, LOWEST), HIGHEST) // (8 * columns))
+    memory = bytearray(rows_each * columns * 8)  # used for each chunk in turn: Zenoh copies what it is given
+    into = np.frombuffer(memory, dtype=np.float64).reshape(rows_each, columns)
     for first, count in spans(args.first, args.count, rows_each):
-        _send(query, first, runtime.acquire_read(stream, first, count))
+        rows = runtime.acquire_read(stream, first, count, into)
+        whole = len(rows) * columns * 8 == len(memory)
+        _send(query, first, rows.shape, memory if whole else memory[: len(rows) * columns * 8])
     return m.Empty()
 
 
-def _send(query: zenoh.Query, first: int, rows: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-    data = rows.astype("<f8", copy=False).tobytes()
-    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=rows.shape[0], columns=rows.shape[1], crc=folded_crc(data))
+def _send(query: zenoh.Query, first: int, shape: tuple[int, ...], data: bytearray) -> None:
+    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=shape[0], columns=shape[1], crc=folded_crc(memoryview(data)))
     # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
     query.reply(query.key_expr, data, attachment=encode(header))

@@ -215,8 +215,14 @@ class FakeRuntime:
             -1,
         )
 
-    def acquire_read(self, stream: int, first: int, count: int) -> npt.NDArray[np.float64]:
-        return np.array(self.streams[stream]["rows"][first : first + count], dtype=np.float64)
+    def acquire_read(
+        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+    ) -> npt.NDArray[np.float64]:
+        rows = np.array(self.streams[stream]["rows"][first : first + count], dtype=np.float64)
+        if into is None:
+            return rows
+        into[: len(rows)] = rows
+        return into[: len(rows)]
 
     def close(self) -> None:
         self.closed = True
