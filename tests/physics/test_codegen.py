@@ -88,7 +88,7 @@ def test_the_wam_in_c_is_pinocchio_plus_friction_to_1e_9_in_a_simulation_and_on_
 def test_the_planar_arm_in_c_is_its_equation() -> None:
     model = load_model(MODELS / "imi_planar.toml")
     rec = simulate(probe(model), model, seconds=0.5, flags=STRICT)
-    (q1, q2), (v1, v2), (a1, a2) = rec["q"].T, rec["qd"].T, rec["qdd"].T
+    (_q1, q2), (v1, v2), (a1, a2) = rec["q"].T, rec["qd"].T, rec["qdd"].T
     c, s = 0.242 * np.cos(q2), 0.242 * np.sin(q2)
     first = (3.473 + 2 * c) * a1 + (0.196 + c) * a2 - s * v2 * (2 * v1 + v2) + 5.3 * v1 + 8.45 * np.tanh(v1 / 0.02)
     second = (0.196 + c) * a1 + 0.196 * a2 + s * v1**2 + 1.1 * v2 + 2.35 * np.tanh(v2 / 0.02)

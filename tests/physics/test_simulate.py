@@ -47,7 +47,7 @@ def test_a_free_pendulum_swings_as_scipy_says() -> None:
 
 def test_the_planar_arm_moves_as_its_equations_say() -> None:
     def rate(t: float, x: Any) -> list[float]:
-        q1, q2, v1, v2 = x
+        _q1, q2, v1, v2 = x
         c, s = 0.242 * math.cos(q2), 0.242 * math.sin(q2)
         M = np.array([[3.473 + 2 * c, 0.196 + c], [0.196 + c, 0.196]])
         a = np.linalg.solve(M, [4.0 + s * v2 * (2 * v1 + v2) - 5.3 * v1, -0.5 - s * v1**2 - 1.1 * v2])
@@ -137,13 +137,13 @@ def test_friction_holds_a_joint_against_the_pull_of_another() -> None:
 
 
 EFFECTS = {
-    "stribeck": dict(breakaway=0.08, velocity=0.05), "presliding": dict(stiffness=20.0, damping=0.01), "elasticity": dict(stiffness=30.0, damping=0.01, load_inertia=0.006),
-    "hysteresis": dict(force=0.1, stiffness=1.0), "lag": dict(time_constant=0.003), "delay": dict(time=0.0015), "friction_drift": dict(ratio=1.0, time_constant=5.0),
-    "dead_zone": dict(width=0.02), "load_friction": dict(coefficient=0.1), "ripple": dict(order=7.0, amplitude=0.03, phase=0.0), "quadratic_drag": dict(coefficient=0.01),
-    "saturation": dict(level=0.3), "viscous_asymmetry": dict(coefficient_pos=0.01, coefficient_neg=0.02), "position_friction": dict(amplitude=0.02, period=0.5, phase=0.0),
-    "friction_block": dict(level=0.05, slope=-0.02, curve=0.03, cubic=0.01, split=1.0, high_curve=0.002), "inertia": dict(amount=0.004), "torque_gain": dict(ratio=0.2),
-    "torque_offset": dict(level=0.02), "gravity": dict(torque=0.1, angle=0.3), "stiffness": dict(coefficient=0.2, neutral=0.1), "cubic_stiffness": dict(coefficient=0.2, neutral=0.1),
-    "encoder_eccentricity": dict(amplitude=0.01, phase=0.2),
+    "stribeck": {"breakaway": 0.08, "velocity": 0.05}, "presliding": {"stiffness": 20.0, "damping": 0.01}, "elasticity": {"stiffness": 30.0, "damping": 0.01, "load_inertia": 0.006},
+    "hysteresis": {"force": 0.1, "stiffness": 1.0}, "lag": {"time_constant": 0.003}, "delay": {"time": 0.0015}, "friction_drift": {"ratio": 1.0, "time_constant": 5.0},
+    "dead_zone": {"width": 0.02}, "load_friction": {"coefficient": 0.1}, "ripple": {"order": 7.0, "amplitude": 0.03, "phase": 0.0}, "quadratic_drag": {"coefficient": 0.01},
+    "saturation": {"level": 0.3}, "viscous_asymmetry": {"coefficient_pos": 0.01, "coefficient_neg": 0.02}, "position_friction": {"amplitude": 0.02, "period": 0.5, "phase": 0.0},
+    "friction_block": {"level": 0.05, "slope": -0.02, "curve": 0.03, "cubic": 0.01, "split": 1.0, "high_curve": 0.002}, "inertia": {"amount": 0.004}, "torque_gain": {"ratio": 0.2},
+    "torque_offset": {"level": 0.02}, "gravity": {"torque": 0.1, "angle": 0.3}, "stiffness": {"coefficient": 0.2, "neutral": 0.1}, "cubic_stiffness": {"coefficient": 0.2, "neutral": 0.1},
+    "encoder_eccentricity": {"amplitude": 0.01, "phase": 0.2},
 }  # fmt: skip
 
 
