@@ -68,11 +68,16 @@ def pendulum(data: Path, out: Path) -> Recordings:
 
 
 def tx40(data: Path, out: Path) -> Recordings:
-    """Motor positions and torques from 5 kHz to 1 kHz: linear-phase low-pass run both ways, then every fifth sample."""
-    from scipy.signal import decimate
+    """Motor positions and torques from 5 kHz to 1 kHz: low-pass run both ways, then every fifth sample.
+
+    The filter's ends are padded with the data's own continuation: `scipy.signal.decimate` pads with zeros, which tears the
+    first and last rows away from a joint that does not stand at zero.
+    """
+    from scipy.signal import butter, sosfiltfilt
 
     columns = [np.loadtxt(data / name, delimiter=",", skiprows=1) for name in FILES["tx40"][:2]]
-    q, tau = (decimate(c, 5, ftype="fir", axis=0, zero_phase=True) for c in columns)
+    sos = butter(8, 400.0, fs=5000.0, output="sos")
+    q, tau = (sosfiltfilt(sos, c, axis=0)[::5] for c in columns)
     path = out / "tx40_1khz.npz"
     np.savez_compressed(path, t=np.arange(len(q)) * 1e-3, q_motor=q, tau_motor=tau)
     shutil.copyfile(data / FILES["tx40"][2], out / "tx40.urdf")

@@ -1,0 +1,118 @@
+"""Real recordings are converted right, and their absence is said, never passed over."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from zendsp.cli.prove import command
+from zendsp.proof.answer import Answer, Estimate, Finding
+from zendsp.proof.convert import convert, missing
+from zendsp.proof.implant import (
+    EFFECTS,
+    GAIN,
+    Implant,
+    middle_motion,
+    parameters_for,
+    torque,
+    without_controller,
+)
+from zendsp.proof.real import MACHINES, Seen, look_at, main_status, model_folder, screw_ripple
+
+DATA = Path(os.environ.get("ZENDSP_DATA", "/nowhere"))
+with_data = pytest.mark.skipif(bool(missing("tx40", DATA)), reason="real recordings: set ZENDSP_DATA")
+
+
+def test_absent_data_are_reported_and_fail(tmp_path: Path) -> None:
+    result = CliRunner().invoke(
+        command, ["--real", "--data", str(tmp_path / "none"), "--out", str(tmp_path / "o")]
+    )
+    assert result.exit_code == 1
+    assert result.output.count("ABSENT") == len(MACHINES)
+    assert "DATA_EMPS.mat" in result.output
+
+
+def test_no_folder_named_is_a_usage_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ZENDSP_DATA", raising=False)
+    result = CliRunner().invoke(command, ["--implant"])
+    assert result.exit_code == 2 and "ZENDSP_DATA" in result.output
+
+
+def test_absent_machine_makes_the_status_bad(tmp_path: Path) -> None:
+    seen = look_at(MACHINES[0], tmp_path, tmp_path / "out", 1.0)
+    assert seen.absent and not seen.good and main_status([(MACHINES[0], seen)]) == 1
+    assert main_status([]) == 1
+    kept = Seen("emps", Answer("missing"), (("x", True),), None)
+    assert main_status([(MACHINES[0], kept)]) == 0
+
+
+def test_given_models_lack_the_physics_and_are_of_the_contract() -> None:
+    for name, lacking in (("emps", "coulomb"), ("single_pendulum", "coulomb"), ("tx40", "coulomb")):
+        table = tomllib.loads((model_folder() / f"{name}.toml").read_text())
+        assert lacking not in {e["kind"] for e in table["effect"]}
+        assert table["name"] == name and table["sample_time"] == 0.001 and "position" in table["columns"]
+    tx40 = tomllib.loads((model_folder() / "tx40.toml").read_text())
+    sensor, actuator = np.array(tx40["sensor"]["matrix"]), np.array(tx40["actuator"]["matrix"])
+    # power is the same on both sides: tau_joint . v_joint = tau_motor . v_motor
+    assert np.allclose(actuator.T @ sensor, np.eye(6))
+
+
+def test_only_the_ripple_of_the_screw_counts() -> None:
+    def answer(order: float) -> Answer:
+        return Answer("missing", (Finding("ripple", 1, {"order": Estimate(order, 1.0)}, 0.9),))
+
+    assert screw_ripple(answer(2 * np.pi / 0.0025)) and not screw_ripple(answer(1000.0))
+
+
+@with_data
+def test_tx40_converts_to_joint_angles_that_start_at_zero(tmp_path: Path) -> None:
+    made = convert("tx40", DATA, tmp_path)
+    table = tomllib.loads((model_folder() / "tx40.toml").read_text())
+    with np.load(made.train[0]) as file:
+        joint = file["q_motor"] @ np.array(table["sensor"]["matrix"]).T + np.array(table["sensor"]["offset"])
+        assert file["tau_motor"].shape == joint.shape == (9000, 6)
+    assert np.max(np.abs(joint[0])) < 1e-3
+    assert (tmp_path / "tx40.urdf").exists()
+
+
+@with_data
+def test_pendulum_hangs_at_zero(tmp_path: Path) -> None:
+    made = convert("single_pendulum", DATA, tmp_path)
+    assert len(made.train) == 4 and len(made.heldout) == 2
+    with np.load(made.train[0]) as file:
+        assert abs(np.mean(file["q"])) < 0.05  # it swings about the hanging position
+        slope = np.gradient(file["q"], file["t"])
+        assert np.corrcoef(slope, file["qd"])[0, 1] > 0.999
+
+
+def test_implant_is_just_the_torque_of_its_parameters() -> None:
+    t = np.arange(5000) * 1e-3
+    q, v = middle_motion(0.1 * np.sin(3 * t), 1e-3)
+    inner = slice(200, -200)  # filter's ends
+    assert np.allclose(q[inner], 0.1 * np.sin(3 * (t + 5e-4))[inner], atol=1e-6)
+    assert np.allclose(v[inner], 0.3 * np.cos(3 * (t + 5e-4))[inner], atol=1e-5)
+    command_ = np.ones_like(t)
+    for effect in EFFECTS:
+        p = parameters_for(effect, 1.0, q, v, command_)
+        rms = float(np.sqrt(np.mean(torque(effect, p, q, v) ** 2)))
+        assert 0.03 * GAIN < rms < 0.2 * GAIN  # about a tenth of the command's
+
+
+def test_controller_is_dropped_because_the_command_is_not_its_any_more(tmp_path: Path) -> None:
+    target = without_controller(model_folder() / "emps.toml", tmp_path / "m.toml")
+    table = tomllib.loads(target.read_text())
+    assert "controller" not in table and table["columns"]["command"] == "vir" and "actuator" in table
+
+
+def test_implant_counts_only_as_the_first_finding() -> None:
+    p = {"coefficient": 2.0}
+    right = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),))
+    late = Answer("missing", (Finding("ripple", 1), Finding("stiffness", 1)))
+    assert Implant("stiffness", 1.0, p, right).named
+    assert Implant("stiffness", 1.0, p, right).error() == pytest.approx(0.05)
+    assert not Implant("stiffness", 1.0, p, late).named
