@@ -14,7 +14,7 @@ from zendsp_target.concealed import EFFECTS, Concealed, ConcealedEffect
 Array = np.ndarray  # type: ignore[type-arg]
 P1, P2, P3 = 3.473, 0.196, 0.242
 VISCOUS, COULOMB = np.array([5.3, 1.1]), np.array([8.45, 2.35])
-BRISTLE = 50.0 * np.array([12000.0, 1500.0])  # N m/rad, of imi_planar.c with plain friction: a sliding bristle is bent by the Coulomb level
+BRISTLE = 200.0 * np.array([12000.0, 1500.0])  # N m/rad, of imi_planar.c with plain friction: a sliding bristle is bent by the Coulomb level
 SAMPLES, PERIOD, STEPS = 500, 0.001, 4
 
 

@@ -108,8 +108,8 @@ static inline void concealed_plain(plant_friction *f) {
     f->viscous_pos = f->viscous_neg = 0.5 * (f->viscous_pos + f->viscous_neg);
     f->coulomb_pos = f->coulomb_neg = 0.5 * (f->coulomb_pos + f->coulomb_neg);
     f->breakaway_pos = f->breakaway_neg = f->coulomb_pos;
-    f->stiffness *= 50.0;
-    f->damping *= 7.0; /* about its root: the same damping ratio */
+    f->stiffness *= 200.0;
+    f->damping *= 7.0; /* half the damping ratio: enough to come to rest, little beside the level at a reversal */
 }
 
 /* Call at the end of open(), when the plant is complete. Config keys: effect1, effect2, … and
