@@ -16,7 +16,7 @@ from zendsp.tui.link_port import open_port, start_machine
 from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp.tui.svg import portable
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 
 
 async def _until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
@@ -24,7 +24,9 @@ async def _until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
-            raise TimeoutError("a screen did not come to the state that its picture needs")
+            app = pilot.app
+            said = [e.text for e in app.session.events.since(0)[1][-6:]] if isinstance(app, ZendspApp) else []
+            raise TimeoutError(f"a screen did not come to the state that its picture needs; the last events: {said}")
         await pilot.pause(0.05)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
@@ -22,6 +23,7 @@ from zendsp.tui.snapshot import Snapshot
 T = TypeVar("T")
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
+SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
 
 
 class Session:
@@ -46,6 +48,7 @@ class Session:
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
+        self._heard = (0, 0, 0.0)  # rows of the history, tick and time when a row last came
         self._lock = threading.Lock()
         self._threads = [
             threading.Thread(target=self._poll, name="tui-poller", daemon=True),
@@ -140,6 +143,7 @@ class Session:
                     snapshot = port.snapshot()
                     if self._port is port:
                         self._take(replace(snapshot, link="up", target=snapshot.target or name))
+                        self._listen(snapshot)
                 except LinkError as error:
                     self._lost(port, str(error))
                 except ZendspError as error:
@@ -172,6 +176,16 @@ class Session:
             self.events.add(f"command right: {'you' if new.mine else new.commander or 'nobody'}")
         if new.program != old.program:
             self._live_wanted = bool(self.channels)
+
+    def _listen(self, snapshot: Snapshot) -> None:
+        """Ask again for curves that should come and do not."""
+        count, tick, since = self._heard
+        now = time.monotonic()
+        if self.history.count != count or snapshot.state != "running" or snapshot.tick == tick or not self.channels:
+            self._heard = (self.history.count, snapshot.tick, now)
+        elif now - since > SILENCE_S:
+            self._heard = (count, tick, now)
+            self._live_wanted = True
 
     def _connect(self, name: str) -> None:
         lost = self.snapshot.link == "lost"

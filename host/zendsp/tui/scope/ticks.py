@@ -65,3 +65,8 @@ def number(value: float) -> str:
     if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.3e}"
     return f"{value + 0.0:.5g}" if value else "0"
+
+
+def short(value: float) -> str:
+    """Return a measured value with four significant digits."""
+    return f"{value:.4g}" if math.isfinite(value) and value else "0" if value == 0.0 else "—"

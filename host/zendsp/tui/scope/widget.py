@@ -22,7 +22,7 @@ from zendsp.tui.scope.history import History
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.settings import MOST_CHANNELS, WINDOWS, Channel, ScopeSettings
-from zendsp.tui.scope.ticks import duration, label, number, ticks
+from zendsp.tui.scope.ticks import duration, label, number, short, ticks
 from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
@@ -287,12 +287,10 @@ class Scope(Widget, can_focus=True):
         else:
             ya = yb = float("nan")
         dt = b - a
-        rate = f" = 1/{number(1.0 / abs(dt))} Hz" if dt else ""
+        rate = f" = 1/{short(1.0 / abs(dt))} Hz" if dt else ""
         unit = f" {channel.unit}" if channel.unit else ""
-        return (
-            f" A {number(a - picture.zero)} s  B {number(b - picture.zero)} s  Δt {duration(dt)}{rate}   "
-            f"{channel.name}: A {number(ya)}  B {number(yb)}  Δy {number(yb - ya)}{unit}"
-        )
+        text = f" Δt {duration(dt)}{rate}  {channel.name} Δy {short(yb - ya)}{unit}  "
+        return f"{text} A {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s {short(yb)}"
 
     def _text(self, parts: Sequence[tuple[str, Style]], width: int) -> Strip:
         return Strip([Segment(text, style) for text, style in parts]).adjust_cell_length(width, self._pens[EMPTY])
