@@ -44,6 +44,7 @@ def data_folder(given: Path | None) -> Path:
 @click.option("--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40.")
 @click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
 @click.option("--only", default="", help="With --real: one machine.")
+@click.option("--fetch", is_flag=True, help="With --real: download what is absent and published as a file.")
 @click.option(
     "--data",
     type=click.Path(path_type=Path),
@@ -72,6 +73,7 @@ def command(
     real: bool,
     implant: bool,
     only: str,
+    fetch: bool,
     data: Path | None,
     out: Path | None,
     page: Path | None,
@@ -84,6 +86,8 @@ def command(
     Example:  zendsp prove --quick
     """
     if real or implant:
+        if fetch:
+            fetch_absent(data_folder(data))
         sys.exit(
             on_real_machines(
                 data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only, quick=quick
@@ -130,6 +134,15 @@ def forget(folder: Path) -> None:
         shutil.rmtree(folder / name, ignore_errors=True)
     for path in (*folder.glob("*.jsonl"), folder / "programme.json"):
         path.unlink(missing_ok=True)
+
+
+def fetch_absent(data: Path) -> None:
+    """Download what can be had and say what cannot."""
+    from zendsp.proof import convert
+
+    for machine in convert.FILES:
+        for line in convert.fetch(machine, data):
+            click.echo(f"{machine}: {line}", err=True)
 
 
 def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool) -> int:

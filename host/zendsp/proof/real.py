@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zendsp.proof.answer import Answer, ContractError, read_report
-from zendsp.proof.convert import Recordings, convert
+from zendsp.proof.convert import Recordings, altered, convert
 from zendsp.proof.score import COMMAND
 
 
@@ -89,6 +89,7 @@ class Seen:
     kept: tuple[tuple[str, bool], ...]
     published_heldout: float | None  # held-out error of the published model, in the report's quantity
     absent: str = ""  # why there was nothing to run on
+    altered: tuple[str, ...] = ()  # files that are not those of the published figures
 
     @property
     def good(self) -> bool:
@@ -157,7 +158,7 @@ def look_at(machine: Machine, data: Path, out: Path, limit: float) -> Seen:
             diagnose(other, recordings, reports, limit)
         published = given_heldout(reports)
     kept = tuple((what, bool(ask(answer))) for what, ask in machine.promises)
-    return Seen(machine.name, answer, kept, published)
+    return Seen(machine.name, answer, kept, published, altered=tuple(altered(machine.name, data)))
 
 
 def lines_of(machine: Machine, seen: Seen) -> list[str]:
@@ -177,6 +178,7 @@ def lines_of(machine: Machine, seen: Seen) -> list[str]:
     if seen.published_heldout is not None:
         beaten = f"; published model as given {seen.published_heldout:.4g}"
     out.append(held + beaten)
+    out += [f"  {name} is not the file of the published figures (its hash differs)" for name in seen.altered]
     out += [f"  {'yes' if ok else 'NO '}  {what}" for what, ok in seen.kept]
     return out
 
