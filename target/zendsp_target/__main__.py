@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
 from zendsp_protocol.errors import ZendspError
 from zendsp_target.endpoints import Security, check, check_connect
@@ -95,14 +97,33 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     except BaseException:
         runtime.close()
         raise
-    where = {"name": args.name or args.machine, "endpoints": monitor.endpoints}
-    if args.json:
-        print(json.dumps(where), flush=True)
-    else:
-        print(f"target {where['name']} listens on {', '.join(monitor.endpoints)}; Ctrl-C ends it", flush=True)
-    monitor.run(args.parent)
+    name = args.name or args.machine
+
+    def announce() -> None:
+        where = ", ".join(monitor.endpoints)
+        text = f"target {name} listens on {where}; Ctrl-C ends it"
+        print(json.dumps({"name": name, "endpoints": monitor.endpoints}) if args.json else text, flush=True)
+
+    monitor.run(args.parent, announce)
     return 0
 
 
+def leave(status: int) -> NoReturn:
+    """End the process without taking the interpreter apart.
+
+    Everything is closed by now. A thread that is just returning from Zenoh's compiled code while the interpreter goes would abort
+    the process ("exception not rethrown") and make a clean end look like a crash.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        status = main()
+    except SystemExit as end:  # argparse
+        status = end.code if isinstance(end.code, int) else 2
+    except KeyboardInterrupt:  # before it was ready
+        status = 130
+    leave(status)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -67,12 +67,17 @@ class Monitor:
         self._session.close()  # type: ignore[no-untyped-call]
         self._runtime.close()
 
-    def run(self, parent: int = 0) -> None:
-        """Serve until SIGTERM, SIGINT, or until the process ``parent`` is no longer this one's parent."""
+    def run(self, parent: int = 0, ready: Callable[[], None] | None = None) -> None:
+        """Serve until SIGTERM, SIGINT, SIGHUP, or until the process ``parent`` is no longer this one's parent.
+
+        ``ready`` is called once a signal would end it cleanly.
+        """
         end = threading.Event()
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda *_: end.set())
         try:
+            if ready is not None:
+                ready()
             while not end.wait(PARENT_POLL_S):
                 if parent and os.getppid() != parent:
                     break

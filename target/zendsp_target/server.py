@@ -17,8 +17,9 @@ from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
+from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
-from zendsp_target.service import RECORDER, Identity, Later, Service
+from zendsp_target.service import RECORDER, Identity, Service
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +27,7 @@ log = logging.getLogger(__name__)
 # neither hold these up nor each other.
 THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WAITING = 1024  # requests that may wait in a lane before the link holds back the sender
+JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1
 
@@ -63,6 +65,8 @@ class Server:
         for queryable in self._queryables:
             queryable.undeclare()
         self._waiters.shutdown(wait=False, cancel_futures=True)
+        for thread in self._threads:
+            thread.join(JOIN_S)
 
     # requests --------------------------------------------------------------------------------------------------------
 
