@@ -41,7 +41,7 @@ def answer_with(monkeypatch: pytest.MonkeyPatch, table: dict[str, Answer]) -> li
     asked: list[str] = []
 
     def fake(
-        folders: list[Path], out: Path, jobs: int, limit: float, ask: object = None
+        folders: list[Path], out: Path, jobs: int, limit: float, ask: object = None, code: str = ""
     ) -> list[tuple[str, Answer]]:
         asked.extend(f.name for f in folders)
         return [(f.name, table[f.name]) for f in folders]
@@ -68,7 +68,7 @@ def test_truth_altered_while_diagnosing_stops_the_proof(
     tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def meddling(
-        folders: list[Path], out: Path, jobs: int, limit: float, ask: object = None
+        folders: list[Path], out: Path, jobs: int, limit: float, ask: object = None, code: str = ""
     ) -> list[tuple[str, Answer]]:
         write_truth(tmp_path / "truth", "case_0002", {"case": "case_0002", "effects": []})
         return [(f.name, say("complete")) for f in folders]

@@ -247,6 +247,18 @@ def test_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert sorted(asked) == [f.name for f in folders]  # none twice
 
 
+def test_answers_of_other_code_are_asked_again(tmp_path: Path) -> None:
+    asked: list[str] = []
+
+    def ask(folder: Path, out: Path, limit: float) -> Answer:
+        asked.append(folder.name)
+        return Answer("complete", seconds=1.0)
+
+    for code in ("old", "old", "new"):
+        dict(answers([tmp_path / "case_0001"], tmp_path / "r.json", 1, 1.0, ask, code))
+    assert len(asked) == 2
+
+
 def test_scoreboard_prints_every_promise() -> None:
     judged = [
         judge(truth([effect("coulomb", level=0.05)]), Answer("missing", (found("coulomb"),), seconds=2.0))

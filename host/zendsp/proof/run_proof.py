@@ -11,7 +11,7 @@ from zendsp.proof.judge import Judgement, judge
 from zendsp.proof.page import proof_page
 from zendsp.proof.peers import METHODS, ask_peer, available, sysidentpy_trouble
 from zendsp.proof.programme import prepare
-from zendsp.proof.score import answers, write_results
+from zendsp.proof.score import answers, identity, write_results
 from zendsp.proof.seal import open_truth
 
 Tell = Callable[[str], None]
@@ -60,7 +60,7 @@ def run_proof(
     folders = sorted(cases.iterdir())
     tell(f"{len(folders)} cases made; truth sealed: {stamp}")
     given: dict[str, Answer] = {}
-    for name, answer in answers(folders, folder / "zendsp.json", jobs, limit):
+    for name, answer in answers(folders, folder / "zendsp.json", jobs, limit, code=identity()):
         given[name] = answer
         tell(
             f"[{len(given)}/{len(folders)}] {name} {answer.seconds:.1f} s {answer.trouble or answer.verdict}"
@@ -69,7 +69,16 @@ def run_proof(
     troubles = available() if with_peers else {}
     for method in METHODS:
         if method in troubles and not troubles[method]:
-            tried[method] = dict(answers(folders, folder / f"{method}.json", 1, limit, asking(method)))
+            tried[method] = dict(
+                answers(
+                    folders,
+                    folder / f"{method}.json",
+                    1,
+                    limit,
+                    asking(method),
+                    identity("proof/peers.py", "proof/tables.py"),
+                )
+            )
             tell(f"{method}: {len(tried[method])} cases")
     opened = open_truth(truth, stamp)
     tell("truth opened: the seals hold")

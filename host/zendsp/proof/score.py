@@ -6,6 +6,7 @@ goes on where it stopped (``--out`` keeps one line per finished case beside it).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -24,6 +25,8 @@ from zendsp.proof.judge import Judgement, judge
 from zendsp.proof.scoreboard import failures, headline, text
 from zendsp.proof.seal import open_truth
 
+# rooms below zendsp/ whose code gives the answers
+JUDGED = ("diagnosis", "physics", "recording", "reference", "cli/diagnose.py")
 COMMAND = (sys.executable, "-c", "from zendsp.cli import main; main()", "diagnose")
 
 
@@ -61,13 +64,30 @@ def diagnose(folder: Path, out: Path, limit: float, command: Sequence[str] = COM
         return Answer("", trouble=f"broken report: {error}", seconds=seconds)
 
 
-def known_answers(path: Path) -> dict[str, Answer]:
-    """Answers of an interrupted run, one JSON line each; a last line cut short is left out."""
+def identity(*rooms: str) -> str:
+    """Hash of the code that answers: an answer of other code is not taken for one of this.
+
+    Only bytes are read; nothing of the judged code is imported.
+    """
+    root = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for room in rooms or JUDGED:
+        base = root / room
+        for path in sorted(base.rglob("*")) if base.is_dir() else [base]:
+            if path.suffix in (".py", ".c", ".h"):
+                digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def known_answers(path: Path, code: str = "") -> dict[str, Answer]:
+    """Answers of an interrupted run, one JSON line each; a line cut short, or of other code, is left out."""
     out: dict[str, Answer] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:
             entry = json.loads(line)
         except json.JSONDecodeError:
+            continue
+        if entry.get("code", "") != code:
             continue
         out[entry["case"]] = Answer.from_json(entry["answer"])
     return out
@@ -79,11 +99,12 @@ def answers(
     jobs: int,
     limit: float,
     ask: Callable[[Path, Path, float], Answer] = diagnose,
+    code: str = "",
 ) -> Iterator[tuple[str, Answer]]:
     """Yield (case, answer) as they come, those of an earlier run first; each new one is kept on disk at once."""
     log = out.with_suffix(".jsonl")
     log.parent.mkdir(parents=True, exist_ok=True)
-    known = known_answers(log)
+    known = known_answers(log, code)
     yield from ((f.name, known[f.name]) for f in folders if f.name in known)
     todo = [f for f in folders if f.name not in known]
     reports = out.parent / f"{out.stem}_reports"
@@ -92,7 +113,7 @@ def answers(
         for future in as_completed(running):
             name, answer = running[future], future.result()
             with log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"case": name, "answer": answer.to_json()}) + "\n")
+                file.write(json.dumps({"case": name, "code": code, "answer": answer.to_json()}) + "\n")
             yield name, answer
 
 
@@ -128,7 +149,8 @@ def main(cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bo
     if fresh:
         out.with_suffix(".jsonl").unlink(missing_ok=True)
     judged: list[Judgement] = []
-    for count, (name, answer) in enumerate(answers([cases / n for n in chosen], out, jobs, limit), 1):
+    folders = [cases / name for name in chosen]
+    for count, (name, answer) in enumerate(answers(folders, out, jobs, limit, code=identity()), 1):
         j = judge(truths[name], answer)
         judged.append(j)
         mark = "FAIL" if failures([j]) else "ok"
