@@ -60,7 +60,7 @@ def test_complete_machine_leaves_the_oracle_nothing() -> None:
     assert seen.torque_share < 1e-4 and not seen.detectable
 
 
-def test_oracle_knows_what_only_algebra_separates() -> None:
+def test_oracle_knows_what_only_algebra_separates(with_rivals: None) -> None:
     case = make_case(Request(31, "single", "rotary", "torque_offset", 0.3))
     assert "coulomb_asymmetry" in case.truth["effects"][0]["oracle"]["inseparable"]
     assert "quadratic_drag" not in case.truth["effects"][0]["oracle"]["inseparable"]
