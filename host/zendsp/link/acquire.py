@@ -18,6 +18,7 @@ from zendsp_protocol import messages as m
 
 Trigger = m.Trigger
 POLL_S = 0.02
+END_S = 2.0  # for the loop to see that a ring was stopped
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
@@ -237,9 +238,17 @@ class Acquisition(ParameterSets, Transfers):
         """
         status: m.AcquireStatus = self.insist("acquire_status", patience)
         if status.wanted == 0 and status.state == "running":
-            self.acquire_stop()
-        self._wait_done(timeout, patience, progress)
+            self._end_ring(patience)
+        else:
+            self._wait_done(timeout, patience, progress)
         return self.acquire_load(note, None, patience)
+
+    def _end_ring(self, patience: float) -> None:
+        """Stop a ring and wait until the loop has seen it: what is loaded then no longer changes."""
+        self.acquire_stop()
+        deadline = time.monotonic() + END_S
+        while self.insist("acquire_status", patience).state == "running" and time.monotonic() < deadline:
+            time.sleep(POLL_S)
 
     def _wait_done(
         self, timeout: float | None, patience: float, progress: Callable[[float], None] | None
