@@ -1,0 +1,182 @@
+"""Where experiments are made: a target, local or remote; a folder that keeps every recording; and a way to say what is going on."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import Refused, ZendspError
+from zendsp.link import Target
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+
+Say = Callable[[str], None]
+
+
+class Lab:
+    """Opens targets and keeps what they record.
+
+    Parameters
+    ----------
+    folder : path
+        Made where it does not exist.
+    target : Target, optional
+        The machine, already connected. Default: a simulated one is started here for each experiment, on the fast clock.
+    say : callable, optional
+        Told what begins, a line at a time.
+
+    Examples
+    --------
+    >>> Lab("experiments").target is None
+    True
+    """
+
+    def __init__(self, folder: str | Path, target: Target | None = None, say: Say | None = None) -> None:
+        self.folder = Path(folder)
+        self.target = target
+        self.say: Say = say or (lambda text: None)
+
+    @contextmanager
+    def bench(self, machine: str, name: str, **options: Any) -> Iterator[Bench]:
+        """A machine to experiment with; whatever ends the block, it is left standing still.
+
+        Parameters
+        ----------
+        machine : str
+            Name of the machine that the experiment is for.
+        name : str
+            Of the experiment: its folder.
+        **options
+            Settings of a simulated machine that is started here; a target that is given must have them already.
+
+        Raises
+        ------
+        Refused
+            The target that was given is another machine.
+        """
+        folder = self.folder / name
+        folder.mkdir(parents=True, exist_ok=True)
+        if self.target is not None:
+            if self.target.info.machine != machine:
+                raise Refused(f"experiment {name} is for the machine {machine}; the target {self.target.name} is {self.target.info.machine}")
+            yield from self._guard(Bench(self.target, folder, self.say))
+            return
+        from zendsp.link import local
+
+        arguments = [part for key, value in options.items() for part in ("--machine-option", f"{key}={value}")]
+        target = local(machine, clock="fast", options=arguments)
+        try:
+            yield from self._guard(Bench(target, folder, self.say))
+        finally:
+            target.close()
+
+    @staticmethod
+    def _guard(bench: Bench) -> Iterator[Bench]:
+        try:
+            yield bench
+        except BaseException:  # Ctrl-C as well: the machine stands before the program ends
+            with contextlib.suppress(ZendspError):
+                bench.target.stop()
+            raise
+
+
+class Bench:
+    """One machine on one target, for the length of an experiment."""
+
+    def __init__(self, target: Target, folder: Path, say: Say) -> None:
+        self.target, self.folder, self.say = target, folder, say
+        self.recordings: list[str] = []
+        self.loaded: object = None
+
+    @property
+    def where(self) -> str:
+        """Which target, which machine, which clock: for the result."""
+        info = self.target.info
+        return f"{info.machine} ({'simulated' if info.clock == 'fast' else 'target ' + self.target.name}, {info.clock} clock)"
+
+    def record(
+        self,
+        name: str,
+        program: str | Mapping[str, str],
+        channels: Sequence[str],
+        *,
+        seconds: float | None = None,
+        reference: Reference | None = None,
+        before: float = 1.0,
+        after: float = 0.3,
+        decimation: int = 1,
+        flags: Sequence[str] = (),
+        **values: Any,
+    ) -> Recording:
+        """Load a program afresh, set its parameters, run it, and keep the recording as ``name.npz``.
+
+        Parameters
+        ----------
+        name : str
+            Of the recording.
+        program : str or mapping
+            As for ``Target.compile``.
+        channels : sequence of str
+        seconds : float, optional
+            Default: approach, reference, and ``after``.
+        reference : Reference, optional
+            Goes into the tables ref and ref_tau.
+        before, after : float
+            Time to the first row of the reference, and after its last, s.
+        decimation : int
+        flags : sequence of str
+            For the compiler.
+        **values
+            Parameters of the program.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        Refused
+            A limit of the machine tripped; the message says which.
+        """
+        self.say(name)
+        target = self.target
+        if target.status().state in ("running", "paused"):
+            target.pause()
+        target.download(program, flags)
+        if reference is not None:
+            values.setdefault("approach_time", before)
+            seconds = seconds if seconds is not None else before + reference.duration + after
+            for table, rows in reference.tables().items():
+                target.upload(table, rows)
+        if values:
+            target.write(**values)
+        if seconds is None:
+            raise ZendspError(f"recording {name}: give seconds, or a reference")
+        recording = target.acquire(channels, seconds=seconds, decimation=decimation, start=True, note=name)
+        trip = target.status().trip
+        if trip is not None and trip.reason:
+            raise Refused(f"{name}: the machine stopped itself: {trip.text}")
+        self.recordings.append(recording.save(self.folder / f"{name}.npz").name)
+        return recording
+
+    def settle(self, joints: int) -> None:
+        """Leave the machine standing."""
+        with contextlib.suppress(ZendspError):
+            self.target.pause()
+
+
+def own_program(name: str) -> dict[str, str]:
+    """Source of a program that belongs to this package."""
+    return {name: resources.files("zendsp.experiment").joinpath("programs", name).read_text(encoding="utf-8")}
+
+
+def playing(recording: Recording, samples: int) -> slice:
+    """Rows of a recording in which the reference was played (needs the channel play_time)."""
+    first = int(np.argmax(recording["play_time"] >= -1e-9))
+    return slice(first, first + samples)

@@ -1,0 +1,124 @@
+"""What an experiment found: values with their uncertainty, terms for a model file, tables, warnings, recordings and a figure."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from zendsp.errors import RecordingError
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number, its standard deviation (0 where unknown) and its unit."""
+
+    value: float
+    std: float = 0.0
+    unit: str = ""
+
+    def __str__(self) -> str:
+        text = f"{self.value:.4g} ± {self.std:.2g}" if self.std > 0 else f"{self.value:.4g}"
+        return f"{text} {self.unit}".rstrip()
+
+
+@dataclass
+class Result:
+    """One experiment's outcome.
+
+    Attributes
+    ----------
+    name, title, machine : str
+    values : dict of str to Estimate
+    effects : list of dict
+        ``[[effect]]`` tables that a model file can take in.
+    mechanism : dict of str to Estimate
+        ``[mechanism.parameters]`` that it can take in.
+    tables : dict of str to list of dict
+        Rows for people: name of column to cell.
+    findings, warnings : list of str
+        Sentences.
+    recordings : list of str
+        Files, relative to the result's own.
+    figure : str
+        File, relative to the result's own; "" where there is none.
+    target : str
+        Which target it was, and on which clock.
+    """
+
+    name: str
+    title: str
+    machine: str
+    values: dict[str, Estimate] = field(default_factory=dict)
+    effects: list[dict[str, Any]] = field(default_factory=list)
+    mechanism: dict[str, Estimate] = field(default_factory=dict)
+    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    findings: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
+    figure: str = ""
+    target: str = ""
+
+    def text(self) -> str:
+        """The result as TOML."""
+        data: dict[str, Any] = {key: getattr(self, key) for key in ("name", "title", "machine", "target", "figure") if getattr(self, key)}
+        for key in ("findings", "warnings", "recordings"):
+            if getattr(self, key):
+                data[key] = getattr(self, key)
+        data["values"] = {name: _table(e) for name, e in self.values.items()}
+        if self.mechanism:
+            data["mechanism"] = {name: _table(e) for name, e in self.mechanism.items()}
+        if self.effects:
+            data["effect"] = [_plain(effect) for effect in self.effects]
+        if self.tables:
+            data["table"] = _plain(self.tables)
+        return tomli_w.dumps(data)
+
+    def save(self, path: Path) -> Path:
+        """Write it as TOML."""
+        path.write_text(self.text(), encoding="utf-8")
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Read a result file.
+
+        Raises
+        ------
+        RecordingError
+            Not a result file.
+        """
+        try:
+            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            result = cls(data["name"], data["title"], data["machine"])
+        except (OSError, tomllib.TOMLDecodeError, KeyError) as error:
+            raise RecordingError(f"{path}: is not the result of an experiment: {error}") from error
+        result.values = {k: _estimate(v) for k, v in data.get("values", {}).items()}
+        result.mechanism = {k: _estimate(v) for k, v in data.get("mechanism", {}).items()}
+        result.effects, result.tables = data.get("effect", []), data.get("table", {})
+        for key in ("findings", "warnings", "recordings", "figure", "target"):
+            setattr(result, key, data.get(key, getattr(result, key)))
+        return result
+
+
+def _table(e: Estimate) -> dict[str, Any]:
+    return {"value": float(e.value), **({"std": float(e.std)} if e.std > 0 else {}), **({"unit": e.unit} if e.unit else {})}
+
+
+def _estimate(data: Mapping[str, Any]) -> Estimate:
+    return Estimate(float(data["value"]), float(data.get("std", 0.0)), str(data.get("unit", "")))
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and containers as TOML takes them (numpy's become Python's)."""
+    if isinstance(value, Estimate):
+        return _table(value)
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value.item() if hasattr(value, "item") else value
