@@ -20,6 +20,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,8 @@ from zendsp_target.api import RuntimeApi, Status
 
 log = logging.getLogger(__name__)
 
+BEGIN_S = 1.0  # for the loop to take up homing
+SOFT_S = 0.1  # soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
 POLICIES = ("stop", "hold", "finish")
 # What could move the machine or change what moves it; STOP is not among them.
 COMMANDING = (
@@ -71,6 +74,7 @@ class Drives:
         self._powered = False
         self._enabled = False
         self._commander = ""
+        self._ramp_s = SOFT_S
         self._lock = threading.RLock()
         if managed:
             self._off()
@@ -234,6 +238,12 @@ class Drives:
         self._explicit = self._powered = True
         self._off()  # what acts while homing is the machine's own routine
         self._runtime.home()
+        end = time.monotonic() + BEGIN_S
+        while time.monotonic() < end:  # so that who asks next for the status sees it homing, not about to
+            now = self._runtime.status()
+            if now.state == "running" or now.tick != status.tick or now.trip is not None:
+                break
+            time.sleep(0.0005)
         return "homing"
 
     def enable(self, mode: str) -> str:
@@ -246,6 +256,7 @@ class Drives:
         failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
         if failing:
             raise Refused(_refusal("enabling", failing))
+        self._runtime.set_ramp(self._ramp_s)
         self._runtime.set_drive(mode)
         self._enabled = True
         return f"enabled, {mode} mode"
@@ -305,6 +316,8 @@ class Drives:
                 with self._lock:
                     return m.Said(text=self.acknowledge())
             result = handler(args, by)
+            if name == "set_ramp":
+                self._ramp_s = args.seconds
             if name == "load" and self._explicit:
                 with self._lock:
                     self._off()  # a fresh runner knows nothing of what was enabled before

@@ -71,6 +71,17 @@ def test_off_ready_homed_enabled_running_and_back(target: Target) -> None:
     assert states == ["off", "homed", "enabled", "running", "homed"]
 
 
+def test_the_drives_start_softly(target: Target) -> None:
+    target.power_on()
+    target.enable()
+    rec = target.acquire(["aout", "cmd"], seconds=0.3, start=True)
+    k = int(np.argmax(np.abs(rec["cmd"][:, 0]) > 50.0))  # an output acts one sample after it was computed, times the gain
+    gain = rec["aout"][k + 1 :, 0] / rec["cmd"][k:-1, 0]
+    rising = (k + 1 + np.arange(len(gain))) < 95  # of 100 samples
+    assert (gain[rising] < 0.99).all() and (np.diff(gain[rising]) > 0.0).all()
+    assert gain[110:] == pytest.approx(1.0)
+
+
 def test_each_refusal_names_what_fails(process: Target) -> None:
     process.unload()
     process.power_on()

@@ -12,11 +12,12 @@ from textual.pilot import Pilot
 from textual.widgets import Button, Input
 
 from zendsp.errors import ReferenceError_
-from zendsp.link import Target
+from zendsp.link import Target, local
 from zendsp.recording import Recording
 from zendsp.reference import Reference, load_machine, load_reference, make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form, Message
+from zendsp.tui.link_port import open_port
 from zendsp.tui.playing import Player, Setup, make_playlist, smooth_move
 from zendsp.tui.runs import compare, discard_run, list_runs, rename_run, store_run
 from zendsp.tui.scope import Scope
@@ -108,6 +109,32 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         await pilot.pause()
         assert screen.marked_runs == [] and screen.setup.cycles == 1
         assert target.status().state == "paused", "the fast clock ends with the run"
+
+
+async def test_a_run_of_seven_joints_begins_where_the_arm_stands(until: Until, tmp_path: Path) -> None:
+    # the arm stands at (0, −1.9, 0, 3, …) rad; the program's own q is still 0 before its first sample
+    machine = load_machine("wam7")
+    (tmp_path / "references").mkdir()
+    path = save_reference(make_reference("lspb", machine, duration=2.0), tmp_path / "references" / "lspb.mat")
+    with local("wam7", clock="fast", options=["--speed", "20"], timeout=60.0) as target:
+        app = ZendspApp(open_port, target=target.name, folder=tmp_path, frames=8.0)
+        app.source = next(p for p in app.examples() if p.name == "wam_pd_gravity.c")
+        async with app.run_test(size=(120, 36)) as pilot:
+            await until(pilot, lambda: app.session.snapshot.link == "up", "link")
+            await pilot.press("b")
+            await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables, "built with motion.h beside it")
+            await pilot.press("o", "e")
+            await until(pilot, lambda: app.session.snapshot.drive == "enabled", "enabled")
+            assert app.session.snapshot.position[1] == pytest.approx(-1.9, abs=1e-3)
+            screen = await _open(app, pilot, until)
+            app.chosen = (path,)
+            await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
+            await pilot.press("s")
+            await until(pilot, lambda: screen.runs, "the run is stored")
+            assert screen.runs[0].outcome == "complete"
+            first = target.acquire_load()
+            assert np.abs(first["r"][0] - first["q"][0]).max() < 1e-2, "no jump at the start"
+            assert np.abs(np.diff(first["r"], axis=0)).max() * 1000.0 < machine.limits.speed.max()
 
 
 @pytest.mark.covers("execute.abort")

@@ -67,6 +67,17 @@ async def test_stop_makes_outputs_safe_within_two_samples(
         await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "and every screen shows it")
 
 
+async def test_a_click_on_the_red_field_stops_as_well(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 0.5, "moves")
+        await pilot.click("StopButton")
+        await until(pilot, lambda: target.drive_status().state == "stopped", "stopped")
+        await pilot.click("Tabs", offset=(22, 0))
+        await until(pilot, lambda: lab.current_mode == "execute", "a click on its name opens a screen")
+
+
 async def test_after_stop_nothing_moves_until_somebody_enables(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)

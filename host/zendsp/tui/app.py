@@ -10,6 +10,7 @@ from textual.app import App, SystemCommand
 from textual.screen import ModalScreen, Screen
 
 from zendsp.errors import ZendspError
+from zendsp.link.programs import gather
 from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
@@ -202,7 +203,7 @@ class ZendspApp(App[None]):
         """Return the source being worked on, by file name; empty where there is none."""
         if self.source is None or not self.source.is_file():
             return {}
-        return {self.source.name: self.source.read_text()}
+        return gather(self.source)
 
     def examples(self) -> list[Path]:
         """Return the programs that come with zendsp."""

@@ -33,6 +33,7 @@ class LinkPort:
         self._program = ""
         self._variables: tuple[Variable, ...] = ()
         self._names: list[str] = []
+        self._joints: tuple[m.JointInfo, ...] = ()
         self._looked = 0
         self._recorder: m.AcquireStatus | None = None
 
@@ -60,6 +61,7 @@ class LinkPort:
 
     def _make(self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float) -> Snapshot:
         t, recorder = s.timing, self._recorder
+        io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
         return Snapshot(
             link="up",
             target=self.target.name,
@@ -87,7 +89,11 @@ class LinkPort:
             trip=_trip(s.trip),
             crash=s.crash,
             scheduling=s.scheduling,
-            io={name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()},
+            io=io,
+            position=tuple(
+                (float(count) - joint.zero_counts) / joint.counts_per_unit
+                for count, joint in zip(io.get("enc", ()), self._joints, strict=False)
+            ),
             conditions=tuple((c.name, c.met, c.advice) for c in drive.conditions),
             variables=self._variables,
             values=values,
@@ -97,8 +103,9 @@ class LinkPort:
         """Read the dictionary of a new program: its own variables first, then what the runtime itself offers."""
         self._program = program
         if not program:
-            self._variables, self._names = (), []
+            self._variables, self._names, self._joints = (), [], ()
             return
+        self._joints = self.target.machine().joints
         own = [_variable(info, info.kind) for info in self.target.variables().values()]
         names = {v.name for v in own}
         builtin = [_variable(info, "signal") for info in self.target.builtins().values() if info.name not in names]

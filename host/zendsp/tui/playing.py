@@ -93,14 +93,11 @@ def find_player(variables: Sequence[Variable]) -> Player | None:
 
 
 def present_position(snapshot: Snapshot, joints: int) -> Floats | None:
-    """Return where the arm stands, by the program's signals ``q``, or ``q1``, ``q2`` …; None where it has none."""
-    q = snapshot.values.get("q")
-    if q is not None and np.size(q) == joints:
-        return np.asarray(q, dtype=np.float64).reshape(joints)
-    found = [snapshot.values.get(f"q{j + 1}") for j in range(joints)]
-    if all(v is not None for v in found):
-        return np.array([float(v) for v in found])  # type: ignore[arg-type]
-    return None
+    """Return where the arm stands by its encoders, or None where they are unknown.
+
+    A program's own signals would not do: before its first sample, and while it is paused, they are not computed.
+    """
+    return np.array(snapshot.position) if len(snapshot.position) == joints else None
 
 
 def smooth_move(start: Floats, goal: Floats, machine: Machine, share: float, period: float) -> Floats:

@@ -76,7 +76,7 @@ def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
 def _playable(s: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup, player: Player) -> Condition:
     here = present_position(s, machine.joints)
     if here is None:
-        return Condition("position known", False, "the program has no signal q (or q1, q2 …)")
+        return Condition("position known", False, "no encoder readings come from the target")
     try:
         playlist = make_playlist(references, machine, here, setup, player)
     except ReferenceError_ as error:

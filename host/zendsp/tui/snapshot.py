@@ -77,6 +77,7 @@ class Snapshot:
     crash: str = ""
     scheduling: str = ""
     io: Mapping[str, Any] = field(default_factory=dict)
+    position: tuple[float, ...] = ()  # of each joint by its encoder, rad or m; also while no program computes anything
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
     variables: tuple[Variable, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)

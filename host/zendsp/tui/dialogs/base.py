@@ -23,6 +23,11 @@ class Dialog(ModalScreen[Result | None]):
     """
     BINDINGS = [Binding("escape", "cancel", "Cancel", priority=True)]  # noqa: RUF012
 
+    def on_mount(self) -> None:
+        """Keep in sight that STOP works here too."""
+        for box in self.query(".box"):
+            box.border_subtitle = box.border_subtitle or "F9 STOP"
+
     def action_cancel(self) -> None:
         """Close and do nothing."""
         self.dismiss(None)

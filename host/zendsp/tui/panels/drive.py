@@ -76,14 +76,13 @@ class DrivePanel(Vertical):
         """Return unmet conditions, the host-lost setting, and the inputs and outputs of each joint."""
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
-        for name, met, _ in s.conditions:
-            text.append("✔" if met else "✖", Style(color=c["success" if met else "error"]))
-            text.append(f" {name}  ", Style() if met else Style(bold=True))
-        if s.conditions:
-            text.append("\n")
-        for name, met, advice in s.conditions:
-            if not met:
-                text.append(f"{name}: {advice}\n", Style(color=c["warning"]))
+        unmet = [(name, advice) for name, met, advice in s.conditions if not met]
+        if s.conditions and not unmet:
+            text.append("✔ ", Style(color=c["success"]))
+            text.append("every condition of enabling is met\n", Style(dim=True))
+        for name, advice in unmet:
+            text.append("✖ ", Style(color=c["error"], bold=True))
+            text.append(f"{name}: {advice}\n", Style(color=c["warning"]))
         if s.host_lost:
             text.append("if the host is lost: ", Style(dim=True))
             text.append(f"{s.host_lost}\n")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from zendsp.errors import ZendspError
+from zendsp.link.programs import gather
 from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.panels.source import SourceView
 from zendsp.tui.port import Build, Port, Remark, Shot
@@ -99,9 +101,9 @@ class ProgramActions(LabScreen):
             self.action_open_source()
             return
         try:
-            sources = {path.name: path.read_text()}
-        except OSError as error:
-            self.say(f"{path}: {error}", "error")
+            sources = gather(path)  # with the headers beside it that it includes
+        except ZendspError as error:
+            self.say(str(error), "error")
             return
         self.say(f"building {path.name} …")
         self.ask(f"build {path.name}", lambda port: port.build(sources), self._built)

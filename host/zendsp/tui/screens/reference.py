@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from rich.text import Text
-from textual import on
+from textual import events, on
 from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.timer import Timer
@@ -113,6 +113,13 @@ class ReferenceScreen(LabScreen):
         widget.tooltip = f"{p.description}{bounds}".replace("[", "(").replace("]", ")")
         unit = Static(p.unit, classes="unit", markup=False)
         return Horizontal(Static(p.name, classes="label", markup=False), widget, unit, classes="line parameter")
+
+    def on_descendant_focus(self, event: events.DescendantFocus) -> None:
+        """Say what the field means that is being edited."""
+        names = [p for p in KINDS[self.kind].parameters if p.name == event.widget.name]
+        bounds = f" ({names[0].describe_bounds()})" if names and names[0].describe_bounds() else ""
+        text = f"{names[0].name}: {names[0].description}{bounds}" if names else KINDS[self.kind].description
+        self.query_one("#about", Static).update(text)
 
     @on(Select.Changed, "#machine")
     async def _machine_changed(self, event: Select.Changed) -> None:
