@@ -41,6 +41,7 @@ class Case:
     model: dict[str, Any]
     truth: dict[str, Any]
     form: str
+    layout: str  # of the files: see Draft.layout
 
 
 class Unusable(RuntimeError):
@@ -86,7 +87,7 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     if d.open_loop:
         names.pop("reference")
     model = model_file(d, scales, columns_of(names, d.n, split), rng, f"{d.machine}_{request.seed}")
-    return Case(train, held, model, truth_of(d, request, scales), form)
+    return Case(train, held, model, truth_of(d, request, scales), form, d.layout)
 
 
 def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool = False) -> Run:
@@ -109,7 +110,10 @@ def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool
             if not heldout:
                 torque[:, joint] += np.interp(t / d.seconds, np.linspace(0, 1, curve.size), curve)
         for i in range(d.n):
-            torque[:, i] += d.nuisance * wander(t, rng) * float(d.joints[i].get("nuisance_scale", 0.0))
+            push = d.nuisance * wander(t, rng) * float(d.joints[i].get("nuisance_scale", 0.0))
+            torque[:, i] += push
+            if not heldout:
+                d.nuisance_torque[i] = push
             noise[:, i] = d.noise * d.joints[i]["resolution"] * rng.standard_normal(rows)
     try:
         return run(clean(d).truth(), reference, feedforward=feed, torque=torque, noise=noise)
@@ -170,6 +174,9 @@ def scales_of(d: Draft, r: Run) -> list[Scale]:
     out = []
     for i in range(d.n):
         drive = d.stated_gain[i] * u[keep, i]
+        push = d.nuisance_torque.get(i)
+        if push is not None and push.size == len(r.q):  # what no state explains is nobody's to find
+            drive = drive - (0.5 * (push[1:] + push[:-1]))[keep]
         rms = float(np.sqrt(np.mean(drive**2)))
         slides = (r.v[1:, i] * r.v[:-1, i] > 0)[keep]
         peak = float(np.max(np.abs(drive)))
@@ -236,5 +243,6 @@ def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
         "train": d.train_shape,
         "heldout": d.heldout_shape,
         "seconds": d.seconds,
+        "layout": d.layout,
         "notes": d.notes,
     }

@@ -64,7 +64,7 @@ def fits(machine: str, effect: str) -> bool:
 
 def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...]) -> list[Request]:
     """`count` requests of one kind, going round its effects and the sizes."""
-    if kind in ("single", "nuisance_single"):
+    if kind in ("single", "nuisance_single", "hard"):
         names: tuple[str, ...] = tuple(e for e in SINGLE if fits(machine, e))
     elif kind == "pair":
         names = tuple("+".join(p) for p in PAIRS if fits(machine, "+".join(p)))
@@ -88,17 +88,18 @@ def write_case(order: Order) -> str:
     folder = Path(order.cases) / name
     folder.mkdir(parents=True, exist_ok=True)
     columns = case.model["columns"]
-    train = save(folder, "train", case.form, case.train, columns)
-    heldout = save(folder, "heldout", case.form, case.heldout, columns)
+    train = [save(folder, "train", case.form, case.train, columns).name]
+    heldout: list[str] = []
+    if case.layout != "none":
+        (train if case.layout == "joint" else heldout).append(
+            save(
+                folder, "second" if case.layout == "joint" else "heldout", case.form, case.heldout, columns
+            ).name
+        )
     (folder / "model.toml").write_text(toml(case.model), encoding="utf-8")
     if order.request.machine == "urdf":
         (folder / "arm.urdf").write_text(urdf(), encoding="utf-8")
-    listing = {
-        "train": [train.name],
-        "heldout": [heldout.name],
-        "model": "model.toml",
-        "joints": case.train.q.shape[1],
-    }
+    listing = {"train": train, "heldout": heldout, "model": "model.toml", "joints": case.train.q.shape[1]}
     (folder / "case.json").write_text(json.dumps(listing) + "\n", encoding="utf-8")
     truth = {**case.truth, "case": name, "seed": order.request.seed}
     write_truth(Path(order.truth), name, truth)

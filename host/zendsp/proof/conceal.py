@@ -104,6 +104,25 @@ def prepare_nuisance(d: Draft, effect: str, rng: Rng) -> None:
     no_preparation(d, effect, rng)
 
 
+def prepare_hard(d: Draft, effect: str, rng: Rng) -> None:
+    """A poorer laboratory: short or long runs, slow sampling, a coarse noisy sensor, nuisances, fewer recordings."""
+    no_preparation(d, effect, rng)
+    d.nuisance = float(np.exp(rng.uniform(np.log(0.001), np.log(0.004))))
+    d.seconds = float(rng.choice([8.0, 12.0, 30.0]))
+    d.layout = str(rng.choice(["heldout", "none", "joint"]))
+    if d.kind != "rotary" or d.open_loop:
+        return
+    d.sample_time = float(rng.choice([1e-3, 2e-3, 4e-3]))
+    if d.known_delay > 0:
+        d.known_delay = d.joints[0]["delay"] = d.sample_time
+    bits = int(rng.choice([11, 12, 13]))
+    d.joints[0]["resolution"] = 2 * np.pi / 2**bits
+    d.noise = float(rng.choice([0.0, 0.5, 1.0]))
+    d.show_controller, d.velocity_filter = False, 0.006
+    # half a count must not shake the motor by more than a twentieth of its limit
+    d.kd = [min(k, 0.05 * j["limit"] * 0.006 / j["resolution"]) for k, j in zip(d.kd, d.joints, strict=True)]
+
+
 def hide_foreign(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     joint = pick_joint(d, rng)
     d.concealed.append(add_foreign(d, joint, scales[joint], size, rng))
@@ -175,4 +194,6 @@ KINDS: dict[str, Kind] = {
     "nuisance": Kind(prepare_nuisance, hide_nothing),
     "nuisance_single": Kind(prepare_nuisance, hide_single),
     "foreign": Kind(no_preparation, hide_foreign),
+    "hard": Kind(prepare_hard, hide_single),
+    "hard_complete": Kind(prepare_hard, hide_nothing),
 }

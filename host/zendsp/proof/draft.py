@@ -75,7 +75,9 @@ class Draft:
         default_factory=list
     )  # (joint 0-based, torque over t / seconds)
     replaces: list[str] = field(default_factory=list)  # terms of the given model that the truth does not have
+    layout: str = "heldout"  # | none: the last third is held out | joint: both recordings are for training
     nuisance: float = 0.0  # slow random torque, share of the torque's RMS
+    nuisance_torque: dict[int, Array] = field(default_factory=dict)  # of the training run, by joint (0-based)
     noise: float = 0.0  # share of the resolution
     train_shape: str = "multisine"
     heldout_shape: str = "sines"

@@ -13,6 +13,8 @@ from zendsp.proof.answer import Answer, Finding
 ANGLES = ("phase", "angle")
 PLACES = ("neutral",)
 Z90 = 1.645
+# kinds of case with a small slow random torque in the background
+NUISANCES = ("nuisance", "nuisance_single", "hard", "hard_complete")
 
 
 @dataclass(frozen=True)
@@ -152,19 +154,19 @@ def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
         "set_size": 1 + len(first.indistinguishable) if first else 0,
         "localised": located(answer, truth.get("where", [])),
     }
+    # a nuisance is a torque that no state explains: to call it a disturbance is true
+    also_true = {"disturbance"} if kind in NUISANCES else set()
     if truth["verdict"] == "complete":
-        # a nuisance is a torque that no state explains: to call it a disturbance is true
-        true_words = {"disturbance"} if kind == "nuisance" else set()
-        false = [f for f in answer.findings if f.effect not in true_words]
+        false = [f for f in answer.findings if f.effect not in also_true]
         silent = answer.verdict == "complete" or bool(answer.findings)
         table["alarm"] = None if answer.trouble else bool(false) or not silent
-        table["confidences"] = tuple((f.confidence, f.effect in true_words) for f in answer.findings)
+        table["confidences"] = tuple((f.confidence, f.effect in also_true) for f in answer.findings)
         return Judgement(**table)
     if not physics:
         table["refused"] = answer.verdict == "unexplained" and not answer.findings
         table["confidences"] = tuple((f.confidence, False) for f in answer.findings)
         return Judgement(**table)
-    right = [any(matches(f, e) for e in physics) for f in answer.findings]
+    right = [f.effect in also_true or any(matches(f, e) for e in physics) for f in answer.findings]
     table["confidences"] = tuple((f.confidence, ok) for f, ok in zip(answer.findings, right, strict=True))
     table["extra"] = len(right) - sum(right)
     leading = {t: f for t, f in links.items() if f < len(physics)}

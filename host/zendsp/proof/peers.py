@@ -181,7 +181,7 @@ def without(basis: Array, x: Array) -> Array:
 def problems(folder: Path) -> list[Problem]:
     """One regression per joint of a case."""
     model, train, held = read_case(folder)
-    a, b = motion(train[0], model), motion(held[0], model)
+    a, b = motion(train[0], model), motion((held or train[1:] or train)[0], model)
     out = []
     for joint in range(a.q.shape[1]):
         reach, fast = float(np.ptp(a.q[:, joint])), float(np.sqrt(np.mean(a.v[:, joint] ** 2)))

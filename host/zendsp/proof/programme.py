@@ -20,6 +20,8 @@ FULL: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
     ("rotary", "replace", 12, (1.0, 0.3)),
     ("rotary", "behind", 12, (1.0,)),
     ("rotary", "part", 12, (1.0, 0.3)),
+    ("rotary", "hard", 0, (1.0, 0.3)),
+    ("rotary", "hard_complete", 20, (1.0,)),
     ("pendulum", "single", 0, (0.3,)),
     ("pendulum", "complete", 15, (1.0,)),
     ("pendulum", "pair", 4, (1.0,)),

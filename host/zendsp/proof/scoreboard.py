@@ -11,7 +11,7 @@ from scipy.stats import beta
 
 from zendsp.proof.judge import Judgement
 
-SINGLE_KINDS = ("single", "behind", "part", "nuisance_single")
+SINGLE_KINDS = ("single", "behind", "part", "nuisance_single", "hard")
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0000001)
 
 
