@@ -71,6 +71,10 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
         screen.query_one("#machine", Select).value = "wam7"
         await until(pilot, lambda: screen.plan is not None and screen.plan.reference.joints == 7, "seven joints planned")
         assert "all" not in views_of(screen.plan.reference)
+        screen.view = "path"
+        screen.refresh_plan()
+        await pilot.pause()
+        assert screen.query_one("#path", PathPlot).render_line(5).cell_length == screen.query_one("#path", PathPlot).size.width
 
 
 @pytest.mark.covers("reference.save", "reference.load", "reference.execute")
@@ -139,3 +143,20 @@ def test_saving_checks_the_limits_below_the_screen_as_well(tmp_path: Path) -> No
     machine = load_machine("imi_planar")
     with pytest.raises(ValueError, match="limit"):
         save_reference(make_reference("point_to_point", machine, goal=[3.0, 0.0]), tmp_path / "x.mat", machine)
+
+
+def test_the_path_of_a_serial_arm_is_that_of_pinocchio() -> None:
+    import pinocchio as pin
+
+    from zendsp.reference import make_pinocchio_model
+    from zendsp.tui.preview import joint_positions
+
+    machine = load_machine("wam7")
+    model = make_pinocchio_model(machine.parameters)
+    data = model.createData()
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (5, 7))
+    places = joint_positions(machine, q)
+    for row, angles in enumerate(q):
+        pin.forwardKinematics(model, data, angles)
+        for joint in range(1, 8):  # joint k + 1 stands at the end of link k
+            assert np.allclose(places[row, joint - 1], data.oMi[joint].translation, atol=1e-12)

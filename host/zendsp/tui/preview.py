@@ -95,9 +95,56 @@ def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[
         arm = np.array([[0.0, 0.0], [l1 * np.cos(q[0]), l1 * np.sin(q[0])], tip[0]])
         curves = [Curve("reach", (l1 + l2) * circle, -1), Curve("arm at start", arm, 7), Curve("path of the tip", tip, 1)]
         return curves, ("x [m]", "y [m]"), True
+    if machine.kind == "dh":
+        return _spatial_path(machine, reference)
     step = max(reference.samples // 2000, 1)
     curves = [
         Curve(f"joint {j + 1}", np.stack((reference.q[::step, j], reference.qd[::step, j]), axis=1), j)
         for j in range(min(reference.joints, 8))
     ]
     return curves, (f"q [{reference.unit}]", f"qd [{reference.unit}/s]"), False
+
+
+def joint_positions(machine: Machine, q: Floats) -> Floats:
+    """Return where the frames of a serial arm stand (standard Denavit–Hartenberg), the base first.
+
+    Parameters
+    ----------
+    machine : Machine
+        Of kind "dh".
+    q : ndarray, shape (N, joints)
+        rad.
+
+    Returns
+    -------
+    ndarray, shape (N, joints + 1, 3)
+        m; the last one is the tip.
+    """
+    n = len(q)
+    frame = np.broadcast_to(np.eye(4), (n, 4, 4))
+    places = [np.zeros((n, 3))]
+    for k, link in enumerate(machine.parameters["link"]):
+        c, s = np.cos(q[:, k]), np.sin(q[:, k])
+        ca, sa = np.cos(np.deg2rad(link["alpha_deg"])), np.sin(np.deg2rad(link["alpha_deg"]))
+        a, d = float(link["a"]), float(link["d"])
+        zero, one = np.zeros(n), np.ones(n)
+        rows = [
+            [c, -s * ca, s * sa, a * c],
+            [s, c * ca, -c * sa, a * s],
+            [zero, sa * one, ca * one, d * one],
+            [zero, zero, zero, one],
+        ]
+        frame = frame @ np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+        places.append(frame[:, :3, 3])
+    return np.stack(places, axis=1)
+
+
+def _spatial_path(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[str, str], bool]:
+    """Path of the tip seen along the axis in which it moves least."""
+    places = joint_positions(machine, np.asarray(reference.q)[:: max(reference.samples // 2000, 1)])
+    tip = places[:, -1]
+    extent = tip.max(axis=0) - tip.min(axis=0)
+    extent[2] += 1e-9  # seen from the side where it makes no difference
+    across, up = sorted(np.argsort(extent)[1:])
+    curves = [Curve("arm at start", places[0][:, [across, up]], 7), Curve("path of the tip", tip[:, [across, up]], 1)]
+    return curves, (f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]"), True
