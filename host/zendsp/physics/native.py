@@ -5,10 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import shlex
-import shutil
 import subprocess
-import sys
 import tempfile
 from importlib import resources
 from pathlib import Path
@@ -18,6 +15,7 @@ import cffi
 
 from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
+from zendsp_isr.compiler import find_compiler
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=c11")
 
@@ -82,27 +80,6 @@ def source_text(effects: dict[str, Effect]) -> str:
     return text
 
 
-def find_compiler() -> list[str]:
-    """The C compiler as a command: ``$CC``, else cc, gcc or clang, else the ``ziglang`` package.
-
-    Raises
-    ------
-    ZendspError
-        Where there is none; the message says what to install.
-    """
-    if os.environ.get("CC"):
-        return shlex.split(os.environ["CC"])
-    for name in ("cc", "gcc", "clang"):
-        path = shutil.which(name)
-        if path:
-            return [path]
-    try:
-        import ziglang  # noqa: F401
-    except ImportError:
-        raise ZendspError("no C compiler found ($CC, cc, gcc, clang): install gcc, or pip install 'zendsp[zig]'") from None
-    return [sys.executable, "-m", "ziglang", "cc"]
-
-
 def cache_folder() -> Path:
     """Folder of compiled code: ``$ZENDSP_CACHE``, else the user's cache folder."""
     base = os.environ.get("ZENDSP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "zendsp"
@@ -138,8 +115,10 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
     ------
     ZendspError
         With the compiler's words where it refuses.
+    CompileFailed
+        There is no compiler; the message says what to install.
     """
-    compiler = find_compiler()
+    compiler = find_compiler().command
     key = hashlib.sha256("\0".join([source, *flags, *compiler, _machine(), platform.machine()]).encode()).hexdigest()[:24]
     target = cache_folder() / f"physics-{key}.so"
     if target.exists():
