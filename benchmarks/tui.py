@@ -189,17 +189,19 @@ def terminal(seconds: float, soak: float) -> dict[str, float]:
 
 def _soak(t: Terminal, soak: float) -> dict[str, float]:
     times, sizes = [], []
-    begin = time.monotonic()
+    begin, written, cpu = time.monotonic(), t.bytes, t.cpu()
     while time.monotonic() - begin < soak:
         times.append(time.monotonic() - begin)
         sizes.append(t.memory())
         time.sleep(min(2.0, soak / 20.0))
+    lasted = time.monotonic() - begin
     x, y = np.array(times), np.array(sizes)
     half = x > soak / 3.0  # the first third is warming up: histories fill, caches find their size
     x, y = x[half], y[half]
     slope, offset = np.polyfit(x, y, 1)
     spread = np.std(y - slope * x - offset, ddof=2) / (np.std(x) * np.sqrt(len(x)))
-    return {"soak_s": soak, "slope_kB_per_h": float(slope * 3600.0), "slope_2sigma_kB_per_h": float(2.0 * spread * 3600.0)}
+    busy = {"soak_kB_per_s": (t.bytes - written) / lasted / 1e3, "soak_cpu_share": (t.cpu() - cpu) / lasted}  # it was not asleep
+    return busy | {"soak_s": soak, "rss_first_MB": y[0] / 1e3, "rss_last_MB": y[-1] / 1e3, "slope_kB_per_h": float(slope * 3600.0), "slope_2sigma_kB_per_h": float(2.0 * spread * 3600.0)}
 
 
 def _wait(t: Terminal, words: bytes) -> None:
