@@ -7,10 +7,8 @@ import getpass
 import itertools
 import os
 import platform
-import queue
 import re
 import threading
-import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -24,7 +22,8 @@ from zendsp_protocol.verbs import VERBS, Verb
 
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
-STEP_S = 0.2  # between looks at the clock and at Ctrl-C while waiting
+STEP_S = 0.2  # for the news of a death to arrive
+WAITING = 1024  # parts that may wait to be taken: many times what one request brings
 
 
 class Link:
@@ -54,6 +53,7 @@ class Link:
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
+        self._waiting: set[zenoh.CancellationToken] = set()
         self.closed = False
         self._session = open_session(endpoints, credentials, timeout)
         try:
@@ -187,36 +187,24 @@ class Link:
     def _replies(
         self, row: Verb, payload: bytes, timeout: float, priority: zenoh.Priority
     ) -> Iterator[zenoh.Reply]:
-        """Yield replies as they come, until the last, or until the target is gone.
-
-        Zenoh's thread only hands them over: what is done with one must not hold up the next on its way.
-        """
-        came: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
+        """Yield replies as they come, until the last, or until the target is gone."""
+        giving_up = zenoh.CancellationToken()
+        self._waiting.add(giving_up)
         try:
-            self._session.get(
+            replies = self._session.get(
                 keys.rpc(self.target, row.lane),
-                zenoh.handlers.Callback(came.put, lambda: came.put(None)),
+                zenoh.handlers.FifoChannel(WAITING),
                 payload=payload,
                 consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
                 timeout=timeout,
                 priority=priority,
+                cancellation_token=giving_up,
             )
+            yield from replies
         except zenoh.ZError as error:
             raise self.silence(row.name, timeout) from error
-        deadline = time.monotonic() + timeout + 1.0
-        gone = False
-        while True:
-            try:
-                reply = came.get(timeout=STEP_S)
-            except queue.Empty:
-                if gone or time.monotonic() > deadline:
-                    return
-                gone = not self._alive.is_set()  # what is on its way may still arrive: one more round
-                continue
-            if reply is None:
-                return
-            deadline = time.monotonic() + timeout + 1.0  # what still arrives is not late
-            yield reply
+        finally:
+            self._waiting.discard(giving_up)
 
     def _result(self, reply: zenoh.Reply, row: Verb) -> Any:
         sample = reply.ok
@@ -235,6 +223,10 @@ class Link:
         if sample.kind == zenoh.SampleKind.DELETE:
             self._alive.clear()
             self._lost.set()
+            for request in list(
+                self._waiting
+            ):  # a router between us would leave them waiting until their time is up
+                request.cancel()  # type: ignore[no-untyped-call]
             return
         again = self._lost.is_set()
         self._lost.clear()
