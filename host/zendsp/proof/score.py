@@ -23,7 +23,7 @@ import click
 from zendsp.proof.answer import Answer, ContractError, read_report
 from zendsp.proof.judge import Judgement, judge
 from zendsp.proof.scoreboard import failures, headline, text
-from zendsp.proof.seal import open_truth
+from zendsp.proof.seal import BrokenSeal, open_truth
 
 # rooms below zendsp/ whose code gives the answers
 JUDGED = ("diagnosis", "physics", "recording", "reference", "cli/diagnose.py")
@@ -139,7 +139,10 @@ def write_results(path: Path, judged: Sequence[Judgement], stamp: str) -> None:
 @click.option("--out", type=click.Path(path_type=Path), default=Path("results.json"), show_default=True)
 def main(cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bool, out: Path) -> None:
     """Diagnose every case under CASES and compare with the sealed TRUTH."""
-    truths = open_truth(truth)
+    try:
+        truths = open_truth(truth)
+    except BrokenSeal as error:
+        raise click.ClickException(str(error)) from error
     wanted = set(only.replace(",", " ").split())
     chosen = [
         name

@@ -7,10 +7,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+from zendsp.errors import ZendspError
+
 SEALS = "SEALS.sha256"
 
 
-class BrokenSeal(ValueError):
+class BrokenSeal(ZendspError, ValueError):
     """A truth file is not what was sealed."""
 
 
