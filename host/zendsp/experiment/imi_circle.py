@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
-from zendsp.experiment.imi_fit import _needed, fit
+from zendsp.experiment.imi_fit import fit
 from zendsp.experiment.imi_friction import MACHINE, P1, P2, P3
-from zendsp.experiment.lab import Lab, playing
+from zendsp.experiment.lab import Lab, needed, playing
 from zendsp.experiment.result import Estimate, Result
 from zendsp.physics import parse_model, simulate
 from zendsp.physics.model import Model
@@ -25,7 +25,7 @@ PROGRAM = "inverse_dynamics.c"
 
 def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
     """The paper's test: a circle in 4.5 s, four ways; and slower circles, whose error has a floor."""
-    curves = _needed(lab, "imi-fit", fit)
+    curves = needed(lab, "imi-fit", fit)
     result = Result("imi-circle", "Circle under inverse dynamics, with and without friction compensation", MACHINE)
     machine = load_machine(MACHINE)
     model = measured_model(curves)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.experiment import imi_friction
 from zendsp.experiment.figures import AMBER, BLUE, GREY, RED, label, make_figure, save
-from zendsp.experiment.lab import Lab
+from zendsp.experiment.lab import Lab, needed
 from zendsp.experiment.result import Estimate, Result
 
 Array = npt.NDArray[np.float64]
@@ -85,20 +84,11 @@ def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
     return best
 
 
-def _needed(lab: Lab, name: str, make: Any) -> Result:
-    file = lab.folder / name / "result.toml"
-    if file.exists():
-        return Result.load(file)
-    result: Result = make(lab)
-    result.save(file)
-    return result
-
-
 def fit(lab: Lab) -> Result:
     """One friction curve for each joint from the static, low-speed and viscous experiments; those not yet made are made first."""
-    static = _needed(lab, "imi-static", imi_friction.static)
-    viscous = _needed(lab, "imi-viscous", imi_friction.viscous)
-    low = _needed(lab, "imi-low-speed", imi_friction.low_speed)
+    static = needed(lab, "imi-static", imi_friction.static)
+    viscous = needed(lab, "imi-viscous", imi_friction.viscous)
+    low = needed(lab, "imi-low-speed", imi_friction.low_speed)
     result = Result("imi-fit", "Friction curve of the planar arm", imi_friction.MACHINE, target=low.target)
     folder = lab.folder / result.name
     folder.mkdir(parents=True, exist_ok=True)

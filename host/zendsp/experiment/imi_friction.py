@@ -13,6 +13,7 @@ from zendsp.recording import Recording
 from zendsp.reference import load_machine, make_triangle
 
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 MACHINE = "imi_planar"
 JOINTS = (1, 2)
@@ -58,7 +59,7 @@ def static(lab: Lab, positions: tuple[float, ...] = (-1.2, -0.4, 0.4, 1.2)) -> R
         result.tables["breakaway"] = rows
         for joint in JOINTS:
             both = [result.values[f"breakaway{joint}_{d}"] for d in ("ccw", "cw")]
-            result.values[f"breakaway{joint}"] = Estimate(float(np.mean([e.value for e in both])), float(np.hypot(*(e.std for e in both)) / 2), "N m")
+            result.values[f"breakaway{joint}"] = Estimate(float(np.mean([e.value for e in both])), float(np.hypot(both[0].std, both[1].std) / 2), "N m")
             mean, count = float(np.mean(bristles[joint])), len(bristles[joint])
             result.values[f"stiffness{joint}"] = Estimate(mean, float(np.std(bristles[joint], ddof=1) / np.sqrt(count)), "N m/rad")
         result.figure = _draw_static(found, positions, bench)
@@ -71,7 +72,7 @@ def _break_away(bench: Bench, joint: int, direction: int, position: float) -> tu
     start[joint - 1] = position
     rec = bench.record(
         f"joint{joint}_{'ccw' if direction > 0 else 'cw'}_{position:+.1f}", own_program("push.c"), ["q", "torque", "phase"],
-        seconds=3.5 + enough / STEP[joint] * HOLD, joint=joint, direction=direction, **{"from": _padded(start)}, Kp=_padded(KP), Kd=_padded(KD),
+        seconds=3.5 + enough / STEP[joint] * HOLD, joint=joint, direction=direction, place=_padded(start), Kp=_padded(KP), Kd=_padded(KD),
         brake=_padded(BRAKE), increment=STEP[joint], hold=HOLD, threshold=0.05,
     )  # fmt: skip
     torque = breakaway_torque(rec, joint)
@@ -154,7 +155,7 @@ def _steady(bench: Bench, joint: int, direction: int, torque: float) -> tuple[fl
     start[joint - 1] = -1.9 * direction
     rec = bench.record(
         f"joint{joint}_{direction * torque:+.1f}Nm", own_program("push.c"), ["q", "tau", "phase"], seconds=8.0, joint=joint, direction=direction,
-        **{"from": _padded(start)}, Kp=_padded(KP), Kd=_padded(KD), brake=_padded(BRAKE), first=torque, lower=-1.6, upper=1.6,
+        place=_padded(start), Kp=_padded(KP), Kd=_padded(KD), brake=_padded(BRAKE), first=torque, lower=-1.6, upper=1.6,
     )  # fmt: skip
     q = rec["q"][:, joint - 1]
     rows = np.flatnonzero((rec["phase"] == 2) & (np.abs(q) < 1.55) & (q * direction > 0.4))
@@ -184,7 +185,7 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
     """Friction at low speed: PD control along triangular velocity from 0 to 1 rad/s and back, repeated, averaged."""
     result = Result("imi-low-speed", "Friction of the planar arm at low speed", MACHINE)
     machine = load_machine(MACHINE)
-    curves: dict[int, tuple[Array, Array, Array]] = {}
+    curves: dict[int, tuple[Array, Array, Mask]] = {}
     with lab.bench(MACHINE, result.name) as bench:
         for joint in JOINTS:
             reference = make_triangle(machine, joint=joint, start=[0.0, 0.0], peak=1.0, rise=rise, cycles=cycles + 1)
@@ -209,7 +210,7 @@ def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
     return result
 
 
-def friction_curve(rec: Recording, joint: int, samples: int, period: int) -> tuple[Array, Array, Array]:
+def friction_curve(rec: Recording, joint: int, samples: int, period: int) -> tuple[Array, Array, Mask]:
     """Speed and friction torque of one joint over one period, averaged over all but the first: tau - M qdd - C.
 
     Also, where the joint loses speed: after a reversal bristles bend first, so only then does it surely slide. The average over repetitions is smoothed by a local parabola of 41 ms before it is differentiated.

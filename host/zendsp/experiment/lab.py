@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.experiment.result import Result
 from zendsp.link import Target
 from zendsp.recording import Recording
 from zendsp.reference import Reference
@@ -165,11 +166,6 @@ class Bench:
         self.recordings.append(recording.save(self.folder / f"{name}.npz").name)
         return recording
 
-    def settle(self, joints: int) -> None:
-        """Leave the machine standing."""
-        with contextlib.suppress(ZendspError):
-            self.target.pause()
-
 
 def own_program(name: str) -> dict[str, str]:
     """Source of a program that belongs to this package."""
@@ -180,3 +176,13 @@ def playing(recording: Recording, samples: int) -> slice:
     """Rows of a recording in which the reference was played (needs the channel play_time)."""
     first = int(np.argmax(recording["play_time"] >= -1e-9))
     return slice(first, first + samples)
+
+
+def needed(lab: Lab, name: str, make: Callable[[Lab], Result]) -> Result:
+    """The result of another experiment, made in this folder before or made now."""
+    file = lab.folder / name / "result.toml"
+    if file.exists():
+        return Result.load(file)
+    result = make(lab)
+    result.save(file)
+    return result

@@ -8,7 +8,7 @@
 enum { MOST = 8 };
 
 static int32_t joint, direction;
-static double from[MOST], Kp[MOST], Kd[MOST], brake[MOST];
+static double place[MOST], Kp[MOST], Kd[MOST], brake[MOST];
 static double first, increment, hold, threshold, lower, upper, travel_time, rest_time, cutoff;
 
 static double q[MOST], qd[MOST], tau[MOST], torque;
@@ -20,7 +20,7 @@ static bool known;
 void UserInit(void) {
     PARAMETER(joint, 1, "", 1, MOST, "joint that is pushed, from 1");
     PARAMETER(direction, 1, "", -1, 1, "1 counterclockwise, -1 clockwise");
-    PARAMETER_ARRAY(from, "rad", NO_MIN, NO_MAX, "where the joints start");
+    PARAMETER_ARRAY(place, "rad", NO_MIN, NO_MAX, "where the joints start");
     PARAMETER_ARRAY(Kp, "N m/rad", 0.0, 20000.0, "gain on the way, and of joints that are held");
     PARAMETER_ARRAY(Kd, "N m s/rad", 0.0, 1000.0, "damping of the same");
     PARAMETER_ARRAY(brake, "N m s/rad", 0.0, 1000.0, "damping when the push has ended");
@@ -59,7 +59,7 @@ static void measure(void) {
 /* Fifth-order way from where the joint stood to its start position. */
 static double wanted(int32_t j, double t) {
     const double s = t < travel_time ? t / travel_time : 1.0;
-    return start[j] + s * s * s * (10.0 + s * (6.0 * s - 15.0)) * (from[j] - start[j]);
+    return start[j] + s * s * s * (10.0 + s * (6.0 * s - 15.0)) * (place[j] - start[j]);
 }
 
 static double push(int32_t k, double t) {

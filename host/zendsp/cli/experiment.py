@@ -1,0 +1,82 @@
+"""``zendsp experiment``: measure a machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from zendsp.experiment import Result
+
+
+@click.command("experiment")
+@click.argument("name", required=False)
+@click.option("--out", type=click.Path(path_type=Path), default=Path("experiments"), show_default=True, help="Folder of recordings, figures and results.")
+@click.option("--into", type=click.Path(path_type=Path, exists=True), help="Model file that takes in what was found.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write all results of the folder beside the papers' (Markdown, figures beside it).")
+@click.option("-t", "--target", default="", metavar="NAME", help="A target with the machine. Default: a simulated one, started here, on the fast clock.")
+@click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(name: str | None, out: Path, into: Path | None, report: Path | None, target: str, connect: str | None, as_json: bool) -> None:
+    """Make the experiment NAME, or all of them; without NAME, list them.
+
+    Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept; the result is a TOML file that a model takes in.
+
+    Example:  zendsp experiment imi-fit --into examples/models/imi_planar.toml
+    """
+    from zendsp.cli.progress import stages
+    from zendsp.experiment import EXPERIMENTS, Lab, put_into, run_experiment
+
+    if name is None:
+        _list()
+        return
+    names = list(EXPERIMENTS) if name == "all" else [name]
+    opened = None
+    if target or connect:
+        from zendsp.cli.common import open_target
+
+        opened = open_target(target, connect)
+    try:
+        for each in names:
+            with stages(quiet=as_json) as tell:
+                lab = Lab(out, opened, lambda text, each=each: tell(f"{each}: {text}"))  # type: ignore[misc]
+                result = run_experiment(each, lab)
+            _print(result, out / each, as_json)
+            if into is not None:
+                for change in put_into(result, into):
+                    click.echo(f"{into}: {change}", err=as_json)
+    finally:
+        if opened is not None:
+            opened.close()
+    if report is not None:
+        from zendsp.experiment.report import write_report
+
+        write_report(out, report)
+        click.echo(f"wrote {report}", err=as_json)
+
+
+def _list() -> None:
+    from zendsp.experiment import EXPERIMENTS
+
+    width = max(len(name) for name in EXPERIMENTS)
+    for experiment in EXPERIMENTS.values():
+        click.echo(f"{experiment.name:<{width}}  {experiment.machine:<10}  {experiment.title}")
+
+
+def _print(result: Result, folder: Path, as_json: bool) -> None:
+    if as_json:
+        import json
+
+        values = {key: {"value": e.value, "std": e.std, "unit": e.unit} for key, e in result.values.items()}
+        click.echo(json.dumps({"name": result.name, "values": values, "warnings": result.warnings, "folder": str(folder)}, allow_nan=False))
+        return
+    click.echo(f"{result.title} ({result.target})")
+    for key, estimate in result.values.items():
+        click.echo(f"  {key.replace('_', ' '):<44} {estimate}")
+    for text in result.findings:
+        click.echo(f"  {text}")
+    for text in result.warnings:
+        click.echo(f"  warning: {text}")
+    click.echo(f"  {folder / 'result.toml'}, {folder / result.figure}, {len(result.recordings)} recordings")
