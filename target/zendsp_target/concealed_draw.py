@@ -199,7 +199,8 @@ def draw(machine: str, seed: int, effect: str | None = None, joint: int | None =
     seed : int
         Any whole number.
     effect : str, optional
-        Only this effect; else any named one that the machine can carry. On the pendulum also "payload": inertia and gravity.
+        Only this effect, or one of several: "ripple/coupling"; else any named one that the machine can carry. On the pendulum
+        also "payload": inertia and gravity.
     joint : int, optional
         1-based; else any.
     count : int
@@ -228,10 +229,11 @@ def draw(machine: str, seed: int, effect: str | None = None, joint: int | None =
     r = random.Random(f"{machine}/{seed}")
     if effect == "payload" and machine == "pendulum":
         return Concealed(machine, _payload(r), f"seed:{seed}", friction)
-    if effect is not None and (effect not in DRAWS or effect in usual.excluded):
-        choice = ", ".join(name for name in DRAWS if name not in usual.excluded)
-        raise Refused(f"concealed: {machine} cannot carry {effect!r}; choose one of {choice}")
-    pool = [effect] if effect else [name for name in NAMED if name not in usual.excluded]
+    pool = effect.split("/") if effect is not None else [name for name in NAMED if name not in usual.excluded]
+    for name in pool:
+        if name not in DRAWS or name in usual.excluded:
+            choice = ", ".join(name for name in DRAWS if name not in usual.excluded)
+            raise Refused(f"concealed: {machine} cannot carry {name!r}; choose one of {choice}")
     if not 0 <= count <= len(pool):
         raise Refused(f"concealed: count {count}; 0 to {len(pool)} different effects can be drawn")
     chosen = r.sample(pool, count)
@@ -240,7 +242,7 @@ def draw(machine: str, seed: int, effect: str | None = None, joint: int | None =
 
 
 def draw_from_text(spec: str, machine: str) -> Concealed:
-    """The form of the command line: ``seed:N[,effect=NAME][,joint=J][,count=K][,friction=plain]``.
+    """The form of the command line: ``seed:N[,effect=NAME[/NAME…]][,joint=J][,count=K][,friction=plain]``.
 
     Raises
     ------
@@ -255,7 +257,7 @@ def draw_from_text(spec: str, machine: str) -> Concealed:
     head, *rest = spec.removeprefix("seed:").split(",")
     options = dict(part.partition("=")[::2] for part in rest)
     unknown = set(options) - {"effect", "joint", "count", "friction"}
-    form = "seed:N[,effect=NAME][,joint=J][,count=K][,friction=plain]"
+    form = "seed:N[,effect=NAME[/NAME…]][,joint=J][,count=K][,friction=plain]"
     if unknown:
         raise Refused(f"concealed: {', '.join(sorted(unknown))} in {spec!r}; expected {form}")
     try:

@@ -1,114 +1,162 @@
-"""The picture of the demo: the circle, the errors, the torques, and the timing of the loop."""
+"""The picture of the story: what the loop hid, what was missing, the fit on held-out data, and the error before and after."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from zendsp.recording import Recording
-from zendsp.recording.plot import COLOURS
+from zendsp.demo.evidence import columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from zendsp.demo.live_loop import Change
+    from zendsp.demo.story import Told
 
-SETTLED_S = 2.0  # the approach to the circle and the step of the gains are over
-FloatArray = npt.NDArray[np.float64]
+# Okabe and Ito 2008: told apart by readers with any kind of colour vision, and in grey.
+MACHINE, MODEL, FOUND, QUIET = "#0072B2", "#D55E00", "#009E73", "0.55"
+SMOOTH_S = 0.05  # window of the RMS curve of the tracking error, to be read beside it
 
 
-def draw(recording: Recording, changes: Sequence[Change], path: Path) -> None:
-    """Draw the recording of the demo.
+def draw(told: Told, path: Path) -> None:
+    """Draw the story.
 
     Parameters
     ----------
-    recording : Recording
-        With q, r1, r2, e, tau, exec_us and late_us.
-    changes : sequence of Change
-        Where the gains were changed.
+    told : Told
+        A story that was told to its end.
     path : Path
-        PNG.
+        PNG, 1920 pixels wide.
     """
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.0, 7.2), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.25))
-    times = _change_times(recording)
-    _paths(figure.add_subplot(grid[:2, 0]), recording, times, changes)
-    _timing(figure.add_subplot(grid[2, 0]), recording)
-    first = figure.add_subplot(grid[0, 1])
-    _traces(first, recording, times, recording["e"] * 1e3, "error (mrad)")
-    # The start from rest is far off by design and would flatten everything else.
-    settled = recording["e"][recording.t > SETTLED_S] * 1e3
-    first.set_ylim(1.15 * settled.min(), 1.15 * settled.max())
-    _traces(figure.add_subplot(grid[1, 1], sharex=first), recording, times, recording["tau"], "torque (N m)")
-    last = figure.add_subplot(grid[2, 1], sharex=first)
-    _traces(last, recording, times, recording["q"], "position (rad)")
-    last.set_xlabel("t (s)")
-    figure.suptitle(f"{recording.machine}: a circle under pd.c, gains changed while it moves")
-    figure.savefig(path, dpi=120)
+    style = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
+    with rc_context(style):
+        figure = Figure(figsize=(12.8, 8.2), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0), hspace=0.06)
+        left = grid[0, 0].subgridspec(2, 1, hspace=0.03)
+        joint = told.diagnosis.findings[0].joint if told.diagnosis.findings else told.hidden.joint
+        top = figure.add_subplot(left[0])
+        _position(top, told, joint)
+        _command(figure.add_subplot(left[1], sharex=top), told, joint)
+        _missing(figure.add_subplot(grid[0, 1]), told, joint)
+        _error(figure.add_subplot(grid[1, 0]), told, joint)
+        _fit(figure.add_subplot(grid[1, 1]), told)
+        figure.suptitle(_headline(told), fontsize=14, fontweight="bold")
+        figure.savefig(path, dpi=150)
 
 
-def _change_times(recording: Recording) -> list[float]:
-    """Times at which parameters changed, from the log that travels with the recording."""
-    ticks = sorted({change.tick for change in recording.log})
-    rate = recording.decimation / recording.sample_time
-    return [tick / rate for tick in ticks]
+def _headline(told: Told) -> str:
+    truth = ", ".join(f"{e['effect'].replace('_', ' ')} on joint {e['joint']}" for e in told.truth.effects) if told.truth else "?"
+    found = ", ".join(f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in told.diagnosis.findings) or "nothing"
+    return f"concealed: {truth}      found: {found}"
 
 
-def _paths(axis: Axes, recording: Recording, times: list[float], changes: Sequence[Change]) -> None:
-    t = recording.t
-    axis.plot(recording["r1"], recording["r2"], color="0.6", lw=5, alpha=0.5, label="reference")
-    bounds = [0.0, *times, t[-1]]
-    labels = ["gains of pd.c", *(change.why for change in changes)]
-    for k, (start, end) in enumerate(itertools.pairwise(bounds)):
-        part = (t >= start + (0.0 if k == 0 else 0.3)) & (t < end)
-        axis.plot(
-            *recording["q"][part].T,
-            color=COLOURS[k],
-            lw=1.2,
-            label=labels[k] if k < len(labels) else None,
-        )
-    axis.set_aspect("equal")
-    axis.set_xlabel("joint 1 (rad)")
-    axis.set_ylabel("joint 2 (rad)")
-    axis.set_title("one joint over the other")
-    axis.legend(fontsize=8, loc="center", bbox_to_anchor=(0.55, 0.5))
-    axis.grid(True, alpha=0.3)
+def _unit(told: Told) -> str:
+    return told.diagnosis.unit
 
 
-def _traces(axis: Axes, recording: Recording, times: list[float], values: FloatArray, label: str) -> None:
-    for k, column in enumerate(values.T):
-        axis.plot(recording.t, column, color=COLOURS[k], lw=0.9, label=f"joint {k + 1}")
-    for time in times:
-        axis.axvline(time, color="0.3", lw=0.8, ls="--")
-    axis.set_ylabel(label)
-    axis.legend(fontsize=8, loc="upper right")
-    axis.grid(True, alpha=0.3)
+def _position(axis: Axes, told: Told, joint: int) -> None:
+    t = np.arange(len(told.train)) * told.train.sample_time
+    q, s = columns(told.train, "q")[:, joint - 1], columns(told.simulated, "q")[:, joint - 1]
+    axis.plot(t, q, color=MACHINE, lw=2.4, alpha=0.45, label="machine")
+    axis.plot(t[: len(s)], s[: len(t)], color=MODEL, lw=1.0, ls=(0, (4, 2)), label="simulated by the given model")
+    axis.set_ylabel(f"position ({_unit(told)})")
+    size = 1e3 * told.hidden.position[joint - 1]
+    axis.set_title(f"The loop hides it: joint {joint} differs from its simulation by {size:.2g} m{_unit(told)}", loc="left")
+    axis.legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
+    axis.tick_params(labelbottom=False)
 
 
-def _timing(axis: Axes, recording: Recording) -> None:
-    shown = {"execution": recording["exec_us"], "lateness": recording["late_us"]}
-    top = max(1.0, *(float(values.max()) for values in shown.values()))
-    edges: list[float] = np.geomspace(0.01, 1.2 * top, 60).tolist()
-    for k, (name, values) in enumerate(shown.items()):
-        clipped = np.clip(values, edges[0], None)
-        axis.hist(
-            clipped,
-            edges,
-            histtype="stepfilled",
-            alpha=0.6,
-            color=COLOURS[k],
-            label=f"{name}, max {values.max():.3g} µs",
-        )
+def _command(axis: Axes, told: Told, joint: int) -> None:
+    t = np.arange(len(told.train)) * told.train.sample_time
+    u, s = columns(told.train, "tau")[:, joint - 1], columns(told.simulated, "tau")[:, joint - 1]
+    rows = min(len(u), len(s))
+    axis.axhline(0.0, color=QUIET, lw=0.8)
+    axis.plot(t[:rows], u[:rows] - s[:rows], color=MODEL, lw=0.6)
+    axis.set_ylabel("command\nbeyond it (N m)")
+    axis.set_xlabel("time (s)")
+    difference = u[:rows] - s[:rows]
+    top = 1.3 * float(np.quantile(np.abs(difference), 0.998)) or 1.0
+    axis.set_ylim(-top, top)
+    axis.set_xlim(0.0, float(t[-1]))
+
+
+def _missing(axis: Axes, told: Told, joint: int) -> None:
+    """Torque that the calibrated and the improved model lack, over the variable in which the effect lives."""
+    from zendsp.diagnosis.figures import axis_of
+
+    finding = told.diagnosis.findings[0] if told.diagnosis.findings else None
+    variable = axis_of(finding.effect) if finding else "velocity"
+    units = {"position": _unit(told), "velocity": f"{_unit(told)}/s", "acceleration": f"{_unit(told)}/s²", "command": "N m", "time": "s"}
+    series = (("given model, calibrated", told.diagnosis.missing, MODEL), ("with what was found", told.diagnosis.remaining, FOUND))
+    for label, parts, colour in series:
+        x = np.concatenate([m.time if variable == "time" else m.variables[variable] for m in parts[joint]])
+        y = np.concatenate([m.torque for m in parts[joint]])
+        every = slice(None, None, max(1, len(x) // 4000))
+        axis.plot(x[every], y[every], ".", ms=1.6, alpha=0.35, color=colour, rasterized=True)
+        axis.plot([], [], "o", color=colour, label=label)
+        _middle(axis, x, y, colour)
+    limits = np.concatenate([m.torque for m in told.diagnosis.missing[joint]])
+    top = 1.4 * float(np.quantile(np.abs(limits), 0.99)) or 1.0
+    axis.set_ylim(-top, top)
+    axis.axhline(0.0, color=QUIET, lw=0.8)
+    axis.set_xlabel(f"{variable} of joint {joint} ({units[variable]})")
+    axis.set_ylabel("missing torque (N m)")
+    name = finding.effect.replace("_", " ") if finding else told.diagnosis.verdict
+    axis.set_title(f"What the model lacks: {name}", loc="left")
+    axis.legend(loc="upper left", fontsize=8, frameon=False)
+
+
+def _middle(axis: Axes, x: np.ndarray, y: np.ndarray, colour: str) -> None:  # type: ignore[type-arg]
+    """Median over bins of equal counts."""
+    order = np.argsort(x)
+    parts = [part for part in np.array_split(order, 60) if len(part)]
+    axis.plot([np.median(x[p]) for p in parts], [np.median(y[p]) for p in parts], color=colour, lw=1.8)
+
+
+def _error(axis: Axes, told: Told, joint: int) -> None:
+    if told.work is None or told.tracking is None:
+        axis.text(0.5, 0.5, "nothing was switched on", ha="center", va="center", transform=axis.transAxes, color=QUIET)
+        axis.set_axis_off()
+        return
+    joint = told.compensated[0] if told.compensated and joint not in told.compensated else joint
+    at = (told.tracking.tick - told.work.start_tick) * told.work.sample_time
+    t = np.arange(len(told.work)) * told.work.sample_time
+    e = 1e3 * columns(told.work, "e")[:, joint - 1]
+    before, after = t < at, t >= at
+    axis.plot(t[before], e[before], color=MODEL, lw=0.7)
+    axis.plot(t[after], e[after], color=FOUND, lw=0.7)
+    window = max(1, round(SMOOTH_S / told.work.sample_time))
+    top = 1.25 * float(np.quantile(np.abs(np.convolve(e, np.ones(window) / window, "same")), 0.995)) or 1.0
+    axis.set_ylim(-top, 1.25 * top)
+    axis.axvline(at, color="0.2", lw=1.0, ls="--")
+    b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
+    axis.text(at, 1.22 * top, f" synchronous update,\n sample {told.tracking.tick}", fontsize=8, va="top", color="0.2")
+    for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
+        axis.text(x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13, fontweight="bold", ha="center", transform=axis.transAxes)
+    axis.set_xlabel("time (s)")
+    axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")
+    axis.set_title("Switched on in the running program", loc="left")
+    axis.set_xlim(0.0, float(t[-1]))
+
+
+def _fit(axis: Axes, told: Told) -> None:
+    held = told.diagnosis.heldout
+    rows = (("given", held.given, QUIET), ("calibrated", held.calibrated, MODEL), ("improved", held.improved, FOUND))
+    for k, (_, value, colour) in enumerate(rows):
+        axis.barh(k, 1e3 * value, color=colour, height=0.6)
+        axis.text(1e3 * value, k, f" {1e3 * value:.3g}", va="center", fontsize=11)
+    floor = 1e3 * told.diagnosis.noise_floor
+    axis.axvline(floor, color="0.2", lw=1.0, ls="--")
+    axis.text(floor, -0.48, " noise floor", fontsize=8, va="bottom", color="0.2")
+    axis.set_yticks(range(len(rows)), [name for name, _, _ in rows])
+    axis.invert_yaxis()
     axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel("µs")
-    axis.set_ylabel("samples")
-    axis.set_title(f"timing of the loop: {int(recording.timing.get('overruns', 0))} overruns", fontsize=10)
-    axis.legend(fontsize=8)
+    low, high = min(floor, 1e3 * held.improved), 1e3 * max(held.given, held.calibrated)
+    axis.set_xlim(0.6 * low, 2.5 * high)
+    axis.grid(False, axis="y")
+    axis.set_xlabel(f"error of free simulation over 0.25 s on the held-out recording (m{_unit(told)})")
+    axis.set_title("The fit, on a motion it has not seen", loc="left")

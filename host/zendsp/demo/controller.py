@@ -1,0 +1,144 @@
+"""The control program of the story, made from the model and from the library of effects, and the update that switches effects on."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+
+from zendsp.physics.codegen import compensation, model_code
+from zendsp.physics.codegen_terms import compensable, kernel_terms, why_not
+from zendsp.physics.effects import library
+from zendsp.physics.model import Model, Quantity, Term
+
+APPROACH_S = 1.0
+LAWS = range(4)  # of a coupling
+# Numbers that give an effect its shape, not its size: any harmless value while the size is zero.
+NEUTRAL = {"velocity": 1.0, "exponent": 2.0, "period": 1.0, "order": 1.0, "smooth": 0.02}
+SIZES = ("level", "level_pos", "level_neg", "coefficient", "coefficient_pos", "coefficient_neg")
+BLOCKS = ("friction_block",)  # a whole friction law in place of another, not an effect of the contract
+
+
+def slots(joints: int) -> tuple[Term, ...]:
+    """Every effect that a torque can cancel, on every joint, of size zero.
+
+    Parameters
+    ----------
+    joints : int
+
+    Returns
+    -------
+    tuple of Term
+
+    Examples
+    --------
+    >>> [t.effect for t in slots(1)][:3]
+    ['coulomb', 'coulomb_asymmetry', 'cubic_stiffness']
+    """
+    made: list[Term] = []
+    for joint in range(1, joints + 1):
+        for effect in library().values():
+            zero = {n: Quantity(NEUTRAL.get(n, 0.0)) for n in effect.names}
+            if effect.name == "coupling":
+                others = [other for other in range(1, joints + 1) if other != joint]
+                made += [
+                    Term("coupling", joint, {**zero, "from_joint": Quantity(float(other)), "law": Quantity(float(law))})
+                    for other in others
+                    for law in LAWS
+                ]
+            elif effect.name not in BLOCKS and compensable(Term(effect.name, joint, zero)):
+                made.append(Term(effect.name, joint, zero))
+    return tuple(made)
+
+
+def sources(model: Model) -> dict[str, str]:
+    """track.c with what it includes, for :meth:`zendsp.link.Target.compile`.
+
+    Parameters
+    ----------
+    model : Model
+        Whose torque is fed forward.
+
+    Returns
+    -------
+    dict of file name to text
+    """
+    track = resources.files("zendsp.demo").joinpath("programs", "track.c").read_text(encoding="utf-8")
+    motion = resources.files("zendsp_isr").joinpath("programs", "motion.h").read_text(encoding="utf-8")
+    room = compensation(slots(model.joints), title=f"{model.name}, all sizes zero until something is found")
+    return {"track.c": track, "motion.h": motion, "model.h": model_code(model), "compensation.h": room}
+
+
+def flags(joints: int) -> tuple[str, ...]:
+    """Flags of the compiler for a machine of so many joints."""
+    return (f"-DN={joints}",)
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one synchronous update writes, and what it cannot cancel."""
+
+    values: Mapping[str, float]
+    left_out: tuple[str, ...]  # sentences
+    joints: tuple[int, ...]  # whose torque is compensated by terms that the given model had not (1-based)
+
+
+def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Update:
+    """Values of the program's parameters that turn the given model into the improved one.
+
+    Terms that both have, and the rigid body, get the numbers of the fit; terms that the fit replaced get size zero; what was found
+    goes into its slot of the compensation.
+
+    Parameters
+    ----------
+    given, improved : Model
+        In file form.
+    variables : collection of str
+        Names that the running program declares.
+
+    Returns
+    -------
+    Update
+    """
+    values: dict[str, float] = {}
+    left_out: list[str] = []
+    joints: set[int] = set()
+    had = _labelled(given.terms, "model")
+    room = _labelled(slots(given.joints), "comp")
+    for label in had:
+        values |= {f"{label}_{name}": 0.0 for name in SIZES if f"{label}_{name}" in variables}
+    for label, term in _labelled(kernel_terms(improved), "model").items():
+        place = label if label in had else _slot(room, term)
+        if place is None:
+            left_out.append(f"{term.effect.replace('_', ' ')} of joint {term.joint}: {why_not(term.effect)}")
+            continue
+        if room.pop(place, None) is not None:
+            joints.add(term.joint)
+        wanted = {f"{place}_{name}": quantity.value for name, quantity in term.parameters.items()}
+        values |= {name: value for name, value in wanted.items() if name in variables}
+    for key, items in improved.mechanism.items():
+        for j, quantity in enumerate(items, start=1):
+            for name in (f"model_{key}", f"model_{key}{j}"):
+                if name in variables:
+                    values[name] = quantity.value
+    return Update(values, tuple(left_out), tuple(sorted(joints)))
+
+
+def _labelled(terms: Sequence[Term], prefix: str) -> dict[str, Term]:
+    """Terms by the names that the generated C gives them."""
+    out: dict[str, Term] = {}
+    for term in terms:
+        label, count = f"{prefix}_{term.effect}{term.joint}", 2
+        while label in out:
+            label, count = f"{prefix}_{term.effect}{term.joint}_{count}", count + 1
+        out[label] = term
+    return out
+
+
+def _slot(room: Mapping[str, Term], term: Term) -> str | None:
+    """The free place for a term: the same effect, joint and structure."""
+    for label, slot in room.items():
+        same = slot.effect == term.effect and slot.joint == term.joint
+        if same and all(slot.value(n) == term.value(n) for n in ("from_joint", "law")):
+            return label
+    return None

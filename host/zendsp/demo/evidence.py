@@ -1,0 +1,161 @@
+"""The numbers of the story: what the loop hides, how the tracking error fell, and whether the truth was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis import Diagnosis, Finding
+from zendsp.recording import Recording
+
+Array = npt.NDArray[np.float64]
+
+BOUNDARY_S = 0.5  # on both sides of the update: the filter and the loop settle
+LEAST_FALL = 0.9  # of the error before: what counts as fallen
+
+
+def rms(values: Array) -> Array:
+    """Root mean square of each column.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rms(np.array([[3.0], [-3.0]])).tolist()
+    [3.0]
+    """
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def columns(recording: Recording, name: str) -> Array:
+    """A channel as (rows, joints)."""
+    values = recording[name]
+    return values if values.ndim == 2 else values[:, None]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """How simulation and recording differ, per joint: in position (rad) and command (N m), and the size of both."""
+
+    position: tuple[float, ...]
+    travel: tuple[float, ...]
+    command: tuple[float, ...]
+    effort: tuple[float, ...]
+
+    @property
+    def joint(self) -> int:
+        """The joint (1-based) whose command differs most, relative to its effort."""
+        return int(np.argmax(np.array(self.command) / np.array(self.effort))) + 1
+
+
+def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
+    """Compare a recording with the simulation of the same closed loop by the nominal model.
+
+    Parameters
+    ----------
+    recording, simulated : Recording
+        With q and tau, from the same first sample.
+
+    Returns
+    -------
+    Hidden
+    """
+    rows = min(len(recording), len(simulated))
+    q, tau = columns(recording, "q")[:rows], columns(recording, "tau")[:rows]
+    dq, dtau = q - columns(simulated, "q")[:rows], tau - columns(simulated, "tau")[:rows]
+    return Hidden(
+        tuple(rms(dq).tolist()), tuple(np.ptp(q, axis=0).tolist()), tuple(rms(dtau).tolist()), tuple(rms(tau).tolist())
+    )
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """RMS tracking error of each joint before and after the update, rad, and the sample of the update."""
+
+    tick: int
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+    def fell(self, joints: Sequence[int]) -> bool:
+        """Whether the error of every one of these joints (1-based) fell."""
+        return all(self.after[j - 1] < LEAST_FALL * self.before[j - 1] for j in joints)
+
+
+def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: float) -> Tracking:
+    """Compare the tracking error before and after a synchronous update.
+
+    Parameters
+    ----------
+    recording : Recording
+        With e; the update happened in it.
+    tick : int
+        Sample at which the update took effect.
+    first_s, last_s : float
+        Between which the machine works, s.
+
+    Returns
+    -------
+    Tracking
+    """
+    at = (tick - recording.start_tick) * recording.sample_time
+    t = np.arange(len(recording)) * recording.sample_time
+    e = columns(recording, "e")
+    before = e[(t >= first_s) & (t < at)]
+    after = e[(t >= at + BOUNDARY_S) & (t < last_s)]
+    return Tracking(tick, tuple(rms(before).tolist()), tuple(rms(after).tolist()))
+
+
+def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:
+    """Whether a finding, or one of those that the recordings cannot tell from it, is a concealed effect."""
+    return finding.joint == truth["joint"] and truth["effect"] in (finding.effect, *finding.indistinguishable)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The answer beside the truth.
+
+    Attributes
+    ----------
+    named : bool
+        Every concealed effect is among the findings, or among what a finding says it cannot be told from.
+    exact : bool
+        And by its own name.
+    extra : tuple of str
+        Findings that are no concealed effect.
+    parameters : tuple
+        (name, found, std, true, unit) of those named exactly.
+    """
+
+    named: bool
+    exact: bool
+    extra: tuple[str, ...]
+    parameters: tuple[tuple[str, float, float, float, str], ...]
+
+
+def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
+    """Compare a diagnosis with what the machine revealed.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    effects : sequence of mapping
+        Of :class:`zendsp.link.concealed.Truth`.
+
+    Returns
+    -------
+    Judged
+    """
+    found = diagnosis.findings
+    named = all(any(matches(f, truth) for f in found) for truth in effects)
+    pairs = [(f, truth) for truth in effects for f in found if f.effect == truth["effect"] and f.joint == truth["joint"]]
+    extra = tuple(f"{f.effect} on joint {f.joint}" for f in found if not any(matches(f, truth) for truth in effects))
+    rows = []
+    for finding, truth in pairs:
+        for name, told in truth["parameters"].items():
+            estimate = finding.parameters.get(name)
+            if estimate is not None and isinstance(told["value"], int | float):
+                rows.append((name, estimate.value, estimate.std, float(told["value"]), estimate.unit))
+    return Judged(named and bool(found or not effects), named and len(pairs) == len(effects), extra, tuple(rows))

@@ -1,0 +1,127 @@
+"""The motions of the story: slow and fast, with reversals, within the limits of each machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from zendsp.demo.stage import Stage
+from zendsp.reference import Machine, Reference, make_circle, make_multisine, make_point_to_point
+
+TRAVEL_S = 0.8  # from the end of one motion to the beginning of the next
+
+
+def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
+    """Motions one after the other, each led over to the next at rest.
+
+    Parameters
+    ----------
+    machine : Machine
+    parts : sequence of Reference
+        All of one sample time.
+
+    Returns
+    -------
+    Reference
+        Checked against the limits of the machine.
+
+    Examples
+    --------
+    >>> from zendsp.reference import load_machine
+    >>> arm = load_machine("imi_planar")
+    >>> circle = make_circle(arm, radius=0.1)
+    >>> join(arm, [circle, circle]).samples == 2 * circle.samples - 1
+    True
+    """
+    rows = [parts[0].q]
+    dt = parts[0].sample_time
+    for before, after in zip(parts, parts[1:], strict=False):
+        if np.abs(before.q[-1] - after.q[0]).max() > 1e-9:
+            way = make_point_to_point(machine, start=before.q[-1], goal=after.q[0], duration=TRAVEL_S, sample_time=dt)
+            rows.append(way.q[1:])
+        rows.append(after.q[1:])
+    whole = Reference(np.concatenate(rows), dt, kind="story", machine=machine.name)
+    machine.check(whole)
+    return whole
+
+
+def _multisine(machine: Machine, start: Any, amplitude: Any, period: float, f_max: float) -> Reference:
+    return make_multisine(
+        machine, start=start, amplitude=amplitude, period=period, f_min=1.0 / period, f_max=f_max, periods=1, fade_time=0.5
+    )
+
+
+def _arm_train(machine: Machine) -> Reference:
+    slow = make_circle(machine, radius=0.12, x=0.48, duration=4.0)
+    fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
+    return join(machine, [slow, fast, _multisine(machine, [-0.5, 1.2], [0.55, 0.7], 5.0, 2.2)])
+
+
+def _arm_heldout(machine: Machine) -> Reference:
+    circle = make_circle(machine, radius=0.1, x=0.47, y=0.08, duration=2.5, phase=2.0, turns=-1)
+    return join(machine, [circle, _multisine(machine, [-0.4, 1.0], [0.5, 0.6], 4.0, 2.0)])
+
+
+def _arm_work(machine: Machine) -> Reference:
+    lap = make_circle(machine, radius=0.12, x=0.48, duration=12.0, turns=6, law="trapezoid", blend=0.06)
+    machine.check(lap)
+    return lap
+
+
+def _arm_mechanism(machine: Machine) -> dict[str, Any]:
+    numbers = machine.parameters
+    parameters: dict[str, Any] = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
+    parameters |= {key: {"value": numbers[key], "free": False} for key in ("l1", "l2")}
+    return {"kind": "planar2r", "parameters": parameters}
+
+
+def _pendulum_train(machine: Machine) -> Reference:
+    return join(machine, [_multisine(machine, 0.0, 0.5, 5.0, 0.8), _multisine(machine, 0.2, 1.6, 6.0, 1.6)])
+
+
+def _pendulum_heldout(machine: Machine) -> Reference:
+    return join(machine, [_multisine(machine, 0.1, 1.4, 5.0, 1.4)])
+
+
+def _pendulum_work(machine: Machine) -> Reference:
+    dt = machine.sample_time
+    t = np.arange(round(12.0 / dt) + 1) * dt
+    rise = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
+    swing = 1.2 * np.sin(np.pi * t) * rise**3 * (10.0 + rise * (6.0 * rise - 15.0))
+    lap = Reference(swing, dt, kind="swing", machine=machine.name)
+    machine.check(lap)
+    return lap
+
+
+def _pendulum_mechanism(machine: Machine) -> dict[str, Any]:
+    numbers = machine.parameters
+    return {
+        "kind": "rotary",
+        "parameters": {"inertia": {"value": numbers["theta1"]}, "gravity": {"value": 9.81 * numbers["theta2"]}},
+    }
+
+
+POOL = ("viscous", "coulomb")
+
+STAGES = {
+    "imi_planar": Stage(
+        machine="imi_planar",
+        gains={"Kp": [2000.0, 300.0], "Kd": [120.0, 12.0], "cutoff": 40.0},
+        train=_arm_train,
+        heldout=_arm_heldout,
+        work=_arm_work,
+        mechanism=_arm_mechanism,
+        pool=POOL,
+    ),
+    "pendulum": Stage(
+        machine="pendulum",
+        gains={"Kp": [4.0], "Kd": [0.06], "cutoff": 30.0},
+        train=_pendulum_train,
+        heldout=_pendulum_heldout,
+        work=_pendulum_work,
+        mechanism=_pendulum_mechanism,
+        pool=POOL,
+    ),
+}

@@ -1,0 +1,35 @@
+/* track.c: follow a reference by feedback, with the model's torque fed forward, and room for physics that the model lacks.
+ *
+ *     tau = model(r, rd, rdd) + Kp (r - q) + Kd (rd - qd) + compensation(r, rd, rdd)
+ *
+ * model.h and compensation.h are made from the host's model and its library of effects; every level of the compensation is a
+ * parameter and begins at zero, so that what a diagnosis finds is switched on by one synchronous update, without a new download.
+ */
+#include "isr.h"
+#include "motion.h"
+#include "model.h"
+#include "compensation.h"
+
+static double Kp[N], Kd[N], tau[N], tau_comp[N];
+
+void UserInit(void) {
+    MotionInit();
+    ModelInit();
+    CompensationInit();
+    PARAMETER(Kp, 0.0, "N m/rad", 0.0, 20000.0, "position gains");
+    PARAMETER(Kd, 0.0, "N m s/rad", 0.0, 2000.0, "velocity gains");
+    SIGNAL(tau, "N m", "commands");
+    SIGNAL(tau_comp, "N m", "part of the command that compensates");
+}
+
+void UserISR_INT2(void) {
+    MotionStep();
+    ModelTorque(r, rd, rdd, tau);
+    for (int32_t j = 0; j < N; j++) {
+        tau_comp[j] = Compensation(j, r, rd, rdd, tau[j]);
+        tau[j] += tau_comp[j] + Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]);
+        WRITE_TORQUE(j, tau[j]);
+    }
+}
+
+void UserBackground(void) {}

@@ -1,0 +1,98 @@
+"""Runs of the story on the target: every one from a fresh start, recorded from the first sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zendsp.demo.controller import APPROACH_S, flags, sources
+from zendsp.demo.stage import Stage, nominal_model
+from zendsp.errors import Refused
+from zendsp.link import Target
+from zendsp.physics.model import Model
+from zendsp.physics.simulate_run import simulate
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+
+CHANNELS = ("q", "r", "tau", "e", "aout")
+REST_S = 0.3  # after the last row
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A target with the compiled control program of the story."""
+
+    target: Target
+    stage: Stage
+    model: Model
+    key: str
+
+    def run(self, motion: Reference, note: str, update: tuple[float, Mapping[str, float]] | None = None) -> Recording:
+        """Start the program afresh and record a motion.
+
+        Parameters
+        ----------
+        motion : Reference
+        note : str
+            Kept in the recording.
+        update : (float, mapping), optional
+            Time in the run, s, and the parameters that change there, all in one sample.
+
+        Returns
+        -------
+        Recording
+            Its log has the sample at which the update took effect.
+
+        Raises
+        ------
+        Refused
+            The machine tripped.
+        """
+        target = self.target
+        if target.status().state == "running":
+            target.pause()
+        target.load(self.key)
+        for table, rows in motion.tables().items():
+            target.upload(table, rows)
+        target.update(None, **self.settings())
+        rate = target.info.rate_hz
+        if update is not None:
+            target.update(round(update[0] * rate), **update[1])
+        seconds = APPROACH_S + motion.duration + REST_S
+        recording = target.acquire(list(CHANNELS), seconds=seconds, start=True, note=note)
+        trip = target.status().trip
+        if trip is not None and trip.reason:
+            target.acknowledge()
+            raise Refused(f"{note}: the machine stopped itself: {trip.text}")
+        return recording
+
+    def settings(self) -> dict[str, Any]:
+        """Parameters of the control program on this machine."""
+        return {"approach_time": APPROACH_S, **self.stage.gains}
+
+    def simulate(self, motion: Reference) -> Recording:
+        """The same program and motion against the model that the host believes, in closed loop."""
+        n = self.model.joints
+        return simulate(
+            sources(self.model), self.model, reference=motion, parameters=self.settings(), channels=["q", "r", "tau", "e"],
+            position=np.zeros(n), seconds=APPROACH_S + motion.duration + REST_S, flags=flags(n),
+        )  # fmt: skip
+
+
+def prepare_machine(target: Target, stage: Stage) -> tuple[Machine, float]:
+    """Ask the target for its encoders, write down the nominal model, and compile the control program on the target.
+
+    Returns
+    -------
+    machine : Machine
+    seconds : float
+        That the compiler took.
+    """
+    target.download("template.c")  # a machine says what it is once a program is loaded
+    counts = tuple(joint.counts_per_unit for joint in target.machine().joints)
+    model = nominal_model(stage, counts, 1.0 / target.info.rate_hz)
+    built = target.compile(sources(model), flags(model.joints))
+    return Machine(target, stage, model, built.key), built.seconds

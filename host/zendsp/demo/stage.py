@@ -1,0 +1,110 @@
+"""What the story needs of a machine: its nominal model, gains, and the motions that are recorded and followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import Refused
+from zendsp.physics.model import Model
+from zendsp.physics.model_file import parse_model
+from zendsp.reference import Machine, Reference, load_machine
+
+DELAY_SAMPLES = 1  # what the code writes at sample k acts from sample k + 1 (isr.h)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A machine of the story.
+
+    Attributes
+    ----------
+    machine : str
+        Name of the simulated machine.
+    gains : mapping
+        Kp (N m/rad), Kd (N m s/rad), one per joint, and cutoff (Hz) of the velocity filter.
+    train, heldout, work : callable
+        Make the motion that is recorded for the diagnosis, the one it is judged on, and one lap of the work that is repeated.
+    mechanism : callable
+        The ``[mechanism]`` of the nominal model from the machine's description.
+    pool : tuple of str
+        Effects that a random draw may choose.
+    lap_s : float
+        Time of one lap of the work, s.
+    """
+
+    machine: str
+    gains: Mapping[str, Any]
+    train: Callable[[Machine], Reference]
+    heldout: Callable[[Machine], Reference]
+    work: Callable[[Machine], Reference]
+    mechanism: Callable[[Machine], dict[str, Any]]
+    pool: tuple[str, ...]
+
+    @property
+    def plan(self) -> Machine:
+        """Limits and nominal numbers."""
+        return load_machine(self.machine)
+
+
+def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time: float) -> Model:
+    """The model that the host believes: rigid body, viscous and Coulomb friction, the sensor's resolution, one sample of delay.
+
+    Parameters
+    ----------
+    stage : Stage
+    counts_per_unit : tuple of float
+        Of the encoders, as the target states them, 1/rad.
+    sample_time : float
+        s.
+
+    Returns
+    -------
+    Model
+    """
+    plan = stage.plan
+    effects: list[dict[str, Any]] = []
+    for j, (viscous, level) in enumerate(_friction(plan), start=1):
+        effects.append({"kind": "viscous", "joint": j, "coefficient": {"value": viscous, "unit": "N m s/rad"}})
+        effects.append({"kind": "coulomb", "joint": j, "level": {"value": level, "unit": "N m"}})
+    resolution = [1.0 / counts for counts in counts_per_unit]
+    return parse_model(
+        {
+            "name": stage.machine,
+            "sample_time": sample_time,
+            "mechanism": stage.mechanism(plan),
+            "effect": effects,
+            "actuator": {
+                "gain": {"value": 1.0, "free": False},
+                "limit": plan.limits.torque.tolist(),
+                "hold": sample_time,
+                "delay": DELAY_SAMPLES * sample_time,
+            },
+            "sensor": {"position_resolution": resolution if len(resolution) > 1 else resolution[0]},
+            "columns": {"time": "t", "position": "q", "command": "tau", "reference": "r"},
+        }
+    )
+
+
+def _friction(plan: Machine) -> list[tuple[float, float]]:
+    numbers = plan.parameters
+    levels = numbers["coulomb"] if "coulomb" in numbers else [numbers["theta3"]]
+    return list(zip(np.ravel(numbers["viscous"]).tolist(), np.ravel(levels).tolist(), strict=True))
+
+
+def get_stage(machine: str) -> Stage:
+    """The stage of a machine.
+
+    Raises
+    ------
+    Refused
+        The story is not told with this machine.
+    """
+    from zendsp.demo.motions import STAGES
+
+    if machine not in STAGES:
+        raise Refused(f"the demo has no story for the machine {machine!r}; choose one of {', '.join(STAGES)}")
+    return STAGES[machine]

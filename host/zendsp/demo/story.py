@@ -1,0 +1,226 @@
+"""The story: a machine conceals physics; it is recorded, diagnosed over the link, compensated while it runs, and then it tells the truth."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from zendsp.demo.controller import APPROACH_S, plan_update
+from zendsp.demo.evidence import Hidden, Judged, Tracking, compare_loop, compare_tracking, judge
+from zendsp.demo.narrator import Narrator
+from zendsp.demo.runs import Machine, prepare_machine
+from zendsp.demo.stage import Stage
+from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.errors import Refused
+from zendsp.link import Target
+from zendsp.link.concealed import Truth
+from zendsp.physics.model_file import model_text
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+
+
+@dataclass
+class Told:
+    """Everything that the story made, in the order in which it happened."""
+
+    seal: str
+    train: Recording
+    heldout: Recording
+    simulated: Recording
+    hidden: Hidden
+    diagnosis: Diagnosis
+    separating: Recording | None = None
+    work: Recording | None = None
+    tracking: Tracking | None = None
+    left_out: tuple[str, ...] = ()
+    truth: Truth | None = None
+    judged: Judged | None = None
+    compensated: tuple[int, ...] = ()  # joints
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def true(self) -> bool:
+        """Whether all of it holds."""
+        return not self.failures
+
+
+def tell_story(target: Target, stage: Stage, out: Path, narrator: Narrator, seed: int = 0) -> Told:
+    """Tell the whole story on a target that conceals something.
+
+    Parameters
+    ----------
+    target : Target
+        With the machine of the stage, and physics concealed that this process does not know.
+    stage : Stage
+    out : Path
+        Receives recordings, the given model, the report, and story.png.
+    narrator : Narrator
+    seed : int
+        Of what the diagnosis draws.
+
+    Returns
+    -------
+    Told
+    """
+    machine, told = _record(target, stage, out, narrator)
+    _diagnose(machine, told, out, narrator, seed)
+    _compensate(machine, told, out, narrator)
+    _reveal(machine, told, narrator)
+    return told
+
+
+def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tuple[Machine, Told]:
+    narrator.chapter("1  A machine that conceals something")
+    seal = target.seal()
+    narrator.say(f"target {target.name} runs in process {target.info.pid}, {target.info.clock} clock; it conceals physics under the seal {seal[:16]}…")
+    with narrator.step("compiling the control program on the target"):
+        machine, seconds = prepare_machine(target, stage)
+    (out / "given_model.toml").write_text(model_text(machine.model), encoding="utf-8")
+    narrator.say(f"compiled track.c (model fed forward, PD feedback) on the target in {seconds:.2f} s")
+    plan = stage.plan
+    with narrator.step("the machine moves and is recorded"):
+        motion = stage.train(plan)
+        train = machine.run(motion, "to be diagnosed")
+        heldout = machine.run(stage.heldout(plan), "held out")
+    train.save(out / "train.mat")
+    heldout.save(out / "heldout.mat")
+    narrator.say(f"recorded {len(train)} samples of {motion.duration:.1f} s, and {len(heldout)} of another motion, held out; {train.lost + heldout.lost} lost")
+    narrator.chapter("2  The loop hides it")
+    with narrator.step("simulating the same run with the nominal model"):
+        simulated = machine.simulate(motion)
+    hidden = compare_loop(train, simulated)
+    j = hidden.joint - 1
+    narrator.say(
+        f"in position, simulation and machine agree: joint {hidden.joint} differs by {1e3 * hidden.position[j]:.2g} mrad RMS, "
+        f"{100 * hidden.position[j] / hidden.travel[j]:.2g} % of its travel"
+    )
+    narrator.say(
+        f"in the command they do not: {hidden.command[j]:.2g} N m RMS, {100 * hidden.command[j] / hidden.effort[j]:.0f} % of the effort: "
+        "the controller fights something that the model lacks"
+    )
+    return machine, Told(seal, train, heldout, simulated, hidden, None)  # type: ignore[arg-type]  # filled by the next chapter
+
+
+def _diagnose(machine: Machine, told: Told, out: Path, narrator: Narrator, seed: int) -> None:
+    narrator.chapter("3  The diagnosis")
+
+    def look(recordings: list[Recording]) -> Diagnosis:
+        with narrator.step("diagnosing"):
+            return diagnose(
+                recordings, out / "given_model.toml", told.heldout, seed=seed, jobs=os.cpu_count() or 1, progress=narrator.progress
+            )
+
+    told.diagnosis = look([told.train])
+    _say_findings(told.diagnosis, narrator)
+    if any(f.indistinguishable for f in told.diagnosis.findings):
+        told.separating = _separate(machine, told.diagnosis, narrator)
+        if told.separating is not None:
+            told.separating.save(out / "separating.mat")
+            told.diagnosis = look([told.train, told.separating])
+            narrator.say("with the second recording:")
+            _say_findings(told.diagnosis, narrator)
+    held = told.diagnosis.heldout
+    better = held.improved < held.calibrated
+    narrator.say(
+        f"on the held-out recording the error of free simulation is {1e3 * held.given:.3g} mrad given, {1e3 * held.calibrated:.3g} calibrated, "
+        f"{1e3 * held.improved:.3g} improved (noise floor {1e3 * told.diagnosis.noise_floor:.2g})",
+        good=better,
+    )
+    if not told.diagnosis.findings:
+        told.failures.append(f"nothing was named: the verdict is {told.diagnosis.verdict}")
+    elif not better:
+        told.failures.append("the improved model is not better on the held-out recording")
+
+
+def _say_findings(d: Diagnosis, narrator: Narrator) -> None:
+    narrator.say(f"verdict: {d.verdict} ({d.seconds:.1f} s)")
+    for region in d.regions[:1]:
+        narrator.say(
+            f"where: joint {region.joint}, {region.variable} {region.interval[0]:.3g} … {region.interval[1]:.3g}: "
+            f"{100 * region.share:.0f} % of the mismatch in {100 * region.time_share:.0f} % of the time"
+        )
+    for f in d.findings:
+        rivals = f"; this recording cannot tell it from {', '.join(f.indistinguishable)}" if f.indistinguishable else ""
+        narrator.say(f"what: {f.sentence} (confidence {100 * f.confidence:.0f} %{rivals})")
+    if d.unexplained:
+        narrator.say(d.unexplained)
+
+
+def _separate(machine: Machine, d: Diagnosis, narrator: Narrator) -> Recording | None:
+    """Run the experiment that the diagnosis proposes, where the machine may play it."""
+    proposal = d.next_recording
+    if proposal is None:
+        return None
+    narrator.say(proposal.sentence)
+    if proposal.reference is None:
+        return None
+    q, period = proposal.reference
+    motion = Reference(np.asarray(q), period, kind="separating", machine=machine.stage.machine)
+    broken = machine.stage.plan.find_violations(motion)
+    if broken:
+        narrator.say(f"the machine may not play it: {broken[0]}")
+        return None
+    with narrator.step("running the separating experiment on the target"):
+        try:
+            return machine.run(motion, "separates rivals")
+        except Refused as refused:
+            narrator.say(str(refused), good=False)
+            return None
+
+
+def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> None:
+    d = told.diagnosis
+    if not d.findings:
+        return
+    narrator.chapter("4  Into the running program")
+    update = plan_update(d.given, d.improved, machine.target.variables())
+    told.left_out, told.compensated = update.left_out, update.joints
+    for sentence in update.left_out:
+        narrator.say(f"not compensated: {sentence}")
+    motion = machine.stage.work(machine.stage.plan)
+    begin, end = APPROACH_S, APPROACH_S + motion.duration
+    half = APPROACH_S + 0.5 * motion.duration
+    with narrator.step("the machine works; half-way the found physics is switched on"):
+        try:
+            told.work = machine.run(motion, "compensation switched on half-way", (half, update.values))
+        except Refused as refused:
+            told.failures.append(str(refused))
+            narrator.say(str(refused), good=False)
+            return
+    told.work.save(out / "work.mat")
+    tick = max(change.tick for change in told.work.log)
+    told.tracking = compare_tracking(told.work, tick, begin + 1.0, end - 0.5)
+    narrator.say(f"one synchronous update of {len(update.values)} parameters at sample {tick}, while the machine moved")
+    joints = told.compensated or tuple(sorted({f.joint for f in d.findings}))
+    for j in joints:
+        before, after = told.tracking.before[j - 1], told.tracking.after[j - 1]
+        narrator.say(f"tracking error of joint {j}: {1e3 * before:.3g} mrad before, {1e3 * after:.3g} after", good=told.tracking.fell([j]) if told.compensated else None)
+    if told.compensated and not told.tracking.fell(told.compensated):
+        told.failures.append("the tracking error did not fall")
+
+
+def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
+    narrator.chapter("5  The truth")
+    truth = machine.target.reveal()
+    told.truth = truth
+    if truth.sha256 != told.seal:
+        told.failures.append("the revealed record is not the one sealed at the beginning")
+    for effect in truth.effects:
+        values = ", ".join(f"{name} {p['value']} {p['unit']}".rstrip() for name, p in effect["parameters"].items())
+        narrator.say(f"concealed: {effect['effect']} on joint {effect['joint']}: {values} ({truth.source})")
+    judged = told.judged = judge(told.diagnosis, truth.effects)
+    if judged.exact:
+        narrator.say("named right", good=True)
+    elif judged.named:
+        narrator.say("among those that the recordings cannot tell apart", good=True)
+    else:
+        found = ", ".join(f"{f.effect} on joint {f.joint}" for f in told.diagnosis.findings) or "nothing"
+        narrator.say(f"not found: the diagnosis named {found}", good=False)
+        told.failures.append("the concealed effect was not named")
+    for name, value, std, true, unit in judged.parameters:
+        narrator.say(f"{name}: found {value:.4g} ± {std:.2g}, true {true:.4g} {'' if unit == '1' else unit}".rstrip())
+    for extra in judged.extra:
+        narrator.say(f"named beside it, and not there: {extra}", good=False)
