@@ -80,7 +80,7 @@ def simulated(data: Data, model: Model, joint: int) -> list[list[Candidate]]:
     return out
 
 
-SCANS = {  # resonance as frequency in Hz, gap and deflection as a share of the span, the rest as a share of the scale
+SCANS: dict[str, dict[str, tuple[float, ...]]] = {  # resonance as frequency in Hz, gap and deflection as a share of the span, the rest as a share of the scale
     "elasticity": {"stiffness": (4.0, 8.0, 15.0, 30.0, 60.0), "load_inertia": (0.2, 0.45, 0.75)},
     "backlash": {"gap": (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064), "stiffness": (20.0, 45.0), "load_inertia": (0.25, 0.5, 0.75)},
     "presliding": {"stiffness": (10.0, 30.0, 100.0, 300.0, 1000.0)},
@@ -96,7 +96,7 @@ def scan(data: Data, model: Model, joint: int, effect: Effect, record: JointReco
     s = record.scale
     inertia = float(np.mean(record.inertia_and_bias(model)[0]))
     dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
-    scored = []
+    scored: list[tuple[float, int, Term]] = []
     for numbers in itertools.product(*grid.values()):
         point = dict(zip(grid, numbers, strict=True))
         values = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import matplotlib
@@ -213,14 +214,14 @@ def draw_all(d: Diagnosis, out: Path) -> list[tuple[str, str, Path]]:
     figures: list[tuple[str, str, str, Callable[[], Figure]]] = []
     joints = sorted({f.joint for f in d.findings} | {r.joint for r in d.regions[:1]}) or [1]
     for j in joints[:7]:
-        figures.append(("fit", f"Joint {j}: error on the held-out recording", f"error_joint{j}.png", lambda j=j: error_figure(d, j)))
+        figures.append(("fit", f"Joint {j}: error on the held-out recording", f"error_joint{j}.png", partial(error_figure, d, j)))
     for k, f in enumerate(d.findings, 1):
         if any(t.effect == f.effect for t in d.details["whole"].improved.at(f.joint)):
-            figures.append(("law", f.sentence, f"law_{k}_{f.effect}_joint{f.joint}.png", lambda f=f: law_figure(d, f)))
+            figures.append(("law", f.sentence, f"law_{k}_{f.effect}_joint{f.joint}.png", partial(law_figure, d, f)))
     for j in joints[:7]:
-        figures.append(("where", f"Joint {j}: the torque that the calibrated model lacks", f"torque_joint{j}.png", lambda j=j: torque_figure(d, j)))
-        figures.append(("where", f"Joint {j}: map of the mismatch", f"map_joint{j}.png", lambda j=j: map_figure(d, j)))
-        figures.append(("white", f"Joint {j}: whiteness", f"whiteness_joint{j}.png", lambda j=j: white_figure(d, j)))
+        figures.append(("where", f"Joint {j}: the torque that the calibrated model lacks", f"torque_joint{j}.png", partial(torque_figure, d, j)))
+        figures.append(("where", f"Joint {j}: map of the mismatch", f"map_joint{j}.png", partial(map_figure, d, j)))
+        figures.append(("white", f"Joint {j}: whiteness", f"whiteness_joint{j}.png", partial(white_figure, d, j)))
     done = []
     for section, caption, name, draw in figures:
         figure = draw()

@@ -152,7 +152,7 @@ def _separation(signals: Signals, given: Model, truth: Model, rival: Rival, join
     still[:, joint - 1] = position
     effort = np.zeros((n, still.shape[1]))
     effort[:, joint - 1] = command
-    made = replace(signals, time=np.arange(n) * signals.sample_time, position=still, command=effort, reference=None, notes=())
+    made = replace(signals, time=np.arange(n, dtype=np.float64) * signals.sample_time, position=still, command=effort, reference=None, notes=())
     data: Data = prepare([made], given, 8.0)
     fitted = fit(data, rival.scored.model, joint_handles(data, rival.scored.model, joint), joints=(joint,), iterations=5, tolerance=1e-3)
     return deviance(data, fitted.model, (joint,)) - deviance(data, truth, (joint,))

@@ -146,7 +146,8 @@ class Screen:
     def _respond(self, rec: JointRecord, column: Array, *, on_sensor: bool = False) -> Array:
         inertia, _ = rec.inertia_and_bias(self.model)
         b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
-        return response(rec, self.bandwidth, inertia, np.full(rec.n, b), column, on_sensor=on_sensor)[0]
+        found: Array = response(rec, self.bandwidth, inertia, np.full(rec.n, b), column, on_sensor=on_sensor)[0]
+        return found
 
     def group(self, columns: list[Array]) -> tuple[float, Array]:
         """Decrease of the cost by some columns, and their coefficients."""

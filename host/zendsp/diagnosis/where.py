@@ -57,7 +57,7 @@ def missing_torque(record: JointRecord, model: Model) -> Missing:
     motion = smooth(record.measurement, record.sample_time, known)
     torque = -(motion.states[2] - known) * inertia
     std = np.sqrt(motion.variances[2]) * inertia
-    time = record.t0 + np.arange(record.n) * record.sample_time
+    time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
     return Missing(time, torque, std, {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command})
 
 
@@ -108,8 +108,8 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
     level = uniform_filter1d(e, width)
     high = level > 3.0 * float(np.mean(e))
     change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
-    spans = []
-    for a, b in zip(change[::2], change[1::2], strict=True):
+    spans: list[tuple[int, int]] = []
+    for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):
         if spans and a - spans[-1][1] < 2 * width:
             spans[-1] = (spans[-1][0], b)
         else:
