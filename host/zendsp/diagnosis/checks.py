@@ -7,15 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.contradictions import check_driven, check_free
 from zendsp.diagnosis.reading import Signals
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import Model, per_joint
+from zendsp.physics.signals import noise_beside_quantisation
 
 Array = npt.NDArray[np.float64]
 
 DEGREE = 180.0 / np.pi
+MIN_SECONDS = 2.0  # eight blocks of the held-out statistics
+MIN_COUNTS = 8
 
 
 def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
@@ -24,34 +27,73 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     Raises
     ------
     RecordingError
-        Where a recording cannot be diagnosed: constant, unexcited, clipped, glued.
+        Where a recording cannot be diagnosed: too short, constant, unexcited, clipped, glued.
     """
     notes: list[str] = []
     for s in signals:
         notes += s.notes
-        joints = s.position.shape[1]
+        raw = s.raw or s
+        seconds = float(raw.time[-1] - raw.time[0])
+        if seconds < MIN_SECONDS:
+            raise RecordingError(f"{s.name}: lasts {seconds:.3g} s; a diagnosis needs at least {MIN_SECONDS:g} s")
+        joints = raw.position.shape[1]
         for j in range(joints):
-            y, u = s.position[:, j], s.command[:, j]
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
-            span = float(np.ptp(y))
-            if span == 0:
-                raise RecordingError(f"{where}: the position is constant; nothing moved, so nothing can be diagnosed")
-            resolution = float(s.resolution[j])
-            if resolution > 0 and span < 8 * resolution:
-                raise RecordingError(f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis needs at least 8: excite the joint more")
-            _glued(where, y, s)
-            _clipped(where, y, resolution)
-            limit = per_joint(model.actuator.limit, j + 1, 0.0)
-            top = float(np.max(np.abs(u)))
-            if limit > 0 and top > 1.001 * limit:
-                notes.append(f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g}; it is clipped in the model")
-            stuck = float(np.mean(np.abs(u) >= 0.999 * top)) if top > 0 else 0.0
-            if limit <= 0 and stuck > 0.03 and len(np.unique(np.round(np.abs(u) / top, 6))) > 20:
-                notes.append(f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of the time; it looks clipped and the model states no limit")
+            y = raw.position[:, j]
+            _moves(where, y, float(raw.resolution[j]))
+            _glued(where, y, raw)
+            _clipped(where, y, float(raw.resolution[j]), raw.sample_time)
+            if raw.reference is not None:
+                _follows(where, y, raw.reference[:, j], model.joint_kind(j + 1))
+            notes += _limits(where, raw.command[:, j], per_joint(model.actuator.limit, j + 1, 0.0))
     return notes
 
 
+def _moves(where: str, y: Array, resolution: float) -> None:
+    span = float(np.ptp(y))
+    if span <= 1e-9 * max(1e-9, float(np.max(np.abs(y)))):
+        raise RecordingError(f"{where}: the position is constant; nothing moved, so nothing can be diagnosed")
+    if resolution > 0 and span < MIN_COUNTS * resolution:
+        raise RecordingError(f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis needs at least {MIN_COUNTS}: excite the joint more")
+    # white noise of 20 000 samples spans 8 standard deviations
+    noise = noise_beside_quantisation(y, resolution)
+    if span < 15 * noise:
+        raise RecordingError(f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of {noise:.2g}: it is noise, not motion; excite the joint more")
+
+
+def _follows(where: str, y: Array, r: Array, kind: str) -> None:
+    """The reference has the unit and sign of the position: a factor of 180/pi or -1 between them is a mistake."""
+    a, b = y - y.mean(), r - r.mean()
+    power = float(b @ b)
+    if power <= 0:
+        return
+    slope = float(a @ b) / power
+    r2 = slope**2 * power / max(float(a @ a), 1e-300)
+    if r2 < 0.8:
+        return
+    if slope < -0.5:
+        raise RecordingError(f"{where}: the position runs opposite to its reference (slope {slope:.3g}): the sign of one of them is flipped")
+    factors = ((DEGREE, "degrees and radians"),) if kind == "rotary" else ((1e3, "millimetres and metres"),)
+    for factor, units in factors:
+        for value, first in ((factor, "position"), (1 / factor, "reference")):
+            if 0.7 < slope / value < 1.4:
+                raise RecordingError(f"{where}: the position is {slope:.3g} times its reference: {units} are mixed (the {first} has the larger numbers)")
+
+
+def _limits(where: str, u: Array, limit: float) -> list[str]:
+    top = float(np.max(np.abs(u)))
+    if limit > 0 and top > 10 * limit and float(np.mean(np.abs(u) > limit)) > 0.5:
+        raise RecordingError(f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's limit of {limit:.4g}: is it in other units than the model's [actuator]?")
+    if limit > 0 and top > 1.001 * limit:
+        return [f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g}; it is clipped in the model"]
+    stuck = float(np.mean(np.abs(u) >= 0.999 * top)) if top > 0 else 0.0
+    if limit <= 0 and stuck > 0.03 and len(np.unique(np.round(np.abs(u) / top, 6))) > 20:
+        return [f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of the time; it looks clipped and the model states no limit"]
+    return []
+
+
 def _glued(where: str, y: Array, s: Signals) -> None:
+    """A jump that no neighbour announces: a speed for one sample that the motion before and after does not have."""
     step = np.diff(y)
     usual = float(np.quantile(np.abs(step), 0.999))
     k = int(np.argmax(np.abs(step)))
@@ -63,108 +105,65 @@ def _glued(where: str, y: Array, s: Signals) -> None:
         raise RecordingError(f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g} s: are two runs glued together, or were samples dropped? Give them as two files")
 
 
-def _clipped(where: str, y: Array, resolution: float) -> None:
+def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> None:
+    """A joint that stands at its extreme from one sample to the next: the stop would need an acceleration that it shows nowhere else."""
+    width = max(2, round(0.004 / sample_time))  # arrival speed over 4 ms
+    lag = max(1, round(0.02 / sample_time))
+    mean = np.convolve(y, np.ones(lag) / lag, mode="valid")
+    speed = (mean[lag:] - mean[:-lag]) / (lag * sample_time)
+    usual = float(np.quantile(np.abs(speed[lag:] - speed[:-lag]), 0.98)) / (lag * sample_time)  # of acceleration
     for name, edge in (("top", float(y.max())), ("bottom", float(y.min()))):
         at = y == edge
         share = float(np.mean(at))
-        starts = np.flatnonzero(np.diff(np.r_[0, at.astype(int)]) == 1)
-        if share < 0.02 or len(starts) < 2:
-            continue
-        fast = 0
-        for k in starts:
-            if k >= 4:
-                arriving = abs(float(y[k] - y[k - 4])) / 4
-                usual = float(np.quantile(np.abs(np.diff(y)), 0.9))
-                fast += arriving > max(0.5 * usual, 1.5 * resolution)
-        if fast >= 2 and fast >= 0.7 * len(starts):
-            raise RecordingError(f"{where}: the position is clipped at its {name} ({edge:.4g}, {100 * share:.0f} % of the time): the sensor's range was exceeded")
+        change = np.diff(np.r_[0, at.astype(int), 0])
+        starts, stops = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+        long = (stops - starts) * sample_time > 0.02
+        sudden = 0
+        for k in starts[long]:
+            if k > width:
+                travel = abs(float(y[k - 1] - y[k - 1 - width]))
+                # braking at the usual acceleration from this speed would take well over the 4 ms, and several counts
+                sudden += travel > 4 * resolution and travel / (width * sample_time) > 6 * usual * width * sample_time
+        if share > 0.01 and sudden >= 2 and sudden >= 0.6 * max(1, int(long.sum())):
+            raise RecordingError(
+                f"{where}: the position stops dead at its {name} ({edge:.4g}, {100 * share:.0f} % of the time): the sensor's range was exceeded, the values are clipped, or the joint hits a stop"
+            )
 
 
 def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
-    """Look at the smoothed motion against the command: units, signs, excitation.
+    """Look at the motion against the command: units, signs, swapped columns (see ``contradictions``).
+
+    Parameters
+    ----------
+    data : Data
+        All recordings.
+    model : Model
+    names : sequence of str
+        Of the recordings.
+
+    Returns
+    -------
+    list of str
+        Notes.
 
     Raises
     ------
     RecordingError
         Where position and command contradict the model so plainly that the data must be wrong, with the likeliest mistake.
     """
-    notes: list[str] = []
     for rec, name in zip(data.records, names, strict=True):
-        for record in rec:
-            where = f"{name}: joint {record.joint}" if len(rec) > 1 else name
+        where = [f"{name}: joint {record.joint}" if len(rec) > 1 else name for record in rec]
+        driven = False
+        for place, record in zip(where, rec, strict=True):
             if not np.any(record.command):
                 if model.columns.get("command"):
-                    raise RecordingError(f"{where}: the command is zero throughout; a machine that is not driven has no command column in [columns]")
-                continue
-            if float(np.ptp(record.command)) == 0:
-                raise RecordingError(f"{where}: the command is constant ({record.command[0]:.4g}); a diagnosis needs an excited recording")
-            _contradiction(where, record, model)
-    return notes
-
-
-def _regression(record: JointRecord, model: Model, torque: Array, gravity: bool) -> tuple[float, float, float]:
-    """Inertia, its t value and R² of torque = inertia qdd + friction + offset, low frequencies only."""
-    q, qd, qdd = record.motion.states
-    width = max(3, round(0.02 / record.sample_time))
-    kernel = np.ones(width) / width
-
-    def low(v: Array) -> Array:
-        return np.convolve(v, kernel, mode="same")[::width]
-
-    inertia, bias = record.inertia_and_bias(model)
-    mean = float(np.mean(inertia))
-    sg = np.tanh(qd / (0.05 * record.scale.speed))
-    columns = [low(inertia / mean * qdd), low(qd), low(sg), low(np.ones_like(q)), low(q)]
-    if gravity:
-        columns += [low(np.sin(q)), low(np.cos(q))]
-    a = np.stack(columns, axis=1)
-    y = low(torque - bias)
-    scale = np.linalg.norm(a, axis=0)
-    scale[scale == 0] = 1
-    theta, *_ = np.linalg.lstsq(a / scale, y, rcond=1e-10)
-    left = y - a / scale @ theta
-    spread = float(np.sum((y - y.mean()) ** 2))
-    r2 = 1 - float(left @ left) / max(spread, 1e-300)
-    covariance = np.linalg.pinv((a / scale).T @ (a / scale)) * float(left @ left) / max(1, len(y) - a.shape[1])
-    value = float(theta[0] / scale[0])
-    error = float(np.sqrt(max(covariance[0, 0], 1e-300)) / scale[0])
-    return value, value / max(error, 1e-300), r2
-
-
-def _contradiction(where: str, record: JointRecord, model: Model) -> None:
-    gain = per_joint(model.actuator.gain, record.joint, 1.0)
-    torque = gain * record.command
-    gravity = mechanism_value(model, "gravity", record.joint) != 0
-    stated = float(np.mean(record.inertia_and_bias(model)[0])) + sum(t.value("amount") for t in model.at(record.joint) if t.effect == "inertia")
-    value, t, r2 = _regression(record, model, torque, gravity)
-    moving = float(np.std(record.motion.states[2])) * stated / max(float(np.std(torque)), 1e-300)
-    ratio = value / stated
-    if t < -20 and r2 > 0.6 and ratio < -0.2 and moving > 0.05:
-        raise RecordingError(f"{where}: the joint accelerates against its command (apparent inertia {value:.3g}, the model says {stated:.3g}): the sign of the command or of the position is flipped")
-    if t > 20 and r2 > 0.6:
-        for factor, words in ((DEGREE, "the position is in radians but scaled down, or the command is in other units"), (1 / DEGREE, "the position is in degrees, not radians")):
-            if 0.6 < ratio / factor < 1.6:
-                raise RecordingError(f"{where}: the apparent inertia is {value:.3g}, {ratio:.3g} times the model's {stated:.3g}, a factor of 180/pi: {words}")
-        for factor in (1e3, 1e-3):
-            if 0.6 < ratio / factor < 1.6:
-                raise RecordingError(f"{where}: the apparent inertia is {value:.3g}, {ratio:.3g} times the model's {stated:.3g}, a factor of 1000: position or command is in milli-units")
-    if r2 < 0.5 and _swapped(record, stated, gain):
-        raise RecordingError(f"{where}: the command column moves like a position and the position column like a torque: the two are swapped")
-
-
-def _swapped(record: JointRecord, stated: float, gain: float) -> bool:
-    """Whether the second derivative of the 'command' explains the 'position' with about the stated inertia."""
-    width = max(3, round(0.02 / record.sample_time))
-    kernel = np.ones(width) / width
-    y = np.convolve(record.command, kernel, mode="same")
-    velocity = np.gradient(y, record.sample_time)
-    acceleration = np.gradient(np.convolve(velocity, kernel, mode="same"), record.sample_time)
-    a = np.stack([acceleration, velocity, np.tanh(velocity / (0.05 * np.std(velocity) + 1e-300)), np.sin(y), np.ones_like(y)], axis=1)[2 * width : -2 * width : width]
-    target = (gain * record.position)[2 * width : -2 * width : width]
-    theta, *_ = np.linalg.lstsq(a, target, rcond=1e-10)
-    left = target - a @ theta
-    r2 = 1 - float(left @ left) / max(float(np.sum((target - target.mean()) ** 2)), 1e-300)
-    return r2 > 0.8 and 0.1 < theta[0] / stated < 10
+                    raise RecordingError(f"{place}: the command is zero throughout; a machine that is not driven has no command column in [columns]")
+            elif float(np.ptp(record.command)) == 0:
+                raise RecordingError(f"{place}: the command is constant ({record.command[0]:.4g}); a diagnosis needs an excited recording")
+            else:
+                driven = True
+        (check_driven if driven else check_free)(where, rec, model)
+    return []
 
 
 def check_excitation(data: Data) -> list[str]:

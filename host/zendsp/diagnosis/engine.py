@@ -36,6 +36,7 @@ Progress = Callable[[str], None]
 MIN_TRAIN_GAIN = 40.0  # deviance beyond the price of the parameters
 MIN_HELD_GAIN = 20.0
 MIN_Z = 2.5
+PLAIN = 200.0
 MIN_SHARE = 0.0015  # of the RMS torque: smaller effects are called negligible (the figures are measured: docs/diagnosis.md)
 
 
@@ -51,9 +52,11 @@ class Acceptance:
             return False
         held = compare(before, rival.scored, self.test, rival.joint)
         if held.gain < MIN_HELD_GAIN or held.z < MIN_Z:
-            strong = gain > 400 and held.gain > 0.02 * gain and held.z > 0.5  # active in a small part of the record
+            strong = gain > 400 and held.gain > 0.15 * gain and held.z > 1.5  # active in a small part of the record
             if not strong:
                 return False
+        if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0:
+            return True  # small as a torque, but plain above the noise: a bearing on a heavy pendulum
         share = torque_share(before, rival.scored, rival.joint)
         return share > max(MIN_SHARE, 0.5 * unmodelled_torque(rival.scored, rival.joint) if gain < 400 else 0.0)
 

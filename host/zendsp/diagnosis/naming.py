@@ -31,6 +31,7 @@ class _Named:
     loss: float  # deviance lost without it
     rivals: tuple[Rival, ...]
     own: float  # deviance with it
+    rank: float  # its own gain in the order of its rivals
     without: Scored
 
 
@@ -82,13 +83,15 @@ def _evidence(train: Data, test: Data, given: Model, search: JointSearch, jobs: 
     out = []
     for term in terms:
         if len(search.steps) == 1 and len(terms) == 1:
-            without, rivals = search.base, search.steps[0].rivals
+            without, rivals, rank = search.base, search.steps[0].rivals, search.steps[0].chosen.rank
         else:
             tell(f"joint {joint}: what could stand in for {term.effect}")
             without = _without(final, term, joint, jobs)
             names = frozenset(get_effect(term.effect).rivals) | _close_in_steps(search, term.effect)
-            rivals = tuple(searcher.stand_ins(without, names - {term.effect})) if names else ()
-        out.append(_Named(term, without.deviance - final.deviance, rivals, final.deviance, without))
+            beside = searcher.stand_ins(without, names | {term.effect}) if names else []
+            rivals = tuple(r for r in beside if r.effect != term.effect)
+            rank = max([r.rank for r in beside if r.effect == term.effect], default=without.deviance - final.deviance)
+        out.append(_Named(term, without.deviance - final.deviance, rivals, final.deviance, rank, without))
     return out
 
 
@@ -116,8 +119,8 @@ def _finding(
     for r in item.rivals:
         if r.effect == term.effect or _contains(r, term):
             continue
-        behind = r.scored.deviance - item.own
-        if _tied(r, search.final, behind, item.loss, test):
+        behind = (item.rank - r.rank) if math.isfinite(r.rank) else r.scored.deviance - item.own
+        if _tied(r, search.final, behind, max(item.loss, item.rank), test):
             same.append(r.effect)
         else:
             margin = min(margin, behind)

@@ -34,6 +34,7 @@ class Signals:
     resolution: Array  # (joints,)
     notes: tuple[str, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
+    raw: Signals | None = None  # before averaging down, where that was done
 
     def part(self, start: int, stop: int, name: str) -> Signals:
         """Rows start … stop - 1 as a recording of their own."""
@@ -46,6 +47,7 @@ class Signals:
             command=self.command[cut],
             reference=None if self.reference is None else self.reference[cut],
             extra={key: value[cut] for key, value in self.extra.items()},
+            raw=None,
         )
 
 
@@ -91,14 +93,12 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         raise RecordingError(f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples")
     reference = _matrix(name, "reference", get, columns["reference"], joints) if "reference" in columns and _has(get, columns["reference"]) else None
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
+    resolution = np.array([_resolution(name, columns, j, position, command, model, notes) for j in range(joints)])
     if grid is not None:
-        position = _resample(grid, time, position, linear=True)
+        position = _lattice(_resample(grid, time, position, linear=True), position[0], resolution)
         command = _resample(grid, time, command, linear=False)
         reference = None if reference is None else _resample(grid, time, reference, linear=True)
         time = grid
-    resolution = np.array([per_joint(model.sensor.resolution, j + 1, 0.0) for j in range(joints)])
-    found = [r if r > 0 else find_resolution(position[:, j]) for j, r in enumerate(resolution)]
-    resolution = np.array(found)
     if model.sensor.matrix:
         matrix = np.array(model.sensor.matrix)
         position = position @ matrix.T
@@ -165,8 +165,8 @@ def _clock(name: str, get: Any, columns: Any, model: Model, n: int) -> tuple[Arr
     if "time" not in columns or not _has(get, columns["time"]):
         if model.sample_time is None:
             raise RecordingError(f"{name}: has no time column {columns.get('time', 't')!r} and the model no sample_time")
-        return np.arange(n) * model.sample_time, model.sample_time, notes, None
-    time = np.asarray(get(str(columns["time"])), float)
+        return np.arange(n, dtype=np.float64) * model.sample_time, model.sample_time, notes, None
+    time: Array = np.asarray(get(str(columns["time"])), dtype=np.float64)
     if time.ndim != 1 or not np.isfinite(time).all():
         raise RecordingError(f"{name}: time column {columns['time']!r} holds values that are not finite numbers")
     step = np.diff(time)
@@ -174,6 +174,8 @@ def _clock(name: str, get: Any, columns: Any, model: Model, n: int) -> tuple[Arr
         row = int(np.argmax(step <= 0)) + 2
         raise RecordingError(f"{name}: time runs backwards or stands still at row {row}: are two runs glued together? Give them as two files")
     period = float(np.median(step))
+    if period > 0.1:
+        raise RecordingError(f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is the time column {columns['time']!r} in seconds?")
     if model.sample_time and abs(period / model.sample_time - 1) > 0.2:
         raise RecordingError(f"{name}: samples are {period:.6g} s apart, the model says sample_time = {model.sample_time:.6g} s: check the unit of the time column")
     if model.sample_time and abs(np.mean(step) / model.sample_time - 1) < 1e-3 and abs(period / model.sample_time - 1) < 0.05:
@@ -187,6 +189,44 @@ def _clock(name: str, get: Any, columns: Any, model: Model, n: int) -> tuple[Arr
     spread = float(np.std(step)) / period
     notes.append(f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step {np.max(step) / period:.1f} samples); resampled uniformly")
     return time, period, notes, np.arange(time[0], time[-1], period)
+
+
+def _resolution(name: str, columns: Any, joint: int, position: Array, command: Array, model: Model, notes: list[str]) -> float:
+    """Step of a position column: as the model says, checked against the lattice that its numbers lie on."""
+    stated = per_joint(model.sensor.resolution, joint + 1, 0.0)
+    y = position[:, joint]
+    found = find_resolution(y)
+    if stated <= 0:
+        return found
+    if _on_lattice(y, stated):
+        return stated
+    where = f"{name}: position {_column_name(columns['position'], joint)!r}"
+    if found > 0:
+        for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):
+            if abs(found / stated / factor - 1) < 0.02:
+                raise RecordingError(f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the model's position_resolution of {stated:.6g}: the column is in {words}")
+    if any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
+        return stated  # whole fractions of a count: interpolated or averaged by the drive
+    if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
+        raise RecordingError(f"{where}: the command column has the sensor's resolution of {stated:.6g} and the position column has not: position and command are swapped")
+    notes.append(f"{where} does not lie on the model's position_resolution of {stated:.4g}; " + (f"its smallest step is {found:.4g}" if found else "no lattice is seen"))
+    return found or stated
+
+
+def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
+    """Whether differences are whole steps, as far as the numbers' own digits allow; ``least``: so many must show it."""
+    ratio = np.abs(np.diff(y)) / step
+    ratio = ratio[(ratio > 0.02) & (ratio < 50)]
+    if len(ratio) < 10 or len(ratio) < least:
+        return least == 0
+    return float(np.mean(np.abs(ratio - np.round(ratio)) < 0.05)) > 0.95
+
+
+def _lattice(values: Array, origin: Array, resolution: Array) -> Array:
+    """Interpolated positions put back on the sensor's counts: the quantiser's model holds for counts, not for means of them."""
+    step = np.where(resolution > 0, resolution, 1.0)
+    counts: Array = np.where(resolution > 0, origin + step * np.round((values - origin) / step), values)
+    return counts
 
 
 def _resample(grid: Array, time: Array, values: Array, *, linear: bool) -> Array:
@@ -221,6 +261,7 @@ def _decimate(signals: Signals) -> Signals:
         reference=None if signals.reference is None else signals.reference[:n:factor],
         resolution=np.zeros_like(signals.resolution),
         notes=(*signals.notes, note),
+        raw=signals,
     )
 
 

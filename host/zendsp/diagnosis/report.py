@@ -43,7 +43,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         from zendsp.diagnosis.figures import draw_all
         from zendsp.diagnosis.html import page
 
-        figures = draw_all(d, folder)
+        figures = d.details["draw"](folder) if "draw" in d.details else draw_all(d, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
 

@@ -12,11 +12,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from zendsp.diagnosis.candidates import screened, simulated
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, make_term, with_candidate
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
+from zendsp.physics.joint import run
 from zendsp.physics.model import Model, Term
 
 Progress = Callable[[str], None]
@@ -24,8 +27,11 @@ Progress = Callable[[str], None]
 PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
 FINALISTS = 4
+SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
+WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
-WHITE = 1.25  # innovations whose slow part exceeds the rest by less leave nothing to explain
+UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
+SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,7 @@ class Rival:
     price: float  # deviance that its free parameters and the size of the search cost
     terms: tuple[Term, ...]
     replaces: tuple[str, ...]
+    rank: float = math.nan  # gain by which hypotheses are ordered, see Searcher.order
 
     @property
     def value(self) -> float:
@@ -95,7 +102,7 @@ class Searcher:
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
 
-    def search(self, base: Scored, most: int = 4) -> JointSearch:
+    def search(self, base: Scored, most: int = 6) -> JointSearch:
         """Add effects to a calibrated model until nothing passes.
 
         A step that is likely but does not hold on the held-out recordings may stand on the shoulders of an effect still hidden: it waits
@@ -105,11 +112,14 @@ class Searcher:
         current = base
         waiting: list[Step] = []
         while len(found.steps) + len(waiting) < most:
+            if is_white(current, self.joint):
+                break
             rivals = self.round(current)
             if not found.tried:
                 found.tried = list(rivals)
             if not rivals or current.deviance - rivals[0].value < WAIT:
                 break
+            rivals = _simplest_sufficient(rivals, current)
             if not found.steps and not waiting:
                 rivals = self._best_first(current, rivals)
             step = Step(rivals[0], tuple(rivals[1:]), current)
@@ -135,6 +145,8 @@ class Searcher:
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
+        if is_white(rivals[0].scored, self.joint):
+            return rivals
         second = self.round(rivals[0].scored)
         if not second or rivals[0].scored.deviance - second[0].value < WAIT:
             return rivals
@@ -144,7 +156,7 @@ class Searcher:
             if current.deviance - first.value < 0.4 * gain or _general(first, rivals[0]):
                 continue
             behind = self.round(first.scored)
-            if behind and behind[0].value + first.price < total - 10.0:
+            if behind and behind[0].value + first.price < total - max(10.0, (1.0 - SUFFICIENT) * (current.deviance - total)):
                 best, total = first, behind[0].value + first.price
         return [best, *[r for r in rivals if r is not best]]
 
@@ -171,8 +183,30 @@ class Searcher:
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
             full = list(pool.map(lambda r: self._full(r), finalists))
-        rivals = sorted([*full, *quick[len(finalists) :]], key=lambda r: r.value)
-        return rivals
+        return self.order(current, sorted([*full, *quick[len(finalists) :]], key=lambda r: r.value))
+
+    def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
+        """Order hypotheses by what they gain.
+
+        Where even the best of them needs a fast observer, much is still missing, and a fast observer forgives what acts slowly: the
+        order is then that of the gains under an observer four times slower.
+        """
+        ranked = [replace(r, rank=current.deviance - r.value) for r in rivals]
+        if len(ranked) < 2 or ranked[0].scored.data.bandwidth[self.joint - 1] <= UNSETTLED:
+            return ranked
+        slow = current.data.at_bandwidth(self.joint, max(8.0, ranked[0].scored.data.bandwidth[self.joint - 1] / 4))
+        joints = (self.joint,)
+        base = fit(slow, current.model, current.fit.handles, joints=joints, iterations=5, tolerance=1e-3, jobs=self.jobs)
+        level = deviance(slow, base.model, joints)
+        reach = [r for r in ranked[:8] if r.rank > 0.1 * ranked[0].rank and r.rank > WAIT]
+
+        def slowly(rival: Rival) -> Rival:
+            result = fit(slow, rival.scored.model, rival.scored.fit.handles, joints=joints, iterations=6, tolerance=1e-3, jobs=1)
+            return replace(rival, rank=level - deviance(slow, result.model, joints) - rival.price)
+
+        with ThreadPoolExecutor(self.jobs) as pool:
+            again = sorted(pool.map(slowly, reach), key=lambda r: -r.rank)
+        return [*again, *[r for r in ranked if r not in reach]] if again else ranked
 
     def stand_ins(self, current: Scored, effects: frozenset[str]) -> list[Rival]:
         """Only the named effects, fitted on top of a model, the most likely first."""
@@ -228,9 +262,27 @@ class Searcher:
         other = fit_scored(current.data, model, joint_handles(current.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=1)
         return other if other.deviance < current.deviance + 10.0 else current
 
+    def _as_coulomb(self, best: Scored) -> Scored:
+        """Hysteresis that slides after a small part of the travel is Coulomb friction with a soft onset: name it so where that explains as much."""
+        term = next((t for t in best.model.at(self.joint) if t.effect == "hysteresis"), None)
+        record = best.data.records[0][self.joint - 1]
+        if term is None or term.value("force") > 0.02 * term.value("stiffness") * record.scale.position:
+            return best
+        others = tuple(t for t in best.model.terms if t is not term)
+        handles = joint_handles(best.data, best.model.with_terms(others), self.joint)
+        without = fit(best.data, best.model.with_terms(others), handles, joints=(self.joint,), jobs=self.jobs)
+        loss = deviance(best.data, without.model, (self.joint,)) - best.deviance
+        if any(t.effect == "coulomb" for t in others if t.joint == self.joint):
+            named = make_term(get_effect("presliding"), self.joint, {"stiffness": term.value("stiffness")})
+        else:
+            named = make_term(get_effect("coulomb"), self.joint, {"level": term.value("force")})
+        model = best.model.with_terms((*others, named))
+        other = fit_scored(best.data, model, joint_handles(best.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=1)
+        return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
+
     def simplify(self, found: JointSearch) -> tuple[Scored, tuple[str, ...]]:
         """Drop every term, given or found, that the recording does not need any more."""
-        best = found.final
+        best = self._as_coulomb(found.final)
         dropped: list[str] = []
         added = {t.effect for s in found.steps for t in s.chosen.terms}
         while True:
@@ -246,6 +298,43 @@ class Searcher:
                     break
             else:
                 return best, tuple(dropped)
+
+
+def is_white(scored: Scored, joint: int) -> bool:
+    """Whether a slow observer's innovations leave nothing to explain: no more slow variation than white noise, and no block that stands out."""
+    bandwidth = scored.data.bandwidth[joint - 1]
+    if bandwidth > SETTLED:
+        return False
+    means, total, count = [], 0.0, 0
+    for rec in scored.data.records:
+        record = rec[joint - 1]
+        r = run(record, scored.model, bandwidth, inner=scored.data.inner).innovations[record.counted]
+        if len(r) < 0.5 * record.n:
+            return False  # slow quantised motion: too few code changes for a test of whiteness
+        size = max(10, round(0.1 / record.sample_time))
+        r = r[size : size + (len(r) - size) // size * size]
+        means.append(r.reshape(-1, size).sum(axis=1) / math.sqrt(size))
+        total += float(r @ r)
+        count += len(r)
+    sums = np.concatenate(means) / math.sqrt(max(total / max(count, 1), 1e-300))
+    return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < 4.5
+
+
+def _freedom(rival: Rival) -> float:
+    """Fitted parameters, with one more for a hidden state."""
+    count = 0.0
+    for term in rival.terms:
+        effect = get_effect(term.effect)
+        count += sum(p.fitted for p in effect.parameters) + (1 if effect.starts else 0)
+    return count - len(rival.replaces)
+
+
+def _simplest_sufficient(rivals: list[Rival], before: Scored) -> list[Rival]:
+    """Of the hypotheses that bring nearly all of the best gain, the simplest first: what it leaves, a later step can add."""
+    gain = rivals[0].rank
+    enough = [r for r in rivals if r.rank >= SUFFICIENT * gain and before.deviance - r.value > WAIT]
+    first = min(enough or rivals[:1], key=lambda r: (_freedom(r), -r.rank))
+    return [first, *[r for r in rivals if r is not first]]
 
 
 def _general(rival: Rival, other: Rival) -> bool:

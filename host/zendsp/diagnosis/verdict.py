@@ -80,6 +80,8 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
     bandwidth = final.data.bandwidth[j - 1]
     if search.steps:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
+        if _curve_fit(search):
+            return JointOutcome(j, "unexplained", before, after)
         if after.state_share > STATE and stray > STRAY and after.relative > SMALL:
             return JointOutcome(j, "unexplained", before, after)
         return JointOutcome(j, "missing", before, after)
@@ -90,6 +92,13 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         if spans:
             return JointOutcome(j, "disturbance", before, after, spans)
     return JointOutcome(j, "complete", before, after)
+
+
+def _curve_fit(search: JointSearch) -> bool:
+    """Whether the search has been drawing a curve with sines: three terms of one kind are a series, not physics."""
+    names = [t.effect for t in search.final.model.at(search.joint)]
+    given = [t.effect for t in search.base.model.at(search.joint)]
+    return any(names.count(n) - given.count(n) >= 3 for n in set(names))
 
 
 def _disturbance(search: JointSearch) -> tuple[tuple[float, float], ...]:

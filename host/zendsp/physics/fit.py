@@ -21,6 +21,8 @@ from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
+ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
+
 
 @dataclass(frozen=True)
 class Handle:
@@ -185,7 +187,7 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
                 size[-1] = 0.1
         elif h.place == "offset":
             record = data.records[0][h.index]
-            width = max(record.measurement.resolution, 1e-9)
+            width = max(record.measurement.resolution, ZERO_ERROR)
             low.append(record.base_offset - width)
             high.append(record.base_offset + width)
             size.append(width)
@@ -316,7 +318,8 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
     small = np.maximum(np.diag(classic), 1e-300)
     grow = np.sqrt(np.maximum(1.0, small / np.maximum(np.diag(sandwich), 1e-6 * small)))
-    return sandwich * np.outer(grow, grow)
+    honest: Array = sandwich * np.outer(grow, grow)
+    return honest
 
 
 def quantity(value: float, free: bool = True) -> Quantity:

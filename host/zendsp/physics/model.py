@@ -7,11 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 KINDS = ("rotary", "linear", "planar2r", "urdf", "python")
 REQUIRED = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2", "p3"), "urdf": (), "python": ()}
+
+
+@cache
+def _movable(path: str) -> int:
+    """Number of joints that move in a URDF; 1 where it cannot be read (whoever needs the file says so)."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError):
+        return 1
+    moving = [j for j in root.findall("joint") if j.get("type") in ("revolute", "continuous", "prismatic") and j.find("mimic") is None]
+    return max(1, len(moving))
 
 
 @dataclass(frozen=True)
@@ -87,7 +100,8 @@ class Model:
             return 2
         if isinstance(position, list):
             return len(position)
-        return max([1, *(len(v) for v in self.mechanism.values()), *(t.joint for t in self.terms)])
+        moving = _movable(str(self.folder / self.file)) if self.kind == "urdf" else 1  # the column may be one 2-D array
+        return max([moving, *(len(v) for v in self.mechanism.values()), *(t.joint for t in self.terms)])
 
     def joint_kind(self, joint: int) -> str:
         """``"rotary"`` or ``"linear"`` for joint 1, 2, …"""

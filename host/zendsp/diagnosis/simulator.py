@@ -1,0 +1,199 @@
+"""A user's own simulator (``kind = "python"``): finding it, calling it, and putting effects on its input."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.reading import Signals
+from zendsp.errors import ModelError
+from zendsp.physics.joint import JointRecord, Scale, trace
+from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
+
+Array = npt.NDArray[np.float64]
+Function = Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
+
+ON_COMMAND = ("delay", "lag")  # act on the command's timing
+ON_SENSOR = ("encoder_eccentricity",)  # act on the simulator's output
+NOT_ON_INPUT = ("elasticity", "backlash", "presliding", "hysteresis")  # states of their own, inside the simulator
+
+
+def load_entry(model: Model) -> Function:
+    """The function that ``entry = "module:function"`` names; the module may stand beside the model file.
+
+    Raises
+    ------
+    ModelError
+        Where there is no such module or function, or the module cannot be imported.
+    """
+    module_name, _, name = model.entry.partition(":")
+    if not module_name or not name:
+        raise ModelError(f"[mechanism] entry = {model.entry!r}: expected \"module:function\"")
+    beside = model.folder / (module_name.replace(".", "/") + ".py")
+    try:
+        if beside.exists():
+            spec = importlib.util.spec_from_file_location(f"zendsp_simulator_{module_name.replace('.', '_')}", beside)
+            assert spec is not None and spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(module_name)
+    except Exception as error:
+        raise ModelError(f"[mechanism] entry = {model.entry!r}: module {module_name!r} cannot be imported ({type(error).__name__}: {error}); it is looked for beside the model file and on the Python path") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ModelError(f"[mechanism] entry = {model.entry!r}: module {module_name!r} has no function {name!r}")
+    return function  # type: ignore[no-any-return]
+
+
+@dataclass
+class Bench:
+    """One recording with its smoothed motion, and the simulator that is to reproduce it.
+
+    ``size``: rows of a window; each is given to the simulator as a recording of its own. 0: the whole recording at once.
+    """
+
+    signals: Signals
+    records: tuple[JointRecord, ...]
+    function: Function
+    size: int = 0
+    calls: int = 0
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.signals.time)
+
+    def simulate(self, model: Model) -> Array:
+        """Position that the simulator gives with a model's parameters and effects, (n, joints), rad or m.
+
+        Raises
+        ------
+        ModelError
+            Where the user's function fails or returns something else.
+        """
+        command = self._command(model)
+        parameters = {k: items[0].value if len(items) == 1 else [q.value for q in items] for k, items in model.mechanism.items()}
+        step = self.size or self.n
+        parts = [self._piece(command, slice(a, min(a + step, self.n)), parameters, model.entry) for a in range(0, self.n, step)]
+        self.calls += 1
+        return self._sensor(np.concatenate(parts), model)
+
+    def _piece(self, command: Array, rows: slice, parameters: dict[str, Any], entry: str) -> Array:
+        s = self.signals
+        velocity = np.stack([r.motion.states[1] for r in self.records], axis=1)[rows]
+        position = s.position[rows].copy()
+        if self.size:  # a window starts from the smoothed position: a count off is a velocity off
+            position[0] = [r.motion.states[0][rows.start] for r in self.records]
+
+        def shaped(values: Array) -> Array:
+            return values[:, 0] if values.shape[1] == 1 else values
+
+        recording = {
+            "time": s.time[rows] - s.time[rows.start],
+            "sample_time": s.sample_time,
+            "position": shaped(position),
+            "velocity": shaped(velocity),
+            "command": shaped(command[rows]),
+            "reference": None if s.reference is None else shaped(s.reference[rows]),
+        }
+        try:
+            out = np.asarray(self.function(recording, parameters), float)
+        except Exception as error:
+            raise ModelError(f"the simulator {entry!r} failed on {s.name}: {type(error).__name__}: {error}") from error
+        out = out[:, None] if out.ndim == 1 else out
+        if out.shape != position.shape:
+            raise ModelError(f"the simulator {entry!r} returned shape {out.shape} for {s.name}; expected {position.shape}: a position for every row")
+        return out
+
+    def error(self, model: Model) -> Array:
+        """Measured minus simulated position, (n, joints); of windows without what an error of their first position and velocity explains."""
+        e = self.signals.position - self.simulate(model)
+        if not self.size:
+            return e
+        out = np.empty_like(e)
+        for a in range(0, self.n, self.size):
+            part = e[a : a + self.size]
+            x = np.linspace(-1.0, 1.0, len(part))[:, None] if len(part) > 1 else np.zeros((1, 1))
+            level = part.mean(axis=0)
+            out[a : a + self.size] = part - level - x * ((x * part).sum(axis=0) / max(float((x * x).sum()), 1e-300))
+        return out
+
+    def _command(self, model: Model) -> Array:
+        columns = []
+        for i, record in enumerate(self.records):
+            gain = per_joint(model.actuator.gain, i + 1, 1.0)
+            terms = tuple(t for t in model.at(i + 1) if t.effect not in (*ON_COMMAND, *ON_SENSOR, "inertia"))
+            floor = max(2.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed)
+            torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
+            torque = torque + record.motion.states[2] * sum(t.value("amount") for t in model.at(i + 1) if t.effect == "inertia")
+            columns.append(_late(record.command, record.sample_time, model.at(i + 1)) - torque / gain)
+        return np.stack(columns, axis=1)
+
+    def _sensor(self, out: Array, model: Model) -> Array:
+        out = out.copy()
+        for t in model.terms:
+            if t.effect == "encoder_eccentricity":
+                out[:, t.joint - 1] += t.value("amplitude") * np.sin(out[:, t.joint - 1] + t.value("phase"))
+        return np.clip(np.nan_to_num(out, nan=1e6), -1e6, 1e6)
+
+
+def _late(command: Array, period: float, terms: tuple[Term, ...]) -> Array:
+    out = command
+    for t in terms:
+        if t.effect == "delay":  # mean of the delayed hold over each sample
+            total = np.r_[0.0, np.cumsum(out)] * period
+            edges = np.arange(len(out) + 1) * period
+            late = np.interp(edges - t.value("time"), edges, total, left=0.0)
+            out = np.diff(late) / period
+        elif t.effect == "lag":
+            from scipy.signal import lfilter
+
+            keep = float(np.exp(-period / max(t.value("time_constant"), 1e-9)))
+            out = lfilter([1 - keep], [1, -keep], out, zi=[keep * out[0]])[0]
+    return out
+
+
+def bench(signals: Signals, model: Model, function: Function) -> Bench:
+    """Smooth the motion of a recording (effects are evaluated along it) and tie it to the simulator."""
+    count = signals.position.shape[1]
+    measurements, motions = [], []
+    for i in range(count):
+        y = np.ascontiguousarray(signals.position[:, i])
+        resolution = float(signals.resolution[i])
+        measurements.append(measure(y, signals.sample_time, resolution, noise_beside_quantisation(y, resolution)))
+        motions.append(smooth(measurements[i], signals.sample_time, np.zeros(len(y))))
+    others = np.ascontiguousarray(np.stack([m.states for m in motions]))
+    records = []
+    for i in range(count):
+        q, qd, qdd = motions[i].states
+        gain = per_joint(model.actuator.gain, i + 1, 1.0)
+        effort = float(np.sqrt(np.mean((gain * signals.command[:, i]) ** 2)))
+        rms = float(np.sqrt(np.mean(qdd**2)))
+        known = next((model.mechanism[k] for k in ("inertia", "mass") if k in model.mechanism), ())
+        inertia = (known[min(i, len(known) - 1)].value if known else effort / max(rms, 1e-12)) or 1.0
+        scale = Scale(
+            torque=effort or abs(inertia) * rms,
+            speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
+            position=max(float(np.ptp(q)), 1e-9),
+            inertia=abs(inertia),
+            command=max(float(np.sqrt(np.mean(signals.command[:, i] ** 2))), 1e-12),
+            seconds=float(signals.time[-1] - signals.time[0]),
+        )
+        records.append(
+            JointRecord(
+                joint=i + 1, sample_time=signals.sample_time, t0=float(signals.time[0]), command=np.ascontiguousarray(signals.command[:, i]),
+                measurement=measurements[i], motion=motions[i], basis={}, others=others, scale=scale, base_offset=0.0,
+                position=np.ascontiguousarray(signals.position[:, i]),
+            )  # fmt: skip
+        )
+    return Bench(signals, tuple(records), function)
