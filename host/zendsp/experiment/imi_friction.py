@@ -95,13 +95,13 @@ def breakaway_torque(rec: Recording, joint: int, speed: float = 0.05, window: in
 
 
 def bristle_stiffness(rec: Recording, joint: int, level: float) -> float:
-    """Stiffness of the spring that friction is before it slides, N m/rad, from the way under up to 80 % of the breakaway torque.
+    """Stiffness of the spring that friction is before it slides, N m/rad, from the way under up to 30 % of the breakaway torque.
 
     A bristle creeps as it nears its level: q = -(level / stiffness) ln(1 - torque / level) (Dahl 1968, quasi-static).
     """
     pushed = np.flatnonzero(rec["phase"] == 2)
     torque, q = np.abs(rec["torque"][pushed]), np.abs(rec["q"][pushed, joint - 1] - rec["q"][pushed[0], joint - 1])
-    used = (torque > 0.1 * level) & (torque < 0.8 * level)
+    used = (torque > 0.05 * level) & (torque < 0.3 * level)  # beyond, the steps themselves make it creep
     bend = -level * np.log(1 - torque[used] / level)
     slope = float(np.polyfit(bend, q[used], 1)[0])
     return 1.0 / slope if slope > 0 else float("nan")

@@ -89,7 +89,7 @@ def _static(r: Result) -> str:
     text = table(["quantity", "ours", "machine"], rows)
     return text + (
         "\nThe paper prints no breakaway torques. Ours come out a few per cent high: a joint that has begun to slip still needs some steps of torque until its "
-        "speed shows it, and a slower staircase comes nearer. The stiffness of the bristles is a little low, because they creep under the torque that bends them.\n"
+        "speed shows it, and a slower staircase comes nearer. The stiffness of the bristles comes out too low: every step of torque shakes the joint, and under shaking bristles creep.\n"
     )
 
 

@@ -1,0 +1,116 @@
+"""Each experiment, shortened, on a real target process: it finds what the simulated machine has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp.experiment import Lab, Result, run_experiment
+from zendsp.experiment.imi_circle import circle, compensation_values
+from zendsp.experiment.imi_fit import fit
+from zendsp.experiment.imi_friction import low_speed, static, viscous
+from zendsp.experiment.pendulum_motor import electrical, mechanical
+from zendsp.experiment.wam_friction import friction
+from zendsp.experiment.wam_tracking import tracking
+from zendsp.recording import Recording
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("experiments")
+
+
+def keep(lab: Lab, result: Result) -> Result:
+    """As run_experiment does: the next experiment finds it."""
+    result.save(lab.folder / result.name / "result.toml")
+    for name in result.recordings:
+        assert len(Recording.load(lab.folder / result.name / name)) > 100, "every recording is kept"
+    assert (lab.folder / result.name / result.figure).stat().st_size > 5000
+    return result
+
+
+def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None:
+    lab = Lab(folder)
+    found = keep(lab, static(lab, positions=(0.3, -0.6)))
+    assert found.values["breakaway1_ccw"].value == pytest.approx(11.4 * 1.05, rel=0.05)
+    assert found.values["breakaway2_cw"].value == pytest.approx(3.1 * 1.04, rel=0.05)
+    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.2)
+    fast = keep(lab, viscous(lab, speeds=(2.2, 3.5, 5.0)))
+    assert fast.values["viscous1_ccw"].value == pytest.approx(5.3 * 1.02, rel=0.01)
+    assert fast.values["level2_cw"].value == pytest.approx(2.35 * 1.04, rel=0.01)
+    slow = keep(lab, low_speed(lab, cycles=3))
+    at = {(row["joint"], row["speed rad/s"]): row["friction N m"] for row in slow.tables["curve"]}
+    assert at[1, 0.5] == pytest.approx(8.45 * 1.05 + 5.3 * 1.02 * 0.5, rel=0.03)
+    assert at[1, 0.1] > at[1, 0.2], "Stribeck: friction falls before it rises"
+    curve = keep(lab, fit(lab))
+    assert curve.values["joint1_rms"].value < 0.3
+    program = compensation_values(curve)
+    assert program["high1"][1] == pytest.approx(5.3, rel=0.05) and program["high2"][0] == pytest.approx(2.35, rel=0.1)
+    done = keep(lab, circle(lab, slower=(9.0,)))
+    for joint in (1, 2):
+        assert done.values[f"machine_improvement_joint{joint}"].value > 70.0, "the paper: about 75 %"
+        assert done.values[f"simulation_differs_without_joint{joint}"].value < 6.0, "simulation agrees with experiment"
+
+
+def test_the_motors_figures_are_found_by_the_straight_line(folder: Path) -> None:
+    lab = Lab(folder)
+    found = keep(lab, electrical(lab, volts=(8.0, 12.0, 16.0, -9.0, -14.0)))
+    assert found.values["k_a"].value == pytest.approx(0.1762, rel=0.01)
+    assert found.values["R_a"].value == pytest.approx(5.54, rel=0.01)
+
+
+def test_the_pendulums_parameters_are_found_from_far_off(folder: Path) -> None:
+    lab = Lab(folder)
+    found = keep(lab, mechanical(lab, seconds=3.0))
+    assert found.values["theta1"].value == pytest.approx(2.07e-3, rel=0.1)
+    assert found.values["theta3"].value == pytest.approx(0.1, rel=0.1)
+    assert found.values["viscous"].value == pytest.approx(0.0052, rel=0.15)
+    assert found.mechanism["gravity"].value == pytest.approx(0.16677, rel=0.05)
+
+
+def test_friction_maps_have_intervals_and_tell_what_narrow_speeds_cannot(folder: Path) -> None:
+    lab = Lab(folder)
+    found = keep(lab, friction(lab, speeds=(0.15, 0.4, 1.0), joints=(4,)))
+    assert found.values["coulomb4_pos"].value == pytest.approx(1.5414, rel=0.03)
+    assert found.values["viscous4_pos"].value == pytest.approx(0.50, rel=0.15)
+    assert any("cannot separate" in text and "Joint 4" in text for text in found.warnings)
+
+
+def test_machine_and_simulation_have_the_same_joint_error(folder: Path) -> None:
+    lab = Lab(folder)
+    if not (folder / "wam-friction" / "result.toml").exists():
+        keep(lab, friction(lab, speeds=(0.15, 0.4, 1.0), joints=(4,)))
+    found = keep(lab, tracking(lab, joints=(4,), duration=4.0))
+    for moving in ("alone", "all"):
+        machine, simulation = (found.values[f"joint4_{moving}_{where}"].value for where in ("machine", "simulation"))
+        assert 1e-3 < machine < 0.02 and simulation == pytest.approx(machine, rel=0.1)
+
+
+def test_a_run_that_is_interrupted_leaves_the_target_stopped(tmp_path: Path) -> None:
+    import zendsp
+
+    with zendsp.local("imi_planar", clock="fast") as target:
+        lab = Lab(tmp_path, target)
+        with pytest.raises(KeyboardInterrupt), lab.bench("imi_planar", "any") as bench:
+            bench.target.download("pd.c")
+            bench.target.start()
+            raise KeyboardInterrupt
+        assert target.status().state == "stopped"
+
+
+def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Path) -> None:
+    import zendsp
+    from zendsp.errors import Refused
+
+    with zendsp.local("pendulum", clock="fast") as target, pytest.raises(Refused, match="for the machine imi_planar"):
+        run_experiment("imi-static", Lab(tmp_path, target))
+    with pytest.raises(Refused, match="there are imi-static"):
+        run_experiment("nope", Lab(tmp_path))
+
+
+def test_the_pushed_joint_is_braked_and_the_other_held(folder: Path) -> None:
+    rec = Recording.load(next((folder / "imi-viscous").glob("joint2_+*.npz")))
+    pushed = rec["phase"] >= 2
+    assert np.abs(rec["q"][pushed, 0]).max() < 0.02 and np.abs(rec["q"][:, 1]).max() < 2.15
