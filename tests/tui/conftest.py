@@ -83,7 +83,7 @@ def lab(target: Target, folder: Path) -> ZendspApp:
     """The application, about to connect to the target."""
     return ZendspApp(
         open_port, find_targets=find_targets, start_machine=start_machine, machines=("imi_planar",),
-        target=target.name, folder=folder, source=folder / "pd.c", frames=8.0,
+        target=target.name, folder=folder, source=folder / "pd.c", frames=4.0,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ def _nobody(name: str) -> Port:
 
 @pytest.fixture
 def app(tmp_path: Path) -> ZendspApp:
-    return ZendspApp(_nobody, folder=tmp_path, frames=8.0)
+    return ZendspApp(_nobody, folder=tmp_path, frames=4.0)
 
 
 def test_no_key_has_two_meanings_on_a_screen() -> None:

@@ -55,7 +55,7 @@ async def _type(pilot: Pilot[None], text: str) -> None:
     "console.host_lost", "console.build",
 )  # fmt: skip
 async def test_the_safe_sequence_by_keys(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         snap = lambda: lab.session.snapshot  # noqa: E731
         await pilot.press("o")
@@ -95,7 +95,7 @@ async def test_the_safe_sequence_by_keys(lab: ZendspApp, target: Target, built: 
 
 
 async def test_a_refused_enable_names_each_condition(lab: ZendspApp, target: Target, until: Until) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
         await pilot.press("o")
         await until(pilot, lambda: lab.session.snapshot.explicit, "powered")
@@ -108,7 +108,7 @@ async def test_a_refused_enable_names_each_condition(lab: ZendspApp, target: Tar
 
 @pytest.mark.covers("console.filter", "console.edit", "console.stage", "console.update", "console.undo", "console.initial", "console.initial_all")
 async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         console = _console(lab)
         await _mark(lab, pilot, "Kp1")
@@ -158,7 +158,7 @@ async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, 
 
 
 async def test_a_signal_cannot_be_written_and_units_stay_whole(lab: ZendspApp, built: Step, until: Until) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         await _mark(lab, pilot, "q1")
         await pilot.press("enter")
@@ -168,7 +168,7 @@ async def test_a_signal_cannot_be_written_and_units_stay_whole(lab: ZendspApp, b
 
 @pytest.mark.covers("console.sets")
 async def test_parameter_sets_save_diff_and_stage(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         await until(pilot, lambda: "Kp1" in lab.session.snapshot.values, "values")
         await pilot.press("w")
@@ -195,7 +195,7 @@ async def test_parameter_sets_save_diff_and_stage(lab: ZendspApp, target: Target
 async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
     bad = folder / "bad.c"
     bad.write_text('#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\nvoid UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n')
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         before = target.status().program
         await pilot.press("O")
@@ -222,7 +222,7 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(lab: Zen
     "console.zoom(-1)", "console.zoom(1)", "console.pan(0.25)", "console.pan(-0.25)", "console.events",
 )  # fmt: skip
 async def test_every_key_of_the_scope(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         target.start()
         console = _console(lab)
@@ -291,7 +291,7 @@ async def test_every_key_of_the_scope(lab: ZendspApp, target: Target, built: Ste
 
 @pytest.mark.covers("console.record", "console.simulate", "console.diagnose")
 async def test_record_then_open_simulation_and_diagnosis(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         target.start()
         await until(pilot, lambda: lab.session.snapshot.state == "running", "running")

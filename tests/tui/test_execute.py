@@ -44,7 +44,7 @@ def _unmet(screen: ExecuteScreen) -> list[str]:
 async def test_a_reference_is_played_and_the_run_can_be_repeated(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
         screen = await _open(lab, pilot, until)
         await until(pilot, lambda: screen.conditions, "preflight is looked at")
@@ -117,9 +117,9 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(until: Until, t
     (tmp_path / "references").mkdir()
     path = save_reference(make_reference("lspb", machine, duration=2.0), tmp_path / "references" / "lspb.mat")
     with local("wam7", clock="fast", options=["--speed", "20"], timeout=60.0) as target:
-        app = ZendspApp(open_port, target=target.name, folder=tmp_path, frames=8.0)
+        app = ZendspApp(open_port, target=target.name, folder=tmp_path, frames=4.0)
         app.source = next(p for p in app.examples() if p.name == "wam_pd_gravity.c")
-        async with app.run_test(size=(120, 36)) as pilot:
+        async with app.run_test(size=(100, 30)) as pilot:
             await until(pilot, lambda: app.session.snapshot.link == "up", "link")
             await pilot.press("b")
             await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables, "built with motion.h beside it")
@@ -141,7 +141,7 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(until: Until, t
 async def test_abort_keeps_what_was_acquired(lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path) -> None:
     slow = make_reference("circle", "imi_planar", duration=40.0)
     save_reference(slow, folder / "references" / "slow.mat")
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
         screen = await _open(lab, pilot, until)
         lab.chosen = (folder / "references" / "slow.mat",)
@@ -156,7 +156,7 @@ async def test_abort_keeps_what_was_acquired(lab: ZendspApp, target: Target, ena
 
 
 async def test_start_stays_disabled_and_says_why(lab: ZendspApp, until: Until, folder: Path) -> None:
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
         screen = await _open(lab, pilot, until)
         lab.chosen = (folder / "references" / "circle.mat",)
@@ -175,7 +175,7 @@ async def test_start_stays_disabled_and_says_why(lab: ZendspApp, until: Until, f
 async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> None:
     for name, gain in (("soft", 100.0), ("stiff", 400.0)):
         store_run(folder / "runs", name, _recording(gain), references=[folder / "references" / "circle.mat"], sources={"pd.c": "int a;"})
-    async with lab.run_test(size=(120, 36)) as pilot:
+    async with lab.run_test(size=(100, 30)) as pilot:
         screen = await _open(lab, pilot, until)
         await until(pilot, lambda: len(screen.runs) == 2, "two runs")
         screen.runs_table.focus()

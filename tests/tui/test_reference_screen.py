@@ -28,7 +28,7 @@ def _nobody(name: str) -> Port:
 
 @pytest.fixture
 def app(tmp_path: Path) -> ZendspApp:
-    return ZendspApp(_nobody, folder=tmp_path, first="reference", frames=8.0)
+    return ZendspApp(_nobody, folder=tmp_path, first="reference", frames=4.0)
 
 
 def _screen(app: ZendspApp) -> ReferenceScreen:

@@ -148,7 +148,7 @@ async def test_a_killed_target_is_shown_nothing_freezes_and_the_link_comes_back(
 ) -> None:
     name, start = own_target
     process = start()
-    app = ZendspApp(open_port, target=name, folder=folder, source=folder / "pd.c", frames=8.0)
+    app = ZendspApp(open_port, target=name, folder=folder, source=folder / "pd.c", frames=4.0)
     async with app.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: app.session.snapshot.link == "up", "link")
         await pilot.press("b")
