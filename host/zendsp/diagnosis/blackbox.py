@@ -108,7 +108,7 @@ def fit_output(benches: Sequence[Bench], model: Model, handles: Sequence[Handle]
         lambda z: errors(benches, set_values(model, handles, z * size)), start / size, bounds=(low / size, high / size), diff_step=1e-4, max_nfev=evaluations, method="trf", ftol=1e-5, xtol=1e-6
     )
     x = done.x * size
-    jacobian = done.jac / size
+    jacobian = np.asarray(done.jac, dtype=np.float64) / size
     block = max(10, round(BLOCK / benches[0].signals.sample_time))
     covariance = robust_covariance(jacobian, done.fun, block)
     bound = tuple(bool(v) for v in (np.isclose(x, low) | np.isclose(x, high)))
@@ -162,12 +162,12 @@ def screen(benches: Sequence[Bench], current: Output, joint: int, tell: Progress
             for name_values in linear:
                 step = _step(effect, record, name_values)
                 trial = make_term(effect, joint, {**values, **step})
-                columns.append((errors(benches, _with(current.model, trial)) - current.error))
+                columns.append(errors(benches, _with(current.model, trial)) - current.error)
                 calls += 1
             b = np.stack(columns)
             b = b - (b @ basis) @ basis.T
             gram, moment = b @ b.T, b @ left
-            theta = -np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
+            theta: Array = np.asarray(-np.linalg.lstsq(gram, moment, rcond=1e-9)[0], dtype=np.float64)
             promise = float(-2 * theta @ moment - theta @ gram @ theta) / cost
             start = _start(effect, record, values, linear, theta)
             if start is not None and (best is None or promise > best[0]):
@@ -457,8 +457,8 @@ def _findings(given: Model, base: Output, final: Output, steps: list[Any], train
             continue
         term, joint = terms[0], claim.term.joint
         values = estimates(final.fit, term, given.joint_kind(joint), given.actuator.unit)
-        same = tuple(c.term.effect for c in rivals if c is not claim and c.term.joint == joint and claim.gain - c.gain < max(5.0, 0.1 * claim.gain))
-        margin = min([claim.gain - c.gain for c in rivals if c is not claim and c.term.effect not in same] or [claim.gain])
+        same = tuple(c.term.effect for c in rivals if c is not claim and c.term.joint == joint and term.effect not in get_effect(c.term.effect).replaces and claim.gain - c.gain < max(5.0, 0.1 * claim.gain))
+        margin = min([claim.gain - c.gain for c in rivals if c is not claim and c.term.effect not in same and term.effect not in get_effect(c.term.effect).replaces] or [claim.gain])
         # no cases have calibrated this figure for black boxes: kept below 0.9
         sure = min(0.9, 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8))
         had = {t.effect for t in given.at(joint)}

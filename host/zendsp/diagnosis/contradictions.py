@@ -158,7 +158,7 @@ def _excess(beyond: Array, torque: Array, at_edge: npt.NDArray[np.bool_], spread
     push = beyond[at_edge] * np.sign(torque[at_edge])
     mean = float(push.mean())
     error = max(float(push.std()), spread) / np.sqrt(count / 4)
-    return mean / max(float(np.mean(np.abs(torque[at_edge]))), 1e-300), mean / max(error, 1e-300)
+    return mean / max(float(np.mean(np.abs(torque[at_edge]))), 1e-300), mean / max(float(error), 1e-300)
 
 
 def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:
@@ -192,8 +192,10 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
         _sign(name, found)
         if found.slope + 4 * found.error < 0.3 or (found.slope - 4 * found.error > 5.0 and found.r2 > 0.5):
             _undo(name, found, y, u, period, noise, model, i)
-        if found.excess > 0.1 and found.excess_t > 8 and found.r2 > 0.8 and 0.4 < found.slope < 2.5:
-            top = float(np.max(np.abs(u[i])))
+        top = float(np.max(np.abs(u[i])))
+        stated = per_joint(model.actuator.limit, i + 1, 0.0)
+        allowed = stated > 0 and top > 0.98 * stated  # the actuator saturates there as well
+        if not allowed and found.excess > 0.15 and found.excess_t > 4.5 and found.r2 > 0.8 and 0.4 < found.slope < 2.5:
             raise RecordingError(
                 f"{name}: while the command column stands at its largest value {top:.4g} the joint moves as if by {100 * found.excess:.0f} % more: "
                 "the column is clipped; record it with a wider range"

@@ -216,7 +216,7 @@ def _resolution(name: str, columns: Any, joint: int, position: Array, command: A
 def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
     """Whether differences are whole steps, as far as the numbers' own digits allow; ``least``: so many must show it."""
     ratio = np.abs(np.diff(y)) / step
-    ratio = ratio[(ratio > 0.02) & (ratio < 50)]
+    ratio = ratio[(ratio > 0.02) & (ratio < 300)]
     if len(ratio) < 10 or len(ratio) < least:
         return least == 0
     return float(np.mean(np.abs(ratio - np.round(ratio)) < 0.05)) > 0.95

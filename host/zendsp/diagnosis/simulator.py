@@ -191,9 +191,17 @@ def bench(signals: Signals, model: Model, function: Function) -> Bench:
         )
         records.append(
             JointRecord(
-                joint=i + 1, sample_time=signals.sample_time, t0=float(signals.time[0]), command=np.ascontiguousarray(signals.command[:, i]),
-                measurement=measurements[i], motion=motions[i], basis={}, others=others, scale=scale, base_offset=0.0,
+                joint=i + 1,
+                sample_time=signals.sample_time,
+                t0=float(signals.time[0]),
+                command=np.ascontiguousarray(signals.command[:, i]),
+                measurement=measurements[i],
+                motion=motions[i],
+                basis={},
+                others=others,
+                scale=scale,
+                base_offset=0.0,
                 position=np.ascontiguousarray(signals.position[:, i]),
-            )  # fmt: skip
+            )
         )
     return Bench(signals, tuple(records), function)
