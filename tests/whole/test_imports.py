@@ -1,0 +1,98 @@
+"""What an import costs and pulls in: a target is a small machine, and ``--help`` must not make anyone wait."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HOST_ONLY = {
+    "casadi", "click", "h5py", "matplotlib", "pandas", "pinocchio", "pyarrow", "rich", "scipy", "textual", "tomli_w", "xarray", "zendsp",
+}  # fmt: skip
+HEAVY = HOST_ONLY - {"click", "zendsp"} | {"numpy", "zenoh", "cffi", "msgspec"}
+
+# Refuses what a bare target machine has not got, as if it were not installed.
+BARE = f"""
+import sys
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {HOST_ONLY!r}:
+            raise ModuleNotFoundError(f"{{name}} is not installed on a bare target machine", name=name)
+sys.meta_path.insert(0, Refuse())
+"""
+
+
+def python(code: str, *arguments: str) -> str:
+    """Standard output of a fresh interpreter."""
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Top-level packages that a fresh interpreter has loaded after a statement."""
+    return set(python(f"{statement}\nimport sys\nprint(*{{name.partition('.')[0] for name in sys.modules}})").split())
+
+
+@pytest.mark.parametrize("module", ["zendsp_target", "zendsp_target.monitor", "zendsp_target.runtime", "zendsp_target.__main__"])
+def test_the_target_loads_nothing_of_the_host(module: str) -> None:
+    found = loaded_by(f"import {module}")
+    assert module.partition(".")[0] in found
+    assert found & HOST_ONLY == set()
+
+
+def test_import_zendsp_loads_nothing_heavy() -> None:
+    found = loaded_by("import zendsp")
+    assert "zendsp" in found
+    assert found & HEAVY == set()
+
+
+def test_help_loads_nothing_heavy() -> None:
+    said = python(
+        "import sys\nfrom zendsp.cli import cli\nsys.argv = ['zendsp', '--help']\ncli(standalone_mode=False)\n"
+        "print('LOADED', *{name.partition('.')[0] for name in sys.modules})"
+    )
+    shown, _, names = said.partition("LOADED")
+    assert "Usage: zendsp" in shown and "diagnose" in shown
+    assert set(names.split()) & HEAVY == set()
+
+
+def test_help_of_every_command_shows_an_example_and_loads_no_terminal_and_no_plots() -> None:
+    said = python(
+        "import json, sys, click\nfrom zendsp.cli import COMMANDS, cli\nout = {}\n"
+        "for name in COMMANDS:\n"
+        "    command = cli.get_command(click.Context(cli), name)\n"
+        "    out[name] = command.get_help(click.Context(command, info_name=name, parent=click.Context(cli, info_name='zendsp')))\n"
+        "print(json.dumps([out, sorted({name.partition('.')[0] for name in sys.modules})]))"
+    )
+    helps, modules = json.loads(said)
+    assert {name for name, text in helps.items() if "Example" not in text} == set()
+    assert set(modules) & {"matplotlib", "textual", "casadi", "pinocchio"} == set()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--json", "--no-realtime", "--clock", "fast"]], ids=["help", "start"])
+def test_a_target_runs_with_zenoh_numpy_msgspec_cffi_and_a_compiler_alone(arguments: list[str], tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BARE)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "ZENDSP_RUNTIME_DIR": str(tmp_path / "registry")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "zendsp_target", *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        if "--help" in arguments:
+            assert first.startswith("usage: python -m zendsp_target")
+        else:
+            assert first, process.communicate(timeout=30)[1]
+            assert json.loads(first)["endpoints"]
+            process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60)
+        assert process.returncode == 0, said
+    finally:
+        process.kill()
+        process.communicate()
