@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import resources
@@ -83,7 +84,7 @@ class Lab:
             yield bench
         except BaseException:  # Ctrl-C as well: the machine stands before the program ends
             with contextlib.suppress(ZendspError):
-                bench.target.stop()
+                _stop(bench.target)
             raise
 
 
@@ -165,6 +166,16 @@ class Bench:
             raise Refused(f"{name}: the machine stopped itself: {trip.text}")
         self.recordings.append(recording.save(self.folder / f"{name}.npz").name)
         return recording
+
+
+def _stop(target: Target) -> None:
+    """STOP a machine that runs, and see that it has (it takes a sample; the deadline is for a busy computer)."""
+    if target.status().state != "running":
+        return
+    target.stop()
+    deadline = time.monotonic() + 5.0
+    while target.status().state == "running" and time.monotonic() < deadline:
+        time.sleep(0.005)
 
 
 def own_program(name: str) -> dict[str, str]:

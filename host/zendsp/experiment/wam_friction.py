@@ -86,7 +86,7 @@ def constant_speed_points(rec: Recording, reference: Reference, joint: int) -> A
 
 def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:
     """|torque| = level + viscous |speed|: both, their 95 % half widths, and the correlation between them."""
-    from scipy.stats import t as student
+    from scipy.special import stdtrit  # scipy.stats would take a second to import
 
     A = np.stack([np.ones(len(speed)), np.abs(speed)], axis=1)
     solution = np.linalg.lstsq(A, np.abs(torque), rcond=None)[0]
@@ -97,7 +97,7 @@ def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:
     covariance = variance * np.linalg.inv(A.T @ A)
     inverse = np.linalg.inv(A.T @ A)
     correlation = float(inverse[0, 1] / np.sqrt(inverse[0, 0] * inverse[1, 1]))
-    return solution, student.ppf(0.975, free) * np.sqrt(np.diag(covariance)), correlation
+    return solution, stdtrit(free, 0.975) * np.sqrt(np.diag(covariance)), correlation
 
 
 def _fit_joint(result: Result, joint: int, points: Array) -> None:

@@ -1,0 +1,83 @@
+"""Runs the recording that a diagnosis proposes on a target, and diagnoses again with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.errors import ZendspError
+from zendsp.experiment.separating import run_reference
+from zendsp.link import connect
+from zendsp.recording import Recording
+from zendsp.reference import Reference, load_reference, save_reference
+
+FILE = "next_recording.mat"
+
+
+def run_next(
+    diagnosis: Diagnosis,
+    recordings: Sequence[str | Path],
+    target: str,
+    folder: Path,
+    *,
+    heldout: Sequence[str | Path] | None = None,
+    progress: Callable[[str], None] = lambda _text: None,
+    **options: Any,
+) -> Diagnosis:
+    """Play the proposed reference on a target, keep the recording, and diagnose all recordings together.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The first one.
+    recordings : sequence of path
+        That it was made from.
+    target : str
+        Name of a target (``$ZENDSP_CONNECT`` says where, as for every command).
+    folder : Path
+        Receives next_reference.mat and next_recording.mat.
+    heldout : sequence of path, optional
+    progress : callable, optional
+        Receives a sentence at each stage.
+    **options
+        For :func:`zendsp.diagnose`: seed, jobs.
+
+    Returns
+    -------
+    Diagnosis
+        The second one; or the first, with a note, where it proposes no reference.
+
+    Raises
+    ------
+    LinkError, Refused
+        No such target, no program that follows the reference, or a limit in the way.
+    """
+    proposal = diagnosis.next_recording
+    if proposal is None or proposal.reference is None:
+        why = "nothing is left open" if proposal is None else "no reference can be proposed for what is open"
+        diagnosis.notes = (*diagnosis.notes, f"--run: {why}, so nothing was run on {target}")
+        return diagnosis
+    q, period = proposal.reference
+    folder.mkdir(parents=True, exist_ok=True)
+    path = save_reference(Reference(q, period, kind="separating", unit=diagnosis.unit), folder / "next_reference.mat", check=False)
+    progress(f"running the separating experiment on {target}")
+    with connect(target) as machine:
+        made = run_reference(machine, load_reference(path), diagnosis.given, _like(recordings))
+    saved = made.save(folder / FILE)
+    second = diagnose([*recordings, saved], diagnosis.given, list(heldout) if heldout else None, progress=progress, **options)
+    second.notes = (*second.notes, f"with {saved.name}, recorded on {target}: {proposal.sentence}")
+    return second
+
+
+def _like(recordings: Sequence[str | Path]) -> Recording | None:
+    """The first of the recordings that knows its program."""
+    for path in recordings:
+        try:
+            recording = Recording.load(path)
+        except (ZendspError, OSError, ValueError):
+            continue
+        if recording.sources:
+            return recording
+    return None

@@ -1,0 +1,126 @@
+"""Plays a proposed reference on a target and records it under the names that a model gives to its columns."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import Refused, ZendspError
+from zendsp.link import Target
+from zendsp.physics.model import Model
+from zendsp.recording import Recording
+from zendsp.reference import Reference
+
+REST_S = 0.3  # after the last row
+START_S = 1.0  # for the tables to arrive at a program that runs
+
+
+def run_reference(target: Target, reference: Reference, model: Model, like: Recording | None = None) -> Recording:
+    """Play a reference on a target and record what the model's ``[columns]`` name.
+
+    The target's program must follow the table ``ref`` (pd.c, or any program with motion.h). Where it has none loaded, the program and the
+    parameters of an earlier recording are used. A program that runs goes on running; one that stood is paused afterwards.
+
+    Parameters
+    ----------
+    target : Target
+    reference : Reference
+        Position, one row a sample.
+    model : Model
+        Its columns are what is recorded.
+    like : Recording, optional
+        An earlier recording of this machine, with its program.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    Refused
+        No program that follows ``ref``, a reference beyond the limits of the target, or a trip.
+    """
+    _ready(target, model, like)
+    _check(target, reference)
+    names = target.variables()
+    with _following(target, names):
+        approach = float(np.asarray(target["approach_time"])) if "approach_time" in names else 0.0
+        seconds = approach + reference.duration + REST_S
+        if "row_rate" in names:
+            target.update(None, row_rate=round(1.0 / reference.sample_time))
+        status = target.status()
+        if status.state == "running" and status.clock == "real":
+            target.acquire_configure(_channels(model), seconds + START_S)
+            target.acquire_start()
+            _send(target, reference, names)
+            recording = target.acquire_finish(2.0 * seconds + 10.0, "separating experiment")
+        else:
+            if status.state == "running":  # a fast clock does not wait for tables
+                target.pause()
+            _send(target, reference, names)
+            recording = target.acquire(_channels(model), seconds, start=True, note="separating experiment")
+    trip = target.status().trip
+    if trip is not None and trip.reason:
+        raise Refused(f"the separating experiment ended early: {trip.text}. What came before is not used")
+    return recording
+
+
+def _ready(target: Target, model: Model, like: Recording | None) -> None:
+    """See that a program is loaded that can follow a table."""
+    if target.status().state in ("empty", "crashed") and like is not None and like.sources:
+        target.download(dict(like.sources), like.flags)
+        declared = target.variables()
+        target.update(None, **{n: v for n, v in like.parameters.items() if n in declared and declared[n].kind == "parameter"})
+    loaded = target.variables() if target.status().state not in ("empty", "crashed") else {}
+    table = loaded.get("ref")
+    if table is None or table.kind != "table" or table.columns != model.joints:
+        raise Refused(
+            f"target {target.name} has no program that follows a table 'ref' of {model.joints} columns: load the one that made the recordings, "
+            f"for example 'zendsp run pd.c -t {target.name}'"
+        )
+
+
+def _check(target: Target, reference: Reference) -> None:
+    """Position and speed against the limits that the target enforces."""
+    limits = target.limits()
+    for j in range(reference.joints):
+        low, high = float(reference.q[:, j].min()), float(reference.q[:, j].max())
+        if low < limits.position_min[j] or high > limits.position_max[j]:
+            raise Refused(
+                f"the reference takes joint {j + 1} to {low:.4g} … {high:.4g}; the target allows {limits.position_min[j]:.4g} … {limits.position_max[j]:.4g}"
+            )
+        fastest = float(np.abs(reference.qd[:, j]).max())
+        if fastest > limits.speed_max[j]:
+            raise Refused(f"the reference moves joint {j + 1} at {fastest:.4g} /s; the target allows {limits.speed_max[j]:.4g}")
+
+
+@contextlib.contextmanager
+def _following(target: Target, names: Any) -> Iterator[None]:
+    """Have the program follow its table, and as before afterwards."""
+    before = {name: target[name] for name in ("use_table", "row_rate") if name in names}
+    if "use_table" in before:
+        target.update(None, use_table=True)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ZendspError):
+            target.update(None, **before)
+
+
+def _send(target: Target, reference: Reference, names: Any) -> None:
+    for table, rows in reference.tables().items():
+        if table in names:
+            target.upload(table, rows)
+
+
+def _channels(model: Model) -> Sequence[str]:
+    """Columns of the model as channels; time comes with every recording."""
+    channels: list[str] = []
+    for role in ("position", "command", "reference"):
+        name = model.columns.get(role)
+        if name is not None:
+            channels += name if isinstance(name, list) else [str(name)]
+    return channels
