@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,7 +38,7 @@ def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
     """
     rows = [parts[0].q]
     dt = parts[0].sample_time
-    for before, after in zip(parts, parts[1:], strict=False):
+    for before, after in itertools.pairwise(parts):
         if np.abs(before.q[-1] - after.q[0]).max() > 1e-9:
             way = make_point_to_point(machine, start=before.q[-1], goal=after.q[0], duration=TRAVEL_S, sample_time=dt)
             rows.append(way.q[1:])
@@ -54,14 +55,14 @@ def _multisine(machine: Machine, start: Any, amplitude: Any, period: float, f_ma
 
 
 def _arm_train(machine: Machine) -> Reference:
-    slow = make_circle(machine, radius=0.12, x=0.48, duration=4.0)
+    slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
-    return join(machine, [slow, fast, _multisine(machine, [-0.5, 1.2], [0.55, 0.7], 5.0, 2.2)])
+    return join(machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.4, 1.4], 6.0, 1.0)])
 
 
 def _arm_heldout(machine: Machine) -> Reference:
     circle = make_circle(machine, radius=0.1, x=0.47, y=0.08, duration=2.5, phase=2.0, turns=-1)
-    return join(machine, [circle, _multisine(machine, [-0.4, 1.0], [0.5, 0.6], 4.0, 2.0)])
+    return join(machine, [circle, _multisine(machine, [-0.1, 0.6], [1.3, 1.2], 5.0, 1.0)])
 
 
 def _arm_work(machine: Machine) -> Reference:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito 2008: told apart by readers with any kind of colour vision, and in grey.
 MACHINE, MODEL, FOUND, QUIET = "#0072B2", "#D55E00", "#009E73", "0.55"
-SMOOTH_S = 0.05  # window of the RMS curve of the tracking error, to be read beside it
+LEAD_S = 0.2  # the first moment is the leap from rest and would set the scale
 
 
 def draw(told: Told, path: Path) -> None:
@@ -66,6 +66,8 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
     axis.set_ylabel(f"position ({_unit(told)})")
     size = 1e3 * told.hidden.position[joint - 1]
     axis.set_title(f"The loop hides it: joint {joint} differs from its simulation by {size:.2g} m{_unit(told)}", loc="left")
+    span = float(np.ptp(q)) or 1.0
+    axis.set_ylim(float(q.min()) - 0.08 * span, float(q.max()) + 0.35 * span)
     axis.legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
     axis.tick_params(labelbottom=False)
 
@@ -129,12 +131,12 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     before, after = t < at, t >= at
     axis.plot(t[before], e[before], color=MODEL, lw=0.7)
     axis.plot(t[after], e[after], color=FOUND, lw=0.7)
-    window = max(1, round(SMOOTH_S / told.work.sample_time))
-    top = 1.25 * float(np.quantile(np.abs(np.convolve(e, np.ones(window) / window, "same")), 0.995)) or 1.0
-    axis.set_ylim(-top, 1.25 * top)
+    low, high = (float(x) for x in np.quantile(e[t > LEAD_S], (0.001, 0.999)))
+    span = max(high - low, 1e-9)
+    axis.set_ylim(low - 0.25 * span, high + 0.35 * span)
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
-    axis.text(at, 1.22 * top, f" synchronous update,\n sample {told.tracking.tick}", fontsize=8, va="top", color="0.2")
+    axis.text(at, low - 0.22 * span, f" one synchronous update, sample {told.tracking.tick}", fontsize=8, va="bottom", color="0.2")
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13, fontweight="bold", ha="center", transform=axis.transAxes)
     axis.set_xlabel("time (s)")
@@ -151,9 +153,9 @@ def _fit(axis: Axes, told: Told) -> None:
         axis.text(1e3 * value, k, f" {1e3 * value:.3g}", va="center", fontsize=11)
     floor = 1e3 * told.diagnosis.noise_floor
     axis.axvline(floor, color="0.2", lw=1.0, ls="--")
-    axis.text(floor, -0.48, " noise floor", fontsize=8, va="bottom", color="0.2")
+    axis.text(floor, 2.62, " noise floor", fontsize=8, va="center", color="0.2")
     axis.set_yticks(range(len(rows)), [name for name, _, _ in rows])
-    axis.invert_yaxis()
+    axis.set_ylim(2.8, -0.5)
     axis.set_xscale("log")
     low, high = min(floor, 1e3 * held.improved), 1e3 * max(held.given, held.calibrated)
     axis.set_xlim(0.6 * low, 2.5 * high)
