@@ -96,6 +96,7 @@ async def _reference(folder: Path, work: Path) -> list[Path]:
         screen = app.screen
         assert isinstance(screen, ReferenceScreen)
         await _until(pilot, lambda: screen.plan is not None)
+        await pilot.pause(1.0)
         made.append(_write(app, folder / "reference.svg"))
         screen.open_reference(work / "references" / "circle.mat")
         screen.view = "path"
