@@ -40,7 +40,24 @@ _ACQUIRE = ("channels", "seconds", "decimation", "trigger", "continuous", "take"
 
 
 def MatDSPconnect(name: str | Target = "", endpoint: str | None = None) -> Target:
-    """Choose the target for all other verbs: by name, or one that is open already."""
+    """Choose the target for all other verbs: by name, or one that is open already.
+
+    Parameters
+    ----------
+    name : str or Target
+        May be left out where only one target runs on this machine.
+    endpoint : str, optional
+        Where it is, for example ``"tls/robot.lab:7447"``; see :func:`zendsp.connect`.
+
+    Returns
+    -------
+    Target
+
+    Raises
+    ------
+    LinkError
+        No such target, or nothing answers.
+    """
     _desk.target = name if isinstance(name, Target) else connect(name, endpoint)
     return _desk.target
 
@@ -53,12 +70,43 @@ def MatDSPclose() -> None:
 
 
 def MatDSPcompile(source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
-    """Compile C code on the target; raises ``CompileFailed`` with file, line and column."""
+    """Compile C code on the target.
+
+    Parameters
+    ----------
+    source : path, or mapping of file name to text
+        A C file (the headers beside it are sent too), or one of the shipped programs by its name.
+    flags : sequence of str
+        Further flags for the compiler.
+
+    Returns
+    -------
+    CompileResult
+
+    Raises
+    ------
+    CompileFailed
+        With file, line and column of each message.
+    """
     return _desk.get().compile(source, flags)
 
 
 def MatDSPdownload(source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
-    """Compile C code and load it."""
+    """Compile C code and load it; nothing moves before :func:`MatDSPstart`.
+
+    Parameters
+    ----------
+    source, flags : as for :func:`MatDSPcompile`
+
+    Returns
+    -------
+    CompileResult
+
+    Raises
+    ------
+    CompileFailed
+        With file, line and column of each message; what was loaded before stays.
+    """
     return _desk.get().download(source, flags)
 
 
@@ -132,5 +180,20 @@ def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
 
 
 def MatDSPAcquireLoad(timeout: float = 60.0) -> Recording:
-    """Wait until the acquisition is complete (a continuous one: stop it) and load it."""
+    """Wait until the acquisition is complete (a continuous one: stop it) and load it.
+
+    Parameters
+    ----------
+    timeout : float, s
+        Of real time.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    AcquisitionError
+        Nothing was recorded, or not within the time.
+    """
     return _desk.get().acquire_finish(timeout=timeout)

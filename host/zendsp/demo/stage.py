@@ -98,6 +98,15 @@ def _friction(plan: Machine) -> list[tuple[float, float]]:
 def get_stage(machine: str) -> Stage:
     """The stage of a machine.
 
+    Parameters
+    ----------
+    machine : str
+        Name of the simulated machine.
+
+    Returns
+    -------
+    Stage
+
     Raises
     ------
     Refused

@@ -169,7 +169,34 @@ class Acquisition(ParameterSets, Transfers):
         continuous: bool = False,
         take: bool = False,
     ) -> m.AcquireStatus:
-        """Set what the recorder records; ``continuous`` keeps the last ``seconds`` in a ring until stopped."""
+        """Set what the recorder records.
+
+        Parameters
+        ----------
+        channels : sequence of str
+            Variables, elements ``"q[0]"``, or built-in signals.
+        seconds : float, s
+            Length of the shot, or of the ring.
+        decimation : int
+            Every how many samples a row.
+        trigger : Trigger, optional
+            Wait for it; default: record from the start.
+        continuous : bool
+            Keep the last ``seconds`` in a ring until stopped.
+        take : bool
+            Also when another host is recording.
+
+        Returns
+        -------
+        AcquireStatus
+
+        Raises
+        ------
+        AcquisitionError
+            No such channel, or more than the target's memory holds.
+        Refused
+            Another host is recording.
+        """
         names = [channels] if isinstance(channels, str) else list(channels)
         result: m.AcquireStatus = self.request(
             "acquire_configure",
@@ -200,6 +227,19 @@ class Acquisition(ParameterSets, Transfers):
     ) -> Recording:
         """Bring home what the recorder holds, also after a crash of the program.
 
+        Parameters
+        ----------
+        note : str
+            Kept in the recording.
+        progress : callable, optional
+            Called with the share done, 0 … 1.
+        patience : float, s
+            How long to wait for a link that is lost meanwhile.
+
+        Returns
+        -------
+        Recording
+
         Raises
         ------
         AcquisitionError
@@ -228,6 +268,12 @@ class Acquisition(ParameterSets, Transfers):
         ----------
         timeout : float, s, optional
             Of real time; None waits for ever.
+        note, progress, patience
+            As for :meth:`acquire_load`.
+
+        Returns
+        -------
+        Recording
 
         Raises
         ------

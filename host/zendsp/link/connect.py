@@ -114,6 +114,12 @@ def local(
         Default: machine and process number.
     options : sequence of str
         Further arguments of ``python -m zendsp_target``.
+    timeout : float, s
+        For it to come up.
+
+    Returns
+    -------
+    Target
 
     Raises
     ------

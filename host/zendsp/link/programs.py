@@ -54,7 +54,23 @@ class Programs(Requests):
         self.request("load", key=key)
 
     def download(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
-        """Compile and load; afterwards the state is ``loaded`` and :meth:`start` runs it."""
+        """Compile and load; afterwards the state is ``loaded`` and :meth:`start` runs it.
+
+        Parameters
+        ----------
+        source, flags
+            As for :meth:`compile`.
+
+        Returns
+        -------
+        CompileResult
+            With the warnings.
+
+        Raises
+        ------
+        CompileFailed
+            With file, line and column of each message; what was loaded before stays.
+        """
         result = self.compile(source, flags)
         self.load(result.key)
         return result

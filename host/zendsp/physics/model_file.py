@@ -90,7 +90,24 @@ def load_model(path: str | Path) -> Model:
 
 
 def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
-    """Turn the contents of a model file into a Model; see ``load_model``."""
+    """Turn the contents of a model file into a Model; see ``load_model``.
+
+    Parameters
+    ----------
+    data : mapping
+        What the TOML file holds.
+    path : str
+        Of the file: named in errors, and its folder is where a URDF or a Python simulator is looked for.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    ModelError
+        Which key, what was expected, what stands there.
+    """
     read = _Reader(path)
     mechanism = read.table(data, "mechanism")
     kind = mechanism.get("kind")
@@ -195,7 +212,16 @@ def _quantity(items: tuple[Quantity, ...]) -> dict[str, Any]:
 
 
 def model_text(model: Model) -> str:
-    """The model as TOML text that ``load_model`` reads back."""
+    """The model as TOML text that ``load_model`` reads back.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    str
+    """
     data: dict[str, Any] = {"name": model.name}
     if model.sample_time:
         data["sample_time"] = model.sample_time

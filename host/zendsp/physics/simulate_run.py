@@ -171,8 +171,10 @@ def simulate_loop(
         Default: as long as the longer of reference and command.
     position, velocity : array_like, shape (joints,), optional
         Start; default: at rest in the first row of the reference.
-    inner, check
-        As for :func:`simulate`.
+    inner : int
+        Integration steps per sample, as for :func:`simulate`.
+    check : bool
+        Halve the step until nothing changes, as for :func:`simulate`.
 
     Returns
     -------

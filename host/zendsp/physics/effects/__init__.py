@@ -46,6 +46,14 @@ def library() -> dict[str, Effect]:
 def get_effect(name: str) -> Effect:
     """The effect of that name.
 
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    Effect
+
     Raises
     ------
     ModelError

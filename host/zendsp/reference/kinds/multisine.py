@@ -21,6 +21,14 @@ POWER = {"flat": 0, "velocity": 1, "acceleration": 2}  # amplitude of line k is 
 def crest_factor(x: Array) -> float:
     """Largest magnitude over root mean square; 1.414 for a sine.
 
+    Parameters
+    ----------
+    x : ndarray, shape (N,)
+
+    Returns
+    -------
+    float
+
     Examples
     --------
     >>> import numpy as np

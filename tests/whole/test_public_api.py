@@ -1,0 +1,94 @@
+"""Every public name is documented: what it is, each parameter, what comes back; and one role has one name everywhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any
+
+ROOMS = (
+    "zendsp", "zendsp.link", "zendsp.recording", "zendsp.reference", "zendsp.physics", "zendsp.physics.effects", "zendsp.diagnosis",
+    "zendsp.experiment", "zendsp.demo",
+)  # fmt: skip
+# what a role must not be called, and what it is called instead
+OTHER_NAMES = {
+    "dt": "sample_time", "ts": "sample_time", "fs": "rate", "freq": "rate", "filename": "path",
+    "file_name": "path", "timeout_s": "timeout", "verbose": "progress", "random_state": "seed", "n_jobs": "jobs", "duration_s": "duration",
+}  # fmt: skip
+
+
+def public() -> dict[str, Any]:
+    """Public objects by their full names, each once."""
+    found: dict[int, tuple[str, Any]] = {}
+    for room in ROOMS:
+        module = importlib.import_module(room)
+        for name in module.__all__:
+            value = getattr(module, name)
+            if inspect.isclass(value) or inspect.isfunction(value):
+                found[id(value)] = (f"{value.__module__}.{value.__qualname__}", value)
+    return dict(sorted(found.values(), key=lambda pair: pair[0]))
+
+
+def callables() -> dict[str, Any]:
+    """Public functions, and the public methods of public classes, by full name."""
+    found: dict[str, Any] = {}
+    for name, value in PUBLIC.items():
+        if inspect.isfunction(value):
+            found[name] = value
+        else:
+            found |= {f"{name}.{method}": function for method, function in methods(value)}
+    return found
+
+
+def methods(cls: type) -> Iterator[tuple[str, Any]]:
+    """Public methods of a class and of its bases in zendsp."""
+    for name, _ in inspect.getmembers(cls):
+        raw = inspect.getattr_static(cls, name)
+        function = raw.__func__ if isinstance(raw, staticmethod | classmethod) else raw.fget if isinstance(raw, property) else raw
+        if not name.startswith("_") and inspect.isfunction(function) and function.__module__.startswith("zendsp"):
+            yield name, function
+
+
+def parameters(function: Any) -> list[str]:
+    """Names of the parameters that a caller gives."""
+    given = inspect.signature(function).parameters.values()
+    return [p.name for p in given if p.name not in ("self", "cls") and not p.name.startswith("_")]
+
+
+def undocumented(function: Any) -> list[str]:
+    """Parameters that the docstring does not name, neither in its list nor in its words."""
+    text = inspect.getdoc(function) or ""
+    return [p for p in parameters(function) if not re.search(rf"^\*{{0,2}}[\w, *]*\b{p}\b[\w, *]*( :|$)|``{p}``", text, re.MULTILINE)]
+
+
+PUBLIC = public()
+CALLABLES = callables()
+
+
+def test_the_walk_sees_the_api() -> None:
+    assert len(PUBLIC) > 60
+    assert len(CALLABLES) > 120
+    assert "zendsp.link.connect.connect" in CALLABLES
+
+
+def test_everything_public_has_a_summary() -> None:
+    odd = {}
+    for name, value in {**CALLABLES, **PUBLIC}.items():
+        summary = (inspect.getdoc(value) or "").partition("\n\n")[0].rstrip()
+        generated = dataclasses.is_dataclass(value) and summary.startswith(f"{value.__name__}(")
+        if not summary or generated or summary[-1] not in ".:…)":
+            odd[name] = summary
+    assert odd == {}
+
+
+def test_every_parameter_of_a_public_function_is_documented() -> None:
+    missing = {name: undocumented(value) for name, value in PUBLIC.items() if inspect.isfunction(value) and undocumented(value)}
+    assert missing == {}
+
+
+def test_one_role_has_one_name() -> None:
+    odd = {name: [p for p in parameters(value) if p in OTHER_NAMES] for name, value in CALLABLES.items()}
+    assert {name: [f"{p} for {OTHER_NAMES[p]}" for p in found] for name, found in odd.items() if found} == {}
