@@ -1,5 +1,6 @@
 """zendsp beside PySINDy and FROLS on the same concealed cases, in one table.
 
+    export OMP_NUM_THREADS=1                            # one thread of linear algebra for every method
     python benchmarks/diagnosis.py                      # 60 one-joint cases, made here
     python benchmarks/diagnosis.py CASES TRUTH          # cases made by `python -m zendsp.proof.cases`
 

@@ -85,6 +85,9 @@ def command(
 
     Example:  zendsp prove --quick
     """
+    # small matrices in many processes: more threads of the linear algebra only wait for each other
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     if real or implant:
         if fetch:
             fetch_absent(data_folder(data))
