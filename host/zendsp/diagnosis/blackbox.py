@@ -104,9 +104,11 @@ def fit_output(benches: Sequence[Bench], model: Model, handles: Sequence[Handle]
         return Output(Fit(model, (), np.zeros(0), np.zeros((0, 0)), float(error @ error), 0, (), True, np.zeros((len(error), 0)), error), error)
     low, high, size = _bounds(benches, model, handles)
     start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
-    done = least_squares(
-        lambda z: errors(benches, set_values(model, handles, z * size)), start / size, bounds=(low / size, high / size), diff_step=1e-4, max_nfev=evaluations, method="trf", ftol=1e-5, xtol=1e-6
-    )
+
+    def evaluate(z: Array) -> Array:
+        return errors(benches, set_values(model, handles, z * size))
+
+    done = least_squares(evaluate, start / size, bounds=(low / size, high / size), diff_step=np.full(len(size), 1e-4), max_nfev=evaluations, ftol=1e-5, xtol=1e-6)
     x = done.x * size
     jacobian = np.asarray(done.jac, dtype=np.float64) / size
     block = max(10, round(BLOCK / benches[0].signals.sample_time))

@@ -29,8 +29,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(_finite(d.report()), indent=1, ensure_ascii=False, allow_nan=False)
-    (folder / "report.json").write_text(text, encoding="utf-8")
+    (folder / "report.json").write_text(report_text(d), encoding="utf-8")
     (folder / "model.toml").write_text(model_text(d.improved), encoding="utf-8")
     _compensation(d, folder)
     if d.next_recording is not None and d.next_recording.reference is not None:
@@ -46,6 +45,11 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         figures = d.details["draw"](folder) if "draw" in d.details else draw_all(d, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
+
+
+def report_text(d: Diagnosis) -> str:
+    """report.json of the contract."""
+    return json.dumps(_finite(d.report()), indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def _compensation(d: Diagnosis, folder: Path) -> None:
