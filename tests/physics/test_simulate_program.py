@@ -114,3 +114,15 @@ def test_seven_joints_follow_under_gravity_compensation() -> None:
     rec = simulate("wam_pd_gravity.c", MODELS / "wam7.toml", reference=reference, check=True)
     assert rec.extra["step_check"]["converged"]
     assert np.abs(rec["e"]).max() < 0.06
+
+
+def test_a_coarse_reference_is_played_at_its_own_rate() -> None:
+    from zendsp.physics import simulate_loop
+    from zendsp.reference import Reference
+
+    coarse = Reference(np.column_stack([np.linspace(0.0, 0.5, 51), np.zeros(51)]), 0.02)
+    rec = simulate("inverse_dynamics.c", MODELS / "imi_planar.toml", reference=coarse, parameters={"approach_time": 0.2})
+    assert rec.parameters["row_rate"] == 50 and len(rec) == 200 + 1020 + 500
+    assert rec["r"][700, 0] == pytest.approx(0.25, abs=1e-9)
+    loop = simulate_loop(MODELS / "imi_planar.toml", coarse)
+    assert len(loop) == 1001 and loop["r"][500, 0] == pytest.approx(0.25, abs=1e-9)

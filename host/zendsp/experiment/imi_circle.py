@@ -42,6 +42,7 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
             sim = simulate(PROGRAM, model, reference=reference, parameters={**values, "approach_time": 1.0}, channels=CHANNELS, position=[0.0, 0.0], check=not compensate)
             result.recordings.append(sim.save(bench.folder / f"simulation_{word}.npz").name)
             errors["simulation", compensate] = sim["e"][playing(sim, reference.samples)]
+        plain = bench.record("machine_published_figures", PROGRAM, CHANNELS, reference=reference, compensate=True)
         for duration in slower:
             slow = make_circle(machine, radius=RADIUS, duration=duration)
             rec = bench.record(f"machine_{duration:g}s", PROGRAM, CHANNELS, reference=slow, decimation=2, **gains, compensate=True)
@@ -49,6 +50,9 @@ def circle(lab: Lab, slower: tuple[float, ...] = (9.0, 18.0, 36.0)) -> Result:
         result.recordings, result.target = [*bench.recordings, *result.recordings], bench.where
         floor.insert(0, (DURATION, rms(errors["machine", True])))
         _report(result, errors, floor)
+        gain = 1.0 - rms(plain["e"][playing(plain, reference.samples)]) / rms(errors["machine", False])
+        for joint, value in enumerate(gain, start=1):
+            result.values[f"published_improvement_joint{joint}"] = Estimate(float(100 * value), 0.0, "%")
         result.figure = save(_draw(errors, reference), bench.folder / "circle.png")
     return result
 

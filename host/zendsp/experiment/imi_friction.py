@@ -182,7 +182,7 @@ def _draw_viscous(points: dict[int, list[tuple[float, float, float]]], result: R
 
 
 def low_speed(lab: Lab, cycles: int = 6, rise: float = 1.0) -> Result:
-    """Friction at low speed: PD control along triangular velocity from 0 to 1 rad/s and back, repeated, averaged."""
+    """Friction at low speed: inverse dynamics with PD along triangular velocity, 0 to 1 rad/s and back, repeated, averaged."""
     result = Result("imi-low-speed", "Friction of the planar arm at low speed", MACHINE)
     machine = load_machine(MACHINE)
     curves: dict[int, tuple[Array, Array, Mask]] = {}

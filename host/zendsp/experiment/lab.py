@@ -153,6 +153,7 @@ class Bench:
         target.download(program, flags)
         if reference is not None:
             values.setdefault("approach_time", before)
+            values.setdefault("row_rate", round(1.0 / reference.sample_time))
             seconds = seconds if seconds is not None else before + reference.duration + after
             for table, rows in reference.tables().items():
                 target.upload(table, rows)

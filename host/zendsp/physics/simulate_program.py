@@ -65,9 +65,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Job:
-    """What the child is asked to do."""
+    """What the child is asked to do. ``defaults``: parameters set where the program has them and ``parameters`` does not name them."""
 
     parameters: Mapping[str, Any]
+    defaults: Mapping[str, Any]
     tables: Mapping[str, Array]
     seconds: float | None
     channels: Sequence[str] | None
@@ -244,10 +245,7 @@ class _Session:
         for name, rows in job.tables.items():
             if name in self.variables and self.variables[name].kind == _TABLE:
                 self._load_table(name, rows)
-        given = dict(job.parameters)
-        if job.tables and "use_table" in self.variables:
-            given.setdefault("use_table", True)
-        self._write(given)
+        self._write({**{name: value for name, value in job.defaults.items() if name in self.variables}, **job.parameters})
         ticks = self._ticks(job)
         columns, units, places = self._channels(job.channels)
         out = np.zeros((-(-ticks // job.decimation), len(places)))
@@ -273,7 +271,8 @@ class _Session:
             return max(1, round(job.seconds / self.plant.period))
         approach = self._value("approach_time") if "approach_time" in self.variables else 0.0
         rows = max((len(t) for t in job.tables.values()), default=0)
-        ticks = round((approach + 0.5) / self.plant.period) + rows if rows else round(10.0 / self.plant.period)
+        length = rows / float(job.defaults.get("row_rate", 1.0 / self.plant.period))
+        ticks = round((approach + length + 0.5) / self.plant.period) if rows else round(10.0 / self.plant.period)
         return min(ticks, self.plant.samples)
 
     def _pointer(self, name: str) -> Any:

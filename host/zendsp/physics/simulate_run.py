@@ -58,7 +58,8 @@ def simulate(
         C code written for ``isr.h``; it runs in a child process.
     model : Model, or path of a model file
     reference : Reference, or path of a reference file, optional
-        Goes into the program's tables ``ref`` and ``ref_tau``; ``use_table`` is set where the program has it.
+        Goes into the program's tables ``ref`` and ``ref_tau``; ``use_table`` and ``row_rate`` are set where
+        the program has them.
     seconds : float, optional
         Default: approach, reference and half a second; 10 s where there is no reference.
     parameters : mapping of name to value, optional
@@ -103,13 +104,14 @@ def simulate(
         raise ModelError(f"{model.name} has {joint_count(model)} joints, the reference {planned.joints}")
     build = compile_program(program, flags)
     tables = planned.tables() if planned is not None else {}
+    defaults = {"use_table": True, "row_rate": round(1.0 / planned.sample_time)} if planned is not None else {}
     if position is None and planned is not None:
         position = planned.q[0]
     longest = seconds if seconds is not None else min(_LONGEST_S, 70.0 + (planned.duration if planned else 0.0))
 
     def run(steps: int, wanted: Sequence[str] | None) -> Outcome:
         plant = Plant(model, round(longest / (model.sample_time or 1.0)) + 2, inner=steps, position=position, velocity=velocity)
-        job = Job(dict(parameters or {}), tables, seconds, wanted, decimation, background)
+        job = Job(dict(parameters or {}), defaults, tables, seconds, wanted, decimation, background)
         return run_program(build, plant, job, timeout)
 
     began = time.time()
@@ -161,7 +163,7 @@ def simulate_loop(
     ----------
     model : Model, or path of a model file
     reference : Reference or array_like, shape (N,) or (N, joints), optional
-        Positions, one row a sample; the last row is held. The torque of a Reference is fed forward (in command units).
+        Positions, one row a sample (a Reference is interpolated); the last row is held. The torque of a Reference is fed forward (in command units).
     controller : mapping or callable, optional
         A mapping as the model's ``[controller]``: kind "pd", kp, kd, and where wanted ki, cutoff (Hz, of the speed filter, 0: none).
         Default: the model's own. A callable (t, r, y) → command is called once a sample (slower).
@@ -200,7 +202,7 @@ def simulate_loop(
     if not model.sample_time:
         raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
     n = joint_count(model)
-    r, feed, mode = _reference_rows(reference, n)
+    r, feed, mode = _reference_rows(reference, n, model.sample_time)
     if command is not None:
         extra_rows = np.asarray(command, dtype=np.float64).reshape(-1, n)
         feed = extra_rows if feed is None else feed + _stretch(extra_rows, len(feed), hold=False)
@@ -230,7 +232,7 @@ def simulate_loop(
     return _recording(model, run(inner), rr if r is not None else None, extra)
 
 
-def _reference_rows(reference: Any, n: int) -> tuple[Array | None, Array | None, str]:
+def _reference_rows(reference: Any, n: int, sample_time: float) -> tuple[Array | None, Array | None, str]:
     if reference is None:
         return None, None, ""
     if isinstance(reference, str | Path):
@@ -238,7 +240,12 @@ def _reference_rows(reference: Any, n: int) -> tuple[Array | None, Array | None,
     if isinstance(reference, Reference):
         if reference.joints != n:
             raise ModelError(f"the model has {n} joints, the reference {reference.joints}")
-        return np.array(reference.q), None if reference.tau is None else np.array(reference.tau), reference.mode
+        if abs(reference.sample_time - sample_time) < 1e-9:
+            return np.array(reference.q), None if reference.tau is None else np.array(reference.tau), reference.mode
+        t = np.arange(round(reference.duration / sample_time) + 1) * sample_time
+        q = np.stack([np.interp(t, reference.t, column) for column in reference.q.T], axis=1)
+        row = np.minimum((t / reference.sample_time + 1e-9).astype(int), reference.samples - 1)  # a torque is held
+        return q, None if reference.tau is None else reference.tau[row], reference.mode
     return np.asarray(reference, dtype=np.float64).reshape(-1, n), None, "position"
 
 
