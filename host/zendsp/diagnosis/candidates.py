@@ -12,7 +12,7 @@ from zendsp.diagnosis.score import deviance
 from zendsp.diagnosis.screen import Candidate, Screen, make_term
 from zendsp.physics.effects import Effect, library
 from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import JointRecord
+from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model, Term
 
 DRY = ("coulomb", "coulomb_asymmetry", "stribeck", "load_friction", "position_friction")
@@ -94,7 +94,7 @@ def scan(data: Data, model: Model, joint: int, effect: Effect, record: JointReco
     if grid is None:
         return list(starts(effect, joint, record, model))
     s = record.scale
-    inertia = float(np.mean(record.inertia_and_bias(model)[0]))
+    inertia = float(np.mean(effective_inertia(record, model)))
     dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
     scored: list[tuple[float, int, Term]] = []
     for numbers in itertools.product(*grid.values()):
@@ -126,7 +126,7 @@ def scan(data: Data, model: Model, joint: int, effect: Effect, record: JointReco
 def starts(effect: Effect, joint: int, record: JointRecord, model: Model) -> Iterable[Term]:
     """Start values in SI units: resonances are given as -frequency in Hz, gaps as a share of the span, the rest in scales."""
     s = record.scale
-    inertia = float(np.mean(record.inertia_and_bias(model)[0]))
+    inertia = float(np.mean(effective_inertia(record, model)))
     for start in effect.starts:
         values = {}
         for name, number in start.items():

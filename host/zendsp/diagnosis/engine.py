@@ -52,7 +52,10 @@ class Acceptance:
             return False
         held = compare(before, rival.scored, self.test, rival.joint)
         if held.gain < MIN_HELD_GAIN or held.z < MIN_Z:
-            strong = gain > 400 and held.gain > 0.15 * gain and held.z > 1.5  # active in a small part of the record
+            fitted = sum(rec[0].n for rec in rival.scored.data.records)
+            tested = sum(rec[0].n for rec in self.test.records)
+            # active in a small part of the record: few blocks speak, but they say as much as in the fit
+            strong = gain > 1000 and held.gain > max(300.0, 0.1 * gain * tested / fitted) and held.z > 1.8
             if not strong:
                 return False
         if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0:

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.score import Scored
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import run
+from zendsp.physics.joint import effective_inertia, run
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-BLOCK = 0.25  # s
+BLOCK = 0.25  # s; shorter where the recordings would give fewer than 40 blocks, never below 0.05 s
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,10 @@ def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
 def evidence(differences: Sequence[Array], data: Data) -> Evidence:
     """Blocks of summed differences, their total and z."""
     blocks = []
+    seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
+    block = min(BLOCK, max(0.05, seconds / 40))
     for d, rec in zip(differences, data.records, strict=True):
-        size = max(10, round(BLOCK / rec[0].sample_time))
+        size = max(10, round(block / rec[0].sample_time))
         skip = min(size, len(d) // 10)  # the observer settles
         usable = d[skip:]
         count = len(usable) // size
@@ -106,7 +108,7 @@ def torque_share(before: Scored, after: Scored, joint: int, bandwidth: float = 3
     for rec in before.data.records:
         record = rec[joint - 1]
         _, k2, w = record.gains(bandwidth)
-        inertia, _ = record.inertia_and_bias(before.model)
+        inertia = effective_inertia(record, before.model)
         a = run(record, before.model, bandwidth, inner=before.data.inner).innovations
         b = run(record, after.model, bandwidth, inner=before.data.inner).innovations
         difference = np.where(w > 0, (a - b) / np.maximum(w, 1e-300), 0.0) * k2 * inertia / record.sample_time
@@ -126,5 +128,5 @@ def unmodelled_torque(scored: Scored, joint: int) -> float:
     record = scored.data.records[0][joint - 1]
     m = record.measurement
     white = m.resolution**2 / 12 + m.noise**2 if m.resolution > 0 or m.noise > 0 else float(np.median(np.abs(m.variance)))
-    inertia = float(np.mean(record.inertia_and_bias(scored.model)[0]))
+    inertia = float(np.mean(effective_inertia(record, scored.model)))
     return float(inertia * bandwidth**2 * np.sqrt(white) * np.sqrt(bandwidth * record.sample_time)) / record.scale.torque

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zendsp.diagnosis.inertia import inertia_ranges
 from zendsp.diagnosis.reading import Signals
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, Scale, mechanism_value
@@ -30,7 +31,7 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
     Data
     """
     records = tuple(_records(s, model) for s in signals)
-    return Data(records, (bandwidth,) * model.joints)
+    return Data(records, (bandwidth,) * model.joints, ranges=inertia_ranges(records, model))
 
 
 def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
@@ -52,7 +53,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
         q, qd, qdd = motions[j].states
         torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
         inertia_series = sum((1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia for key, b in basis[j].items())
-        inertia = float(np.mean(inertia_series))
+        inertia = float(np.mean(inertia_series)) + sum(t.value("amount") for t in model.at(j + 1) if t.effect == "inertia")
         effort = float(np.sqrt(np.mean(torque**2))) or inertia * float(np.sqrt(np.mean(qdd**2)))
         scale = Scale(
             torque=max(effort, 1e-12),

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline
 
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, run
+from zendsp.physics.joint import JointRecord, effective_inertia, run
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -52,7 +52,7 @@ def lacking_torque(record: JointRecord, model: Model, inner: int = 2) -> Array:
     bandwidth = min(OBSERVER, 0.25 / record.sample_time)
     _, k2, w = record.gains(bandwidth)
     r = run(record, model, bandwidth, inner=inner).innovations
-    inertia, _ = record.inertia_and_bias(model)
+    inertia = effective_inertia(record, model)
     torque = np.where(w > 0, r / np.maximum(w, 1e-300), 0.0) * k2 * inertia / record.sample_time
     lag = round(np.sqrt(2) / bandwidth / record.sample_time)
     width = max(1, lag // 2)

@@ -17,7 +17,7 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-SLOWEST, FASTEST = 4.0, 512.0  # rad/s
+SLOWEST, FASTEST = 4.0, 64.0  # rad/s: 10 Hz; a faster observer believes noise and structural vibration
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from zendsp.physics.effects import Effect, library
 from zendsp.physics.fit import Data, Fit, Handle
-from zendsp.physics.joint import JointRecord, response, trace
+from zendsp.physics.joint import JointRecord, effective_inertia, response, trace
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
@@ -144,7 +144,7 @@ class Screen:
         return gain[self.joint - 1] if self.joint - 1 < len(gain) else gain[0]
 
     def _respond(self, rec: JointRecord, column: Array, *, on_sensor: bool = False) -> Array:
-        inertia, _ = rec.inertia_and_bias(self.model)
+        inertia = effective_inertia(rec, self.model)
         b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
         found: Array = response(rec, self.bandwidth, inertia, np.full(rec.n, b), column, on_sensor=on_sensor)[0]
         return found

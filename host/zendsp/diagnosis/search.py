@@ -131,7 +131,7 @@ class Searcher:
             elif waiting and self.accept(since, together):
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < 1 and current.deviance - rivals[0].value > 10 * WAIT:
+            elif len(waiting) < 3 and current.deviance - rivals[0].value > 10 * WAIT:
                 waiting.append(step)
             else:
                 break

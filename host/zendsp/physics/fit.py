@@ -7,9 +7,9 @@ white do not pretend to know more than they do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
+TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 
 
@@ -132,6 +133,7 @@ class Data:
     records: tuple[tuple[JointRecord, ...], ...]
     bandwidth: tuple[float, ...]
     inner: int = 2
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of inertial figures: see diagnosis/inertia.py
 
     @property
     def joints(self) -> int:
@@ -180,6 +182,8 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
             record = max((rec[term.joint - 1] for rec in data.records), key=lambda r: r.n)
             s = record.scale.of(parameter.size)
             lower, upper = parameter_bounds(term.effect, h.key, record)
+            if term.effect == "inertia":
+                lower, upper = data.ranges.get(f"inertia {term.joint}", (lower, upper))
             low.append(lower)
             high.append(upper)
             size.append(max(abs(term.parameters[h.key].value), 0.02 * s) if parameter.size not in ("angle", "number", "ratio") else 1.0)
@@ -194,8 +198,11 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
         else:
             value = float(get_values(model, [h])[0])
             signed = h.place == "mechanism" and h.key in ("p3", "gravity")
-            low.append(-np.inf if signed else 1e-3 * value)
-            high.append(np.inf)
+            wide = (value / TOO_FAR, value * TOO_FAR)
+            two_mass = any(t.effect in ("elasticity", "backlash") for t in model.terms)
+            lower, upper = (-np.inf, np.inf) if signed else wide if two_mass else data.ranges.get(h.key, wide)
+            low.append(lower)
+            high.append(upper)
             size.append(abs(value))
     return np.array(low), np.array(high), np.array(size)
 

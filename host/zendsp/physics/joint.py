@@ -108,6 +108,14 @@ class JointRecord:
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
 
+def effective_inertia(record: JointRecord, model: Model) -> Array:
+    """Inertia that a torque at the joint accelerates, with the terms of kind inertia (rotors, payloads), (n,)."""
+    inertia, _ = record.inertia_and_bias(model)
+    extra = sum(t.value("amount") for t in model.at(record.joint) if t.effect == "inertia")
+    out: Array = np.maximum(inertia + extra, 0.05 * inertia)
+    return out
+
+
 def mechanism_value(model: Model, key: str, joint: int) -> float:
     """Value of a mechanism parameter for joint 1, 2, …; 0 where the model has none."""
     items = model.mechanism.get(key)

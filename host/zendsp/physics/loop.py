@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.joint import JointRecord, mechanism_value, pack
+from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, pack
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.native import native
 
@@ -72,4 +72,4 @@ def simulate_joint_loop(
 
 def mean_inertia(record: JointRecord, model: Model) -> float:
     """Mean inertia of a joint along a recording, kg m² or kg."""
-    return float(np.mean(record.inertia_and_bias(model)[0]))
+    return float(np.mean(effective_inertia(record, model)))
