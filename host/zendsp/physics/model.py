@@ -101,7 +101,7 @@ class Model:
         if isinstance(position, list):
             return len(position)
         moving = _movable(str(self.folder / self.file)) if self.kind == "urdf" else 1  # the column may be one 2-D array
-        return max([moving, *(len(v) for v in self.mechanism.values()), *(t.joint for t in self.terms)])
+        return max([moving, len(self.sensor.matrix), len(self.actuator.matrix), *(len(v) for v in self.mechanism.values()), *(t.joint for t in self.terms)])
 
     def joint_kind(self, joint: int) -> str:
         """``"rotary"`` or ``"linear"`` for joint 1, 2, …"""

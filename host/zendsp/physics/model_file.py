@@ -37,9 +37,12 @@ class _Reader:
             raise self.fail(key, "a number above 0", value)
         return float(value)
 
-    def numbers(self, key: str, value: Any) -> tuple[float, ...]:
+    def numbers(self, key: str, value: Any, least: float = -math.inf) -> tuple[float, ...]:
         items = value if isinstance(value, list) else [value]
-        return tuple(self.number(key, item) for item in items)
+        numbers = tuple(self.number(key, item) for item in items)
+        if not numbers or min(numbers) < least:
+            raise self.fail(key, f"numbers of at least {least:g}" if numbers else "at least one number", value)
+        return numbers
 
     def matrix(self, key: str, value: Any) -> tuple[tuple[float, ...], ...]:
         if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
@@ -147,13 +150,15 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
 
 def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
     gain = read.quantities("[actuator] gain", data.get("gain", {"value": 1.0, "free": False}))
+    if any(q.value == 0 for q in gain):
+        raise read.fail("[actuator] gain", "torque per unit of command, not 0", data["gain"])
     explicit = isinstance(data.get("gain"), Mapping) and data["gain"].get("free", False)
     return Actuator(
         gain=tuple(q.value for q in gain),
         gain_free=bool(explicit),
-        limit=read.numbers("[actuator] limit", data["limit"]) if "limit" in data else (),
-        hold=read.number("[actuator] hold", data["hold"]) if "hold" in data else None,
-        delay=read.number("[actuator] delay", data.get("delay", 0.0)),
+        limit=read.numbers("[actuator] limit", data["limit"], least=0.0) if "limit" in data else (),
+        hold=read.number("[actuator] hold", data["hold"], positive=True) if "hold" in data else None,
+        delay=read.numbers("[actuator] delay", data.get("delay", 0.0), least=0.0)[0],
         matrix=read.matrix("[actuator] matrix", data["matrix"]) if "matrix" in data else (),
         unit=str(data.get("unit", "")),
     )
@@ -164,7 +169,7 @@ def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
     if side not in ("motor", "load"):
         raise read.fail("[sensor] side", '"motor" or "load"', side)
     return Sensor(
-        resolution=read.numbers("[sensor] position_resolution", data["position_resolution"]) if "position_resolution" in data else (),
+        resolution=read.numbers("[sensor] position_resolution", data["position_resolution"], least=0.0) if "position_resolution" in data else (),
         matrix=read.matrix("[sensor] matrix", data["matrix"]) if "matrix" in data else (),
         offset=read.numbers("[sensor] offset", data["offset"]) if "offset" in data else (),
         side=side,
@@ -192,6 +197,8 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
             values[parameter.name] = Quantity(parameter.default, free=False)
             continue
         quantity = read.quantities(f"{where} {parameter.name}", raw)[0]
+        if not parameter.lower <= quantity.value <= parameter.upper:
+            raise read.fail(f"{where} {parameter.name}", f"a number from {parameter.lower:g} to {parameter.upper:g}", quantity.value)
         values[parameter.name] = quantity if parameter.fitted else Quantity(quantity.value, False, quantity.unit)
     return Term(effect.name, joint, values)
 

@@ -1,0 +1,32 @@
+"""Recordings are made once a session: tests alter copies."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+import reality
+
+RATE = 500.0
+
+
+@pytest.fixture(scope="session")
+def good() -> dict[str, np.ndarray]:
+    """Ten seconds of a machine with Coulomb and viscous friction."""
+    return reality.simulate(reality.Machine(), reality.multisine(10.0, RATE, 1), RATE)
+
+
+@pytest.fixture(scope="session")
+def other() -> dict[str, np.ndarray]:
+    """The same machine along another reference."""
+    return reality.simulate(reality.Machine(), reality.multisine(8.0, RATE, 2), RATE)
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    """A complete model of it, inertia off by 2 %."""
+    return reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03))

@@ -1,0 +1,132 @@
+"""A machine that shares no code with what is judged: plain Python, semi-implicit Euler at 10 kHz, friction by tanh.
+
+The equation is M q̈ + friction + gravity + … = torque; a PD loop with a quantised encoder computes the command once a sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+RESOLUTION = 2 * math.pi / 16384
+
+
+@dataclass
+class Machine:
+    """True physics, SI. Zero: absent."""
+
+    inertia: float = 0.010
+    viscous: float = 0.004
+    coulomb: float = 0.03
+    drag: float = 0.0
+    gravity: float = 0.0
+    breakaway: float = 0.0
+    stribeck: float = 0.1
+    ripple: float = 0.0
+    order: int = 7
+    spring: float = 0.0
+    wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
+    wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
+    delay: float = 0.0
+    kp: float = 3.0
+    kd: float = 0.12
+    limit: float = 3.0
+    resolution: float = RESOLUTION
+    extra: dict[str, float] = field(default_factory=dict)
+
+
+def multisine(seconds: float, rate: float, seed: int, *, size: float = 1.0, low: float = 0.2, high: float = 4.0) -> np.ndarray:
+    """Reference of ten sines, `size` rad at most."""
+    r = np.random.default_rng(seed)
+    t = np.arange(round(seconds * rate)) / rate
+    f = np.geomspace(low, high, 10)
+    q = sum(np.sin(2 * np.pi * a * t + p) / (a + 0.5) for a, p in zip(f, r.uniform(0, 6.28, 10), strict=True))
+    ramp = np.minimum(1.0, t / 0.5)
+    return np.asarray(size * ramp * q / np.max(np.abs(q)))
+
+
+def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> dict[str, np.ndarray]:
+    """Columns t, q, u, r of one run."""
+    T = 1.0 / rate
+    sub = max(4, round(1e4 / rate))
+    h = T / sub
+    q, v, last, queue = float(reference[0]), 0.0, float(reference[0]), []
+    late = round(m.delay / h)
+    queue = [0.0] * (late + 1)
+    ys, us = [], []
+    for r in reference:
+        y = m.resolution * round(q / m.resolution) if m.resolution else q
+        u = m.kp * (r - y) - m.kd * (y - last) / T
+        u = max(-m.limit, min(m.limit, u))
+        last = y
+        ys.append(y)
+        us.append(u)
+        for _ in range(sub):
+            if late:
+                queue.append(u)
+                torque = queue[-1 - late]
+            else:
+                torque = u
+            level = m.coulomb + ((m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2)) if m.breakaway else 0.0)
+            f = m.viscous * v + m.drag * v * abs(v) + m.gravity * math.sin(q) + m.ripple * math.sin(m.order * q + 0.4) + m.spring * q
+            f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (1 + v * v)
+            # dry friction implicitly in its slope: stable at any step
+            s = math.tanh(v / 1e-3)
+            slope = level / 1e-3 * (1 - s * s)
+            v += h * (torque - f - level * s) / (m.inertia + h * slope)
+            q += h * v
+    n = len(reference)
+    return {"t": np.arange(n) * T, "q": np.array(ys), "u": np.array(us), "r": np.asarray(reference, float)}
+
+
+def save(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    """CSV with a header, twelve digits."""
+    names = list(columns)
+    np.savetxt(path, np.stack([columns[n] for n in names], axis=1), delimiter=",", header=",".join(names), comments="", fmt="%.12g")
+    return path
+
+
+MODEL = """name = "bench"
+sample_time = {period}
+
+[mechanism]
+kind = "rotary"
+
+[mechanism.parameters]
+inertia = {{ value = {inertia} }}
+{gravity}
+
+{effects}
+
+[actuator]
+gain = {{ value = 1.0, free = false }}
+limit = 3.0
+hold = {period}
+
+[sensor]
+position_resolution = {resolution}
+
+[columns]
+time = "t"
+position = "q"
+command = "u"
+reference = "r"
+"""
+
+
+def effect(kind: str, **numbers: float) -> str:
+    """One [[effect]] table."""
+    rows = "\n".join(f"{k} = {{ value = {v} }}" for k, v in numbers.items())
+    return f'[[effect]]\nkind = "{kind}"\njoint = 1\n{rows}\n'
+
+
+def model_file(path: Path, rate: float, *effects: str, inertia: float = 0.0102, gravity: float = 0.0, resolution: float = RESOLUTION) -> Path:
+    """The given model: what it has is what is written here."""
+    text = MODEL.format(
+        period=1.0 / rate, inertia=inertia, gravity=f"gravity = {{ value = {gravity} }}" if gravity else "", effects="\n".join(effects), resolution=repr(resolution)
+    )
+    path.write_text(text)
+    return path

@@ -1,0 +1,288 @@
+"""Bad input ends with exit status 2 and one clear sentence, never a traceback, never a diagnosis (issue 5)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reality
+
+from zendsp.cli import main
+from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.findings import kernel_model
+from zendsp.diagnosis.prepare import prepare
+from zendsp.diagnosis.reading import read_signals
+from zendsp.physics.model_file import load_model
+
+RATE = 500.0
+Columns = dict[str, np.ndarray]
+
+
+@pytest.fixture
+def refuse(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run `zendsp diagnose` and give the one sentence that it ends with."""
+
+    def run(*args: object) -> str:
+        monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", *map(str, args)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, err = capsys.readouterr()
+        assert stop.value.code == 2, out + err
+        assert "Traceback" not in err and out == ""
+        lines = err.strip().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("zendsp: "), err
+        return lines[0]
+
+    return run
+
+
+def _clip(name: str, share: float) -> Callable[[Columns], None]:
+    def change(c: Columns) -> None:
+        top = share * np.max(np.abs(c[name]))
+        c[name] = np.clip(c[name], -top, top)
+
+    return change
+
+
+def _clip_position(c: Columns) -> None:
+    c["q"] = np.minimum(c["q"], c["q"].min() + 0.75 * np.ptp(c["q"]))
+
+
+def _scale(factor: float, *names: str) -> Callable[[Columns], None]:
+    def change(c: Columns) -> None:
+        for name in names:
+            c[name] = factor * c[name]
+
+    return change
+
+
+def _swap(c: Columns) -> None:
+    c["q"], c["u"] = c["u"], c["q"]
+
+
+def _nan(c: Columns) -> None:
+    c["q"][1000] = np.nan
+
+
+def _infinite(c: Columns) -> None:
+    c["u"][7] = np.inf
+
+
+def _constant(c: Columns) -> None:
+    c["q"] = np.full_like(c["q"], 0.25)
+
+
+def _dither(c: Columns) -> None:
+    c["q"] = reality.RESOLUTION * (np.arange(len(c["q"])) % 7 == 0)
+
+
+def _noise(c: Columns) -> None:
+    c["q"] = 0.3 + 1e-2 * np.random.default_rng(1).standard_normal(len(c["q"]))
+
+
+def _glued(c: Columns) -> None:
+    n = len(c["q"])
+    for name in ("q", "u", "r"):
+        c[name] = np.concatenate([c[name][: n // 3], c[name][n // 2 :]])
+    c["t"] = c["t"][: len(c["q"])]
+
+
+def _repeated(c: Columns) -> None:
+    for name in c:
+        c[name] = np.concatenate([c[name], c[name]])
+
+
+def _shifted(c: Columns) -> None:
+    c["u"] = np.roll(c["u"], len(c["u"]) // 3)
+
+
+def _unexcited(c: Columns) -> None:
+    c["u"] = np.full_like(c["u"], 0.2)
+
+
+def _silent(c: Columns) -> None:
+    c["u"] = np.zeros_like(c["u"])
+
+
+BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
+    "degrees": (_scale(180 / np.pi, "q", "r"), "degrees"),
+    "degrees beside a reference in radians": (_scale(180 / np.pi, "q"), "degrees"),
+    "command in milli-units": (_scale(1000.0, "u"), "units"),
+    "sign of the command": (_scale(-1.0, "u"), "sign of the command or of the position is flipped"),
+    "sign of the position": (_scale(-1.0, "q"), "flipped"),
+    "swapped columns": (_swap, "swapped"),
+    "NaN": (_nan, "row 1001"),
+    "infinite": (_infinite, "row 8"),
+    "constant position": (_constant, "constant"),
+    "constant command": (_unexcited, "constant"),
+    "no command": (_silent, "zero throughout"),
+    "one count of motion": (_dither, "counts"),
+    "noise": (_noise, "noise"),
+    "clipped position": (_clip_position, "clipped"),
+    "clipped command": (_clip("u", 0.4), "clipped"),
+    "two runs glued": (_glued, "glued"),
+    "the same run twice": (_repeated, "glued"),
+    "command of another run": (_shifted, "different runs"),
+    "time in milliseconds": (_scale(1000.0, "t"), "seconds"),
+}
+
+
+@pytest.mark.parametrize("mistake", BAD)
+def test_wrong_data_is_refused_with_the_likeliest_mistake(mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    change, words = BAD[mistake]
+    columns = {k: v.copy() for k, v in good.items()}
+    change(columns)
+    text = refuse(reality.save(tmp_path / "run.csv", columns), "--model", model)
+    assert words in text and "run.csv" in text, text
+
+
+@pytest.mark.parametrize(("rows", "words"), [(100, "at least 300 samples"), (700, "at least 2 s")])
+def test_short_recordings_are_refused(rows: int, words: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    columns = {k: v[500 : 500 + rows] for k, v in good.items()}
+    assert words in refuse(reality.save(tmp_path / "run.csv", columns), "--model", model)
+
+
+def test_bad_held_out_recording_is_refused_by_its_name(good: Columns, other: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    train = reality.save(tmp_path / "run.csv", good)
+    held = reality.save(tmp_path / "test.csv", {**other, "u": -other["u"]})
+    text = refuse(train, "--model", model, "--heldout", held)
+    assert "test.csv" in text and "flipped" in text
+
+
+def test_missing_column_names_file_column_and_what_there_is(good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    text = refuse(reality.save(tmp_path / "run.csv", {k: v for k, v in good.items() if k != "u"}), "--model", model)
+    assert "run.csv" in text and "'u'" in text and "q" in text
+
+
+def test_sample_time_that_contradicts_the_clock_is_refused(good: Columns, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    wrong = reality.model_file(tmp_path / "model.toml", 1000.0, reality.effect("viscous", coefficient=0.004))
+    assert "sample_time" in refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
+
+
+def test_a_recording_without_a_clock_needs_the_model_to_state_one(good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    file = reality.save(tmp_path / "run.csv", {k: v for k, v in good.items() if k != "t"})
+    model.write_text("\n".join(line for line in model.read_text().splitlines() if not line.startswith("sample_time")))
+    assert "sample_time" in refuse(file, "--model", model)
+
+
+FILES = {
+    "missing.csv": (None, "no such file"),
+    "empty.csv": (b"", "empty"),
+    "words.csv": (b"hello\nworld\n", "words.csv"),
+    "broken.mat": (b"MATLAB 5.0 MAT-file, but not really" + bytes(200), "broken.mat"),
+    "broken.npz": (b"PK\x03\x04garbage", "broken.npz"),
+    "broken.parquet": (b"PAR1garbagePAR1", "broken.parquet"),
+    "picture.png": (b"\x89PNG", "unknown kind of file"),
+    "binary.csv": (bytes(range(256)) * 20, "binary.csv"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_unreadable_files_are_refused_by_name(name: str, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    content, words = FILES[name]
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    assert words in refuse(tmp_path / name, "--model", model)
+
+
+def _swap_text(old: str, new: str) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new)
+
+    return change
+
+
+MODELS: dict[str, tuple[Callable[[str], str], str]] = {
+    "not TOML": (lambda t: t + "\n[[[", "not TOML"),
+    "negative inertia": (_swap_text("inertia = { value = 0.0102 }", "inertia = { value = -0.01 }"), "inertia"),
+    "inertia missing": (_swap_text("inertia = { value = 0.0102 }", "mass = { value = 1.0 }"), "inertia"),
+    "inertia a word": (_swap_text("{ value = 0.0102 }", '"heavy"'), "inertia"),
+    "inertia not finite": (_swap_text("0.0102", "nan"), "inertia"),
+    "unknown kind": (_swap_text('"rotary"', '"wheel"'), "rotary | linear"),
+    "unknown effect": (_swap_text('"coulomb"', '"friktion"'), "friktion"),
+    "joint out of range": (_swap_text("joint = 1", "joint = 3"), "joint"),
+    "parameter of an effect missing": (_swap_text("coefficient", "coeficient"), "coefficient"),
+    "negative friction": (_swap_text("level = { value = 0.03 }", "level = { value = -0.03 }"), "level"),
+    "no position column": (_swap_text('position = "q"', 'place = "q"'), "position"),
+    "gain zero": (_swap_text("gain = { value = 1.0", "gain = { value = 0.0"), "gain"),
+    "negative resolution": (lambda t: t.replace("position_resolution = ", "position_resolution = -"), "position_resolution"),
+    "negative sample time": (_swap_text("sample_time = 0.002", "sample_time = -0.002"), "sample_time"),
+    "urdf missing": (_swap_text('kind = "rotary"', 'kind = "urdf"\nfile = "nowhere.urdf"'), "nowhere.urdf"),
+    "python entry missing": (_swap_text('kind = "rotary"', 'kind = "python"\nentry = "nowhere:run"'), "nowhere"),
+}
+
+
+@pytest.mark.parametrize("mistake", MODELS)
+def test_wrong_models_are_refused_with_the_key(mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    change, words = MODELS[mistake]
+    model.write_text(change(model.read_text()))
+    assert words in refuse(reality.save(tmp_path / "run.csv", good), "--model", model)
+
+
+def test_missing_model_file_is_refused(good: Columns, tmp_path: Path, refuse: Callable[..., str]) -> None:
+    assert "nothing.toml" in refuse(reality.save(tmp_path / "run.csv", good), "--model", tmp_path / "nothing.toml")
+
+
+def test_scheduler_without_each_is_refused(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(tmp_path / "a.csv"), "--model", str(model), "--scheduler", "tcp://127.0.0.1:1"])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2 and "--each" in capsys.readouterr().err
+
+
+# the other side: what is unusual and right is not refused
+
+
+def _accepted(file: Path, model: Path) -> list[str]:
+    given = kernel_model(load_model(model))
+    signals = [read_signals(file, given)]
+    notes = check_signals(signals, given)
+    data = prepare(signals, given, 64.0)
+    return [*notes, *check_motion(data, given, [str(file)]), *check_excitation(data)]
+
+
+UNUSUAL = {
+    "saturated at the stated limit": (reality.Machine(limit=0.25), {}),
+    "a spring that is not in the model": (reality.Machine(spring=1.5), {}),
+    "a pendulum whose gravity is not in the model": (reality.Machine(gravity=0.5), {"size": 1.5}),
+    "friction ten times the model's": (reality.Machine(coulomb=0.3, kp=20.0, kd=0.4), {}),
+    "slow and coarse": (reality.Machine(resolution=2 * np.pi / 2048), {"size": 0.12, "high": 0.8}),
+    "twice the inertia": (reality.Machine(inertia=0.02), {}),
+    "late by two samples": (reality.Machine(delay=0.004), {"high": 8.0}),
+    "a coarse sensor in fast motion": (reality.Machine(resolution=2 * np.pi / 1024), {"high": 8.0}),
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_unusual_but_right_recordings_are_accepted(name: str, tmp_path: Path) -> None:
+    machine, reference = UNUSUAL[name]
+    columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, **reference), RATE)
+    model = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03), resolution=machine.resolution)
+    if machine.limit < 3.0:
+        model.write_text(model.read_text().replace("limit = 3.0", f"limit = {machine.limit}"))
+    _accepted(reality.save(tmp_path / "run.csv", columns), model)
+
+
+def test_a_jittered_clock_is_resampled_and_the_report_says_so(good: Columns, model: Path, tmp_path: Path) -> None:
+    r = np.random.default_rng(5)
+    t = good["t"] + r.uniform(-0.2, 0.2, len(good["t"])) / RATE
+    columns = {"t": t, **{k: np.interp(t, good["t"], good[k]) for k in ("q", "r")}, "u": good["u"]}
+    notes = _accepted(reality.save(tmp_path / "run.csv", columns), model)
+    assert any("jitter" in n and "resampled" in n for n in notes), notes
+
+
+def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Path, refuse: Callable[..., str]) -> None:
+    machine = reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.001)
+    swing = reality.simulate(machine, np.r_[1.2, np.zeros(4999)], RATE)
+    text = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.001), gravity=0.4).read_text()
+    model = tmp_path / "free.toml"
+    model.write_text("\n".join(line for line in text.splitlines() if not line.startswith(("command", "reference"))))
+    _accepted(reality.save(tmp_path / "swing.csv", {"t": swing["t"], "q": swing["q"]}), model)
+    upright = reality.save(tmp_path / "upright.csv", {"t": swing["t"], "q": swing["q"] - np.pi})
+    assert "hanging down" in refuse(upright, "--model", model)
+    degrees = reality.save(tmp_path / "degrees.csv", {"t": swing["t"], "q": np.degrees(swing["q"])})
+    assert "degrees" in refuse(degrees, "--model", model)
