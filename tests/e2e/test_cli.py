@@ -114,7 +114,8 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     command = [
         sys.executable,
         "-c",
-        "from zendsp.cli import main; main()",
+        # whoever runs the tests in a shell's background has told every child to ignore Ctrl-C
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from zendsp.cli import main; main()",
         "watch",
         "q",
         "--interval",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import Input, TextArea
+from textual.widgets import Input, OptionList, TextArea
 
 from zendsp.errors import Refused
 from zendsp.link import ParameterSet, Target, connect
@@ -340,9 +340,12 @@ async def test_connect_offers_running_targets_and_machines(lab: ZendspApp, targe
     lab._target = ""
     async with lab.run_test(size=(100, 30)) as pilot:
         await pilot.press("ctrl+o")
-        await until(pilot, lambda: isinstance(lab.screen, Choose), "the list")
+        await until(pilot, lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList), "the list")
         await pilot.press("slash", *target.name)
-        await pilot.press("enter", "enter")
+        await until(pilot, lambda: lab.screen.query_one(OptionList).option_count == 1, "the filter leaves one")
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(lab.focused, OptionList), "the list again")
+        await pilot.press("enter")
         await until(pilot, lambda: lab.session.snapshot.link == "up" and lab.session.snapshot.target == target.name, "connected")
 
 
