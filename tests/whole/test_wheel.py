@@ -30,6 +30,11 @@ native()
 from zendsp.reference import MACHINES, load_machine
 for name in MACHINES:
     load_machine(name)
+from zendsp.physics import load_model
+from zendsp.proof.real import model_folder
+assert model_folder().is_relative_to(home)
+for path in model_folder().glob("*.toml"):
+    load_model(path)
 from zendsp_target.runtime import Runtime
 from zendsp_isr.build import source_root
 runtime = Runtime("imi_planar", clock="fast")

@@ -97,17 +97,19 @@ class Seen:
 
 
 def model_folder() -> Path:
-    """``examples/models`` of the source tree.
+    """Folder of the given models: within the installed package, else ``examples/models`` of the source tree.
 
     Raises
     ------
     FileNotFoundError
-        This is an installed package without the examples.
+        This is neither an installed wheel nor the source tree.
     """
-    folder = Path(__file__).resolve().parents[3] / "examples" / "models"
-    if not folder.exists():
-        raise FileNotFoundError(f"no {folder}: `zendsp prove --real` needs the source tree with its examples")
-    return folder
+    here = Path(__file__).resolve()
+    places = (here.parents[1] / "examples" / "models", here.parents[3] / "examples" / "models")
+    for folder in places:
+        if folder.exists():
+            return folder
+    raise FileNotFoundError(f"no example models in {' or '.join(map(str, places))}: install zendsp again")
 
 
 def diagnose(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:
