@@ -39,7 +39,7 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
     found = keep(lab, static(lab, positions=(0.3, -0.6)))
     assert found.values["breakaway1_ccw"].value == pytest.approx(11.4 * 1.05, rel=0.05)
     assert found.values["breakaway2_cw"].value == pytest.approx(3.1 * 1.04, rel=0.05)
-    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.2)
+    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.05)
     fast = keep(lab, viscous(lab, speeds=(2.2, 3.5, 5.0)))
     assert fast.values["viscous1_ccw"].value == pytest.approx(5.3 * 1.02, rel=0.01)
     assert fast.values["level2_cw"].value == pytest.approx(2.35 * 1.04, rel=0.01)

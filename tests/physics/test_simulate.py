@@ -143,7 +143,7 @@ EFFECTS = {
     "saturation": {"level": 0.3}, "viscous_asymmetry": {"coefficient_pos": 0.01, "coefficient_neg": 0.02}, "position_friction": {"amplitude": 0.02, "period": 0.5, "phase": 0.0},
     "friction_block": {"level": 0.05, "slope": -0.02, "curve": 0.03, "cubic": 0.01, "split": 1.0, "high_curve": 0.002}, "inertia": {"amount": 0.004}, "torque_gain": {"ratio": 0.2},
     "torque_offset": {"level": 0.02}, "gravity": {"torque": 0.1, "angle": 0.3}, "stiffness": {"coefficient": 0.2, "neutral": 0.1}, "cubic_stiffness": {"coefficient": 0.2, "neutral": 0.1},
-    "encoder_eccentricity": {"amplitude": 0.01, "phase": 0.2},
+    "encoder_eccentricity": {"amplitude": 0.01, "phase": 0.2}, "coulomb_tanh": {"level": 0.05, "speed": 0.1},
 }  # fmt: skip
 
 
@@ -252,3 +252,10 @@ def test_the_recording_bears_the_names_of_the_models_columns() -> None:
     model = rotary(controller={"kind": "pd", "kp": 2.0, "kd": 0.1}, columns={"time": "t", "position": "angle", "command": "u", "reference": "goal"})
     rec = simulate_loop(model, np.full(50, 0.1))
     assert rec.names == ("angle", "u", "goal", "plant_q", "plant_qd", "plant_torque") and rec.units["u"] == "N m"
+
+
+def test_smoothed_coulomb_friction_is_stable_however_steep_and_creeps_where_dry_friction_holds() -> None:
+    steep = rotary(effect("coulomb_tanh", level=0.1, speed=1e-4))  # 0.1 / 1e-4 / 0.01 kg m^2: a rate of 1e5 per s
+    rec = simulate_loop(steep, command=np.full(1000, 0.05))
+    assert rec["plant_qd"][-1] == pytest.approx(1e-4 * math.atanh(0.5), rel=0.01) and np.abs(rec["plant_qd"]).max() < 1e-3
+    assert np.all(simulate_loop(rotary(effect("coulomb", level=0.1)), command=np.full(1000, 0.05))["plant_qd"] == 0.0)

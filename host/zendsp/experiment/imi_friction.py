@@ -19,8 +19,8 @@ MACHINE = "imi_planar"
 JOINTS = (1, 2)
 KP, KD = [2000.0, 300.0], [120.0, 12.0]  # N m/rad, N m s/rad: hold the other joint
 BRAKE = [30.0, 5.0]  # N m s/rad
-STEP = {1: 0.05, 2: 0.02}  # N m, height of a torque step
-HOLD = 0.1  # s, its length: slow enough that the joint runs away within a few steps
+STEP = {1: 0.005, 2: 0.002}  # N m, height of a torque step; ten times as high, they shake the joint and its bristles creep
+HOLD = 0.01  # s, its length: the torque grows slowly, so that little of it is added while the joint runs away
 P1, P2, P3 = 3.473, 0.196, 0.242  # kg m^2, of the arm's published model
 DELAY = 1  # samples from a command to its effect
 
@@ -101,7 +101,7 @@ def bristle_stiffness(rec: Recording, joint: int, level: float) -> float:
     """
     pushed = np.flatnonzero(rec["phase"] == 2)
     torque, q = np.abs(rec["torque"][pushed]), np.abs(rec["q"][pushed, joint - 1] - rec["q"][pushed[0], joint - 1])
-    used = (torque > 0.05 * level) & (torque < 0.3 * level)  # beyond, the steps themselves make it creep
+    used = (torque > 0.05 * level) & (torque < 0.3 * level)
     bend = -level * np.log(1 - torque[used] / level)
     slope = float(np.polyfit(bend, q[used], 1)[0])
     return 1.0 / slope if slope > 0 else float("nan")

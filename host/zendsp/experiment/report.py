@@ -89,8 +89,8 @@ def _static(r: Result) -> str:
     rows = [[name.replace("_", " "), str(v[name]), f"{number} {v[name].unit}"] for name, number in truth.items()]
     text = table(["quantity", "ours", "machine"], rows)
     return text + (
-        "\nThe paper prints no breakaway torques. Ours come out a few per cent high: a joint that has begun to slip still needs some steps of torque until its "
-        "speed shows it, and a slower staircase comes nearer. The stiffness of the bristles comes out too low: every step of torque shakes the joint, and under shaking bristles creep.\n"
+        "\nThe paper prints no breakaway torques. Ours come out a few per cent high: while a joint that has begun to slip gathers speed, the torque "
+        "goes on growing; a slower staircase comes nearer. Its steps are small: ten times as high and as long, they shake the joint, and the stiffness of the bristles comes out 10 to 20 % low.\n"
     )
 
 

@@ -220,6 +220,7 @@ _LAWS: dict[str, _Law] = {
     "viscous_asymmetry": lambda p, q, qd, qdd, s: np.where(qd > 0, p["coefficient_pos"], p["coefficient_neg"]) * qd,
     "coulomb": lambda p, q, qd, qdd, s: p["level"] * s,
     "coulomb_asymmetry": lambda p, q, qd, qdd, s: np.where(qd > 0, p["level_pos"], p["level_neg"]) * s,
+    "coulomb_tanh": lambda p, q, qd, qdd, s: p["level"] * np.tanh(qd / p["speed"]),
     "stribeck": lambda p, q, qd, qdd, s: p["breakaway"] * np.exp(-((np.abs(qd) / p["velocity"]) ** p.get("exponent", 2.0))) * s,
     "position_friction": lambda p, q, qd, qdd, s: p["amplitude"] * np.sin(2 * np.pi * q / p["period"] + p["phase"]) * s,
     "quadratic_drag": lambda p, q, qd, qdd, s: p["coefficient"] * qd * np.abs(qd),
