@@ -1,4 +1,8 @@
-"""How often a finding like this one is right: a logistic function of its evidence, fitted on concealed cases."""
+"""How often a finding like this one is right: a logistic function of its evidence, its constants read off concealed cases.
+
+What tells right findings from wrong ones there is, first, whether the model with the finding predicts with a slow observer (nothing else
+is missing), then by how much the nearest other explanation is worse, and whether the finding stands among many.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +10,10 @@ import math
 
 from zendsp.diagnosis.verdict import JointOutcome
 
+SLOW, FAST = 16.0, 48.0  # rad/s: observers that follow little, and nearly everything
 
-def confidence(loss: float, z: float, margin: float, result: JointOutcome, bandwidth: float) -> float:
+
+def confidence(loss: float, z: float, margin: float, result: JointOutcome, bandwidth: float, beside: int) -> float:
     """Probability that the finding is right.
 
     Parameters
@@ -22,13 +28,16 @@ def confidence(loss: float, z: float, margin: float, result: JointOutcome, bandw
         What remains at the joint.
     bandwidth : float
         Of the observer that the final model needs, rad/s.
+    beside : int
+        Number of other findings at the joint.
 
     Returns
     -------
     float
-        Between 0.05 and 0.99.
+        Between 0.05 and 0.98.
     """
-    relative = min(margin, loss) / max(loss, 1e-300)
-    left = min(1.0, result.after.size / max(result.before.size, 1e-300))
-    score = 1.2 + 1.0 * math.log10(max(loss, 1.0) / 100.0) + 2.0 * relative + 0.4 * min(z, 8.0) / 8.0 - 1.5 * left * result.after.state_share
-    return min(0.99, max(0.05, 1.0 / (1.0 + math.exp(-score))))
+    settled = min(1.0, max(0.0, (math.log(FAST) - math.log(max(bandwidth, 1.0))) / (math.log(FAST) - math.log(SLOW))))
+    relative = min(1.0, min(margin, loss) / max(loss, 1e-300))
+    score = 0.4 + 2.0 * settled + 1.2 * min(1.0, 2.0 * relative) + 0.3 * min(z, 6.0) / 6.0 - 0.6 * max(0, beside - 1)
+    score -= 1.5 * result.after.state_share * (result.after.relative > 0.02)
+    return min(0.98, max(0.05, 1.0 / (1.0 + math.exp(-score))))

@@ -121,7 +121,8 @@ def _finding(
             continue
         behind = (item.rank - r.rank) if math.isfinite(r.rank) else r.scored.deviance - item.own
         if _tied(r, search.final, behind, max(item.loss, item.rank), test):
-            same.append(r.effect)
+            if r.effect not in same:
+                same.append(r.effect)
         else:
             margin = min(margin, behind)
             lost.append(Rejected(r.effect, joint, _reason(behind, item.loss), -0.5 * behind))
@@ -129,7 +130,7 @@ def _finding(
         same.append("coulomb_asymmetry")  # Coulomb friction and an offset are asymmetric Coulomb friction
     held = compare(item.without, search.final, test, joint)
     replaces = tuple(sorted(set(search.dropped) & set(_replaceable(given, joint))))
-    sure = confidence(item.loss, held.z, margin, result, search.final.data.bandwidth[joint - 1])
+    sure = confidence(item.loss, held.z, margin, result, search.final.data.bandwidth[joint - 1], len(new_terms(given, search.final.model, joint)) - 1)
     text = sentence(term, values)
     if replaces:
         text += f" It makes {', '.join(replaces)} unnecessary."

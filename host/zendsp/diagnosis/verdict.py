@@ -98,7 +98,9 @@ def _curve_fit(search: JointSearch) -> bool:
     """Whether the search has been drawing a curve with sines: three terms of one kind are a series, not physics."""
     names = [t.effect for t in search.final.model.at(search.joint)]
     given = [t.effect for t in search.base.model.at(search.joint)]
-    return any(names.count(n) - given.count(n) >= 3 for n in set(names))
+    new = {n: names.count(n) - given.count(n) for n in set(names) if n != "coupling"}
+    most = max(new.values(), default=0)
+    return most >= 3 or (most >= 2 and sum(v for v in new.values() if v > 0) >= 4)
 
 
 def _disturbance(search: JointSearch) -> tuple[tuple[float, float], ...]:
