@@ -60,7 +60,7 @@ class RecordingError(ZendspError, ValueError):
 
 
 class ModelError(ZendspError, ValueError):
-    """A model file is not what DIAGNOSIS.md describes."""
+    """A model file is not what docs/diagnosis.md describes."""
 
 
 class ReferenceError_(ZendspError, ValueError):

@@ -1,4 +1,4 @@
-"""``zendsp diagnose``: the contract of DIAGNOSIS.md."""
+"""``zendsp diagnose``: the contract of docs/diagnosis.md."""
 
 from __future__ import annotations
 

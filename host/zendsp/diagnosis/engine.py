@@ -80,7 +80,7 @@ def diagnose(
     recordings : path, Recording, Table, or a sequence of them
         To calibrate and to search on; several are fitted jointly. SI units, columns as the model names them.
     model : Model, path or dict
-        The given model (DIAGNOSIS.md).
+        The given model (docs/diagnosis.md).
     heldout : like ``recordings``, optional
         To judge on; where none is given, the last third of each recording is held out.
     seed : int

@@ -72,7 +72,7 @@ def load_model(path: str | Path) -> Model:
     Parameters
     ----------
     path : str or Path
-        A TOML file as in DIAGNOSIS.md.
+        A TOML file as in docs/diagnosis.md.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a diagnosis answered, read from ``report.json`` strictly by the contract of DIAGNOSIS.md."""
+"""What a diagnosis answered, read from ``report.json`` strictly by the contract of docs/diagnosis.md."""
 
 from __future__ import annotations
 
