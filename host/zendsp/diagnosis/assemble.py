@@ -26,14 +26,22 @@ def shared_mechanism(model: Model) -> bool:
     """Whether one free mechanism parameter acts on several joints."""
     if model.joints == 1:
         return False
-    return any(len(items) == 1 and items[0].free and items[0].value != 0 for items in model.mechanism.values())
+    return any(
+        len(items) == 1 and items[0].free and items[0].value != 0 for items in model.mechanism.values()
+    )
 
 
 def _merge(given: Model, parts: Sequence[Scored]) -> Model:
     terms: list[Term] = []
     mechanism = {key: list(items) for key, items in given.mechanism.items()}
-    offset = [given.sensor.offset[j] if j < len(given.sensor.offset) else (given.sensor.offset or (0.0,))[0] for j in range(given.joints)]
-    gain = [given.actuator.gain[j] if j < len(given.actuator.gain) else given.actuator.gain[0] for j in range(given.joints)]
+    offset = [
+        given.sensor.offset[j] if j < len(given.sensor.offset) else (given.sensor.offset or (0.0,))[0]
+        for j in range(given.joints)
+    ]
+    gain = [
+        given.actuator.gain[j] if j < len(given.actuator.gain) else given.actuator.gain[0]
+        for j in range(given.joints)
+    ]
     changed_offset = bool(given.sensor.offset)
     for j, part in enumerate(parts):
         model = part.model
@@ -53,7 +61,9 @@ def _merge(given: Model, parts: Sequence[Scored]) -> Model:
         terms=tuple(terms),
         mechanism={key: tuple(items) for key, items in mechanism.items()},
         sensor=replace(given.sensor, offset=tuple(offset)) if changed_offset else given.sensor,
-        actuator=replace(given.actuator, gain=tuple(gain)) if len(set(gain)) > 1 or len(given.actuator.gain) == 1 and gain[0] != given.actuator.gain[0] else given.actuator,
+        actuator=replace(given.actuator, gain=tuple(gain))
+        if len(set(gain)) > 1 or (len(given.actuator.gain) == 1 and gain[0] != given.actuator.gain[0])
+        else given.actuator,
     )
 
 
@@ -65,7 +75,13 @@ def assemble(train: Data, test: Data, given: Model, searches: Sequence[JointSear
         improved = _merge(given, [s.final for s in searches])
         calibrated = _merge(given, [s.base for s in searches])
         fits = {s.joint: s.final.fit for s in searches}
-        return Assembled(_noted(calibrated, {s.joint: s.base.fit for s in searches}), _noted(improved, fits), fits, data, False)
+        return Assembled(
+            _noted(calibrated, {s.joint: s.base.fit for s in searches}),
+            _noted(improved, fits),
+            fits,
+            data,
+            False,
+        )
     everything = tuple(range(1, given.joints + 1))
     base_data = replace(train, bandwidth=tuple(s.base.data.bandwidth[s.joint - 1] for s in searches))
     start = _merge(given, [s.base for s in searches])
@@ -87,7 +103,11 @@ def _noted(model: Model, fits: dict[int, Fit]) -> Model:
             elif h.place == "term":
                 source = fitted.model.terms[h.index]
                 for t in model.terms:
-                    if t is source or (t.effect == source.effect and t.joint == source.joint and t.parameters == source.parameters):
+                    if t is source or (
+                        t.effect == source.effect
+                        and t.joint == source.joint
+                        and t.parameters == source.parameters
+                    ):
                         old: Quantity = terms[id(t)][h.key]
                         terms[id(t)][h.key] = replace(old, std=float(s))
     return replace(

@@ -47,7 +47,11 @@ def screened(data: Data, model: Model, joint: int, *, jobs: int = 1) -> list[tup
         if _absorbed(candidate.effect, model, joint):
             continue
         share = candidate.gain / max(result.cost, 1e-300)
-        key = (candidate.effect, candidate.terms[0].value("law", -1.0), candidate.terms[0].value("from_joint", -1.0))
+        key = (
+            candidate.effect,
+            candidate.terms[0].value("law", -1.0),
+            candidate.terms[0].value("from_joint", -1.0),
+        )
         if key not in best or share > best[key][0]:
             best[key] = (share, candidate)
     return sorted(best.values(), key=lambda item: -item[0])
@@ -80,15 +84,23 @@ def simulated(data: Data, model: Model, joint: int) -> list[list[Candidate]]:
     return out
 
 
-SCANS: dict[str, dict[str, tuple[float, ...]]] = {  # resonance as frequency in Hz, gap and deflection as a share of the span, the rest as a share of the scale
+SCANS: dict[
+    str, dict[str, tuple[float, ...]]
+] = {  # resonance as frequency in Hz, gap and deflection as a share of the span, the rest as a share of the scale
     "elasticity": {"stiffness": (4.0, 8.0, 15.0, 30.0, 60.0), "load_inertia": (0.2, 0.45, 0.75)},
-    "backlash": {"gap": (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064), "stiffness": (20.0, 45.0), "load_inertia": (0.25, 0.5, 0.75)},
+    "backlash": {
+        "gap": (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064),
+        "stiffness": (20.0, 45.0),
+        "load_inertia": (0.25, 0.5, 0.75),
+    },
     "presliding": {"stiffness": (10.0, 30.0, 100.0, 300.0, 1000.0)},
     "hysteresis": {"force": (0.05, 0.15, 0.5), "stiffness": (3.0, 10.0, 30.0, 100.0, 300.0)},
 }
 
 
-def scan(data: Data, model: Model, joint: int, effect: Effect, record: JointRecord, keep: int = 2) -> list[Term]:
+def scan(
+    data: Data, model: Model, joint: int, effect: Effect, record: JointRecord, keep: int = 2
+) -> list[Term]:
     """The most likely start values on a coarse grid, one simulation each, the rest of the model as it stands."""
     grid = SCANS.get(effect.name)
     if grid is None:
@@ -113,8 +125,12 @@ def scan(data: Data, model: Model, joint: int, effect: Effect, record: JointReco
                 values[name] = share * inertia
             else:
                 values[name] = number * s.of(effect.parameter(name).size)
-        if "load_inertia" in grid:  # a gap is found from a lossy contact: a bouncing one has no gradient to follow
-            values["damping"] = (0.1 if effect.name == "elasticity" else 0.8) * math.sqrt(values["stiffness"] * values["load_inertia"])
+        if (
+            "load_inertia" in grid
+        ):  # a gap is found from a lossy contact: a bouncing one has no gradient to follow
+            values["damping"] = (0.1 if effect.name == "elasticity" else 0.8) * math.sqrt(
+                values["stiffness"] * values["load_inertia"]
+            )
         if effect.name == "presliding":
             values["damping"] = 0.1 * math.sqrt(values["stiffness"] * inertia)
         term = make_term(effect, joint, values)
@@ -135,5 +151,3 @@ def starts(effect: Effect, joint: int, record: JointRecord, model: Model) -> Ite
             else:
                 values[name] = number * s.of(effect.parameter(name).size)
         yield make_term(effect, joint, values)
-
-

@@ -35,7 +35,9 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
         raw = s.raw or s
         seconds = float(raw.time[-1] - raw.time[0])
         if seconds < MIN_SECONDS:
-            raise RecordingError(f"{s.name}: lasts {seconds:.3g} s; a diagnosis needs at least {MIN_SECONDS:g} s")
+            raise RecordingError(
+                f"{s.name}: lasts {seconds:.3g} s; a diagnosis needs at least {MIN_SECONDS:g} s"
+            )
         joints = raw.position.shape[1]
         for j in range(joints):
             where = f"{s.name}: joint {j + 1}" if joints > 1 else s.name
@@ -54,11 +56,15 @@ def _moves(where: str, y: Array, resolution: float) -> None:
     if span <= 1e-9 * max(1e-9, float(np.max(np.abs(y)))):
         raise RecordingError(f"{where}: the position is constant; nothing moved, so nothing can be diagnosed")
     if resolution > 0 and span < MIN_COUNTS * resolution:
-        raise RecordingError(f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis needs at least {MIN_COUNTS}: excite the joint more")
+        raise RecordingError(
+            f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis needs at least {MIN_COUNTS}: excite the joint more"
+        )
     # white noise of 20 000 samples spans 8 standard deviations
     noise = noise_beside_quantisation(y, resolution)
     if span < 15 * noise:
-        raise RecordingError(f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of {noise:.2g}: it is noise, not motion; excite the joint more")
+        raise RecordingError(
+            f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of {noise:.2g}: it is noise, not motion; excite the joint more"
+        )
 
 
 def _follows(where: str, y: Array, r: Array, kind: str) -> None:
@@ -72,23 +78,33 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
     if r2 < 0.8:
         return
     if slope < -0.5:
-        raise RecordingError(f"{where}: the position runs opposite to its reference (slope {slope:.3g}): the sign of one of them is flipped")
+        raise RecordingError(
+            f"{where}: the position runs opposite to its reference (slope {slope:.3g}): the sign of one of them is flipped"
+        )
     factors = ((DEGREE, "degrees and radians"),) if kind == "rotary" else ((1e3, "millimetres and metres"),)
     for factor, units in factors:
         for value, first in ((factor, "position"), (1 / factor, "reference")):
             if 0.7 < slope / value < 1.4:
-                raise RecordingError(f"{where}: the position is {slope:.3g} times its reference: {units} are mixed (the {first} has the larger numbers)")
+                raise RecordingError(
+                    f"{where}: the position is {slope:.3g} times its reference: {units} are mixed (the {first} has the larger numbers)"
+                )
 
 
 def _limits(where: str, u: Array, limit: float) -> list[str]:
     top = float(np.max(np.abs(u)))
     if limit > 0 and top > 10 * limit and float(np.mean(np.abs(u) > limit)) > 0.5:
-        raise RecordingError(f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's limit of {limit:.4g}: is it in other units than the model's [actuator]?")
+        raise RecordingError(
+            f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's limit of {limit:.4g}: is it in other units than the model's [actuator]?"
+        )
     if limit > 0 and top > 1.001 * limit:
-        return [f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g}; it is clipped in the model"]
+        return [
+            f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g}; it is clipped in the model"
+        ]
     stuck = float(np.mean(np.abs(u) >= 0.999 * top)) if top > 0 else 0.0
     if limit <= 0 and stuck > 0.03 and len(np.unique(np.round(np.abs(u) / top, 6))) > 20:
-        return [f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of the time; it looks clipped and the model states no limit"]
+        return [
+            f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of the time; it looks clipped and the model states no limit"
+        ]
     return []
 
 
@@ -101,8 +117,15 @@ def _glued(where: str, y: Array, s: Signals) -> None:
     after = np.median(np.abs(step[k + 1 : k + 21])) if k + 1 < len(step) else 0.0
     jump = float(abs(step[k]))
     counts = 6 * float(np.max(s.resolution))
-    if jump > 8 * max(usual, 1e-15) and jump > counts and jump > 20 * max(before, after, 1e-15) and jump > 0.004 * float(np.ptp(y)):
-        raise RecordingError(f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g} s: are two runs glued together, or were samples dropped? Give them as two files")
+    if (
+        jump > 8 * max(usual, 1e-15)
+        and jump > counts
+        and jump > 20 * max(before, after, 1e-15)
+        and jump > 0.004 * float(np.ptp(y))
+    ):
+        raise RecordingError(
+            f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g} s: are two runs glued together, or were samples dropped? Give them as two files"
+        )
 
 
 def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> None:
@@ -111,7 +134,9 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
     lag = max(1, round(0.02 / sample_time))
     mean = np.convolve(y, np.ones(lag) / lag, mode="valid")
     speed = (mean[lag:] - mean[:-lag]) / (lag * sample_time)
-    usual = float(np.quantile(np.abs(speed[lag:] - speed[:-lag]), 0.98)) / (lag * sample_time)  # of acceleration
+    usual = float(np.quantile(np.abs(speed[lag:] - speed[:-lag]), 0.98)) / (
+        lag * sample_time
+    )  # of acceleration
     for name, edge in (("top", float(y.max())), ("bottom", float(y.min()))):
         at = y == edge
         share = float(np.mean(at))
@@ -123,7 +148,10 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
             if k > width:
                 travel = abs(float(y[k - 1] - y[k - 1 - width]))
                 # braking at the usual acceleration from this speed would take well over the 4 ms, and several counts
-                sudden += travel > 4 * resolution and travel / (width * sample_time) > 6 * usual * width * sample_time
+                sudden += (
+                    travel > 4 * resolution
+                    and travel / (width * sample_time) > 6 * usual * width * sample_time
+                )
         if share > 0.01 and sudden >= 2 and sudden >= 0.6 * max(1, int(long.sum())):
             raise RecordingError(
                 f"{where}: the position stops dead at its {name} ({edge:.4g}, {100 * share:.0f} % of the time): the sensor's range was exceeded, the values are clipped, or the joint hits a stop"
@@ -157,9 +185,13 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
         for place, record in zip(where, rec, strict=True):
             if not np.any(record.command):
                 if model.columns.get("command"):
-                    raise RecordingError(f"{place}: the command is zero throughout; a machine that is not driven has no command column in [columns]")
+                    raise RecordingError(
+                        f"{place}: the command is zero throughout; a machine that is not driven has no command column in [columns]"
+                    )
             elif float(np.ptp(record.command)) == 0:
-                raise RecordingError(f"{place}: the command is constant ({record.command[0]:.4g}); a diagnosis needs an excited recording")
+                raise RecordingError(
+                    f"{place}: the command is constant ({record.command[0]:.4g}); a diagnosis needs an excited recording"
+                )
             else:
                 driven = True
         (check_driven if driven else check_free)(where, rec, model)
@@ -173,5 +205,7 @@ def check_excitation(data: Data) -> list[str]:
         records = [rec[j - 1] for rec in data.records]
         reversals = sum(int(np.sum(np.diff(np.sign(r.motion.states[1])) != 0)) for r in records)
         if reversals == 0:
-            notes.append(f"joint {j} never reverses: Coulomb friction, offset and asymmetry cannot be told apart")
+            notes.append(
+                f"joint {j} never reverses: Coulomb friction, offset and asymmetry cannot be told apart"
+            )
     return notes

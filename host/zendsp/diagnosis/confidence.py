@@ -13,7 +13,9 @@ from zendsp.diagnosis.verdict import JointOutcome
 SLOW, FAST = 16.0, 48.0  # rad/s: observers that follow little, and nearly everything
 
 
-def confidence(loss: float, z: float, margin: float, result: JointOutcome, bandwidth: float, beside: int) -> float:
+def confidence(
+    loss: float, z: float, margin: float, result: JointOutcome, bandwidth: float, beside: int
+) -> float:
     """Probability that the finding is right.
 
     Parameters
@@ -36,8 +38,16 @@ def confidence(loss: float, z: float, margin: float, result: JointOutcome, bandw
     float
         Between 0.05 and 0.98.
     """
-    settled = min(1.0, max(0.0, (math.log(FAST) - math.log(max(bandwidth, 1.0))) / (math.log(FAST) - math.log(SLOW))))
+    settled = min(
+        1.0, max(0.0, (math.log(FAST) - math.log(max(bandwidth, 1.0))) / (math.log(FAST) - math.log(SLOW)))
+    )
     relative = min(1.0, min(margin, loss) / max(loss, 1e-300))
-    score = 0.4 + 2.0 * settled + 1.2 * min(1.0, 2.0 * relative) + 0.3 * min(z, 6.0) / 6.0 - 0.6 * max(0, beside - 1)
+    score = (
+        0.4
+        + 2.0 * settled
+        + 1.2 * min(1.0, 2.0 * relative)
+        + 0.3 * min(z, 6.0) / 6.0
+        - 0.6 * max(0, beside - 1)
+    )
     score -= 1.5 * result.after.state_share * (result.after.relative > 0.02)
     return min(0.98, max(0.05, 1.0 / (1.0 + math.exp(-score))))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from zendsp.diagnosis.assemble import Assembled, assemble
+from zendsp.diagnosis.assemble import assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.evidence import compare, torque_share, unmodelled_torque
 from zendsp.diagnosis.findings import file_model, kernel_model
@@ -61,7 +60,9 @@ class Acceptance:
         if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0:
             return True  # small as a torque, but plain above the noise: a bearing on a heavy pendulum
         share = torque_share(before, rival.scored, rival.joint)
-        return share > max(MIN_SHARE, 0.5 * unmodelled_torque(rival.scored, rival.joint) if gain < 400 else 0.0)
+        return share > max(
+            MIN_SHARE, 0.5 * unmodelled_torque(rival.scored, rival.joint) if gain < 400 else 0.0
+        )
 
 
 def diagnose(
@@ -113,7 +114,9 @@ def diagnose(
     if given.kind == "python":
         from zendsp.diagnosis.blackbox import diagnose_simulator
 
-        return diagnose_simulator(_sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell)
+        return diagnose_simulator(
+            _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
+        )
     tell("reading the recordings")
     train_signals, test_signals, notes = _read(recordings, heldout, given)
     tell("smoothing the motion")
@@ -169,7 +172,9 @@ def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
     return [given] if isinstance(given, str | Path | Recording | Table) else list(given)
 
 
-def _read(recordings: Source | Sequence[Source], heldout: Source | Sequence[Source] | None, model: Model) -> tuple[list[Signals], list[Signals], list[str]]:
+def _read(
+    recordings: Source | Sequence[Source], heldout: Source | Sequence[Source] | None, model: Model
+) -> tuple[list[Signals], list[Signals], list[str]]:
     signals = [read_signals(source, model) for source in _sources(recordings)]
     if not signals:
         raise RecordingError("no recording given")
@@ -206,6 +211,3 @@ def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
 
 def _table(data: Data, given: Model, calibrated: Model, improved: Model) -> FitTable:
     return FitTable(*(float(np.float64(model_error(data, m))) for m in (given, calibrated, improved)))
-
-
-

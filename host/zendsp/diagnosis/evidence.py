@@ -37,7 +37,9 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
     runs, total, count = [], 0.0, 0
     for rec in data.records:
         record = rec[joint - 1]
-        r = np.minimum(np.abs(run(record, model, data.bandwidth[joint - 1], inner=data.inner).innovations), 1e4)
+        r = np.minimum(
+            np.abs(run(record, model, data.bandwidth[joint - 1], inner=data.inner).innovations), 1e4
+        )
         runs.append((record, r))
         total += float(r @ r)
         count += int(record.counted.sum())
@@ -127,6 +129,13 @@ def unmodelled_torque(scored: Scored, joint: int) -> float:
     bandwidth = scored.data.bandwidth[joint - 1]
     record = scored.data.records[0][joint - 1]
     m = record.measurement
-    white = m.resolution**2 / 12 + m.noise**2 if m.resolution > 0 or m.noise > 0 else float(np.median(np.abs(m.variance)))
+    white = (
+        m.resolution**2 / 12 + m.noise**2
+        if m.resolution > 0 or m.noise > 0
+        else float(np.median(np.abs(m.variance)))
+    )
     inertia = float(np.mean(effective_inertia(record, scored.model)))
-    return float(inertia * bandwidth**2 * np.sqrt(white) * np.sqrt(bandwidth * record.sample_time)) / record.scale.torque
+    return (
+        float(inertia * bandwidth**2 * np.sqrt(white) * np.sqrt(bandwidth * record.sample_time))
+        / record.scale.torque
+    )

@@ -23,9 +23,24 @@ from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
 
-BEFORE, AFTER, DATA, FLOOR = "#b4451f", "#1f5fa8", "#9a9a9a", "#3a7d44"  # apart for colour-blind readers, and in grey
+BEFORE, AFTER, DATA, FLOOR = (
+    "#b4451f",
+    "#1f5fa8",
+    "#9a9a9a",
+    "#3a7d44",
+)  # apart for colour-blind readers, and in grey
 AXIS = {
-    "position": ("position_friction", "gravity", "stiffness", "cubic_stiffness", "ripple", "encoder_eccentricity", "hysteresis", "backlash", "presliding"),
+    "position": (
+        "position_friction",
+        "gravity",
+        "stiffness",
+        "cubic_stiffness",
+        "ripple",
+        "encoder_eccentricity",
+        "hysteresis",
+        "backlash",
+        "presliding",
+    ),
     "command": ("dead_zone", "saturation", "torque_gain", "load_friction"),
     "acceleration": ("inertia", "elasticity", "delay", "lag"),
     "time": ("friction_drift", "disturbance"),
@@ -38,13 +53,29 @@ def axis_of(effect: str) -> str:
 
 
 def _style() -> None:
-    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.25})
+    plt.rcParams.update(
+        {
+            "font.size": 9,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "figure.dpi": 110,
+            "axes.grid": True,
+            "grid.alpha": 0.25,
+        }
+    )
 
 
 def _units(d: Diagnosis, joint: int) -> dict[str, str]:
     linear = d.given.joint_kind(joint) == "linear"
     q, force = ("m", "N") if linear else ("rad", "N m")
-    return {"position": q, "velocity": f"{q}/s", "acceleration": f"{q}/s²", "command": d.given.actuator.unit or force, "time": "s", "torque": force}
+    return {
+        "position": q,
+        "velocity": f"{q}/s",
+        "acceleration": f"{q}/s²",
+        "command": d.given.actuator.unit or force,
+        "time": "s",
+        "torque": force,
+    }
 
 
 def _thin(count: int, most: int = 6000) -> slice:
@@ -58,16 +89,27 @@ def error_figure(d: Diagnosis, joint: int) -> Figure:
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(7.2, 4.6), height_ratios=[2, 1], layout="constrained")
     unit = _units(d, joint)["position"]
     period = test.records[0][joint - 1].sample_time
-    for model, colour, label in ((whole.calibrated, BEFORE, "calibrated"), (whole.improved, AFTER, "improved")):
+    for model, colour, label in (
+        (whole.calibrated, BEFORE, "calibrated"),
+        (whole.improved, AFTER, "improved"),
+    ):
         error = window_error(test, model, joint)
         t = np.arange(len(error)) * period
         cut = _thin(len(error))
         top.plot(t[cut], error[cut], color=colour, lw=0.6, label=label)
         size = 250
         blocks = error[: len(error) // size * size].reshape(-1, size)
-        bottom.semilogy((np.arange(len(blocks)) + 0.5) * size * period, np.sqrt(np.mean(blocks**2, axis=1)) + 1e-300, color=colour, lw=1.2)
+        bottom.semilogy(
+            (np.arange(len(blocks)) + 0.5) * size * period,
+            np.sqrt(np.mean(blocks**2, axis=1)) + 1e-300,
+            color=colour,
+            lw=1.2,
+        )
     bottom.axhline(max(d.noise_floor, 1e-300), color=FLOOR, ls="--", lw=1, label="noise floor")
-    top.set(ylabel=f"position error [{unit}]", title=f"Joint {joint}: held-out recording, free simulation over 0.25 s")
+    top.set(
+        ylabel=f"position error [{unit}]",
+        title=f"Joint {joint}: held-out recording, free simulation over 0.25 s",
+    )
     bottom.set(xlabel="time [s]", ylabel=f"RMS [{unit}]")
     top.legend(loc="upper right", frameon=False)
     bottom.legend(loc="upper right", frameon=False)
@@ -90,13 +132,21 @@ def torque_figure(d: Diagnosis, joint: int) -> Figure:
         offset += float(t[-1] - t[0])
     for start, stop in d.times[:4]:
         axis.axvspan(start - before[0].time[0], stop - before[0].time[0], color="#e8c39e", alpha=0.4, lw=0)
-    axis.set(xlabel="time [s]", ylabel=f"torque [{unit}]" if unit == "N m" else f"force [{unit}]", title=f"Joint {joint}: what the model lacks along the recordings of the fit")
+    axis.set(
+        xlabel="time [s]",
+        ylabel=f"torque [{unit}]" if unit == "N m" else f"force [{unit}]",
+        title=f"Joint {joint}: what the model lacks along the recordings of the fit",
+    )
     axis.legend(loc="upper right", frameon=False)
     return figure
 
 
 def _hidden(d: Diagnosis, joint: int) -> bool:
-    return any(t.effect in ("elasticity", "backlash", "presliding", "hysteresis", "delay", "lag", "encoder_eccentricity") for t in d.improved.at(joint))
+    return any(
+        t.effect
+        in ("elasticity", "backlash", "presliding", "hysteresis", "delay", "lag", "encoder_eccentricity")
+        for t in d.improved.at(joint)
+    )
 
 
 def map_figure(d: Diagnosis, joint: int) -> Figure:
@@ -105,14 +155,20 @@ def map_figure(d: Diagnosis, joint: int) -> Figure:
     q = np.concatenate([m.variables["position"] for m in d.missing[joint]])
     v = np.concatenate([m.variables["velocity"] for m in d.missing[joint]])
     e = np.concatenate([energy(m) for m in d.missing[joint]])
-    figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.0), layout="constrained", width_ratios=[1.4, 1])
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(7.2, 3.0), layout="constrained", width_ratios=[1.4, 1]
+    )
     total, xs, ys = np.histogram2d(q, v, bins=28, weights=e)
     count, _, _ = np.histogram2d(q, v, bins=(xs, ys))
     with np.errstate(invalid="ignore"):
         mean = np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
     picture = left.pcolormesh(xs, ys, mean.T, cmap="magma_r")
     figure.colorbar(picture, ax=left, label=f"missing, RMS [{units['torque']}]")
-    left.set(xlabel=f"position [{units['position']}]", ylabel=f"velocity [{units['velocity']}]", title=f"Joint {joint}: where the mismatch lives")
+    left.set(
+        xlabel=f"position [{units['position']}]",
+        ylabel=f"velocity [{units['velocity']}]",
+        title=f"Joint {joint}: where the mismatch lives",
+    )
     edges = np.quantile(v, np.linspace(0, 1, 25))
     edges = np.unique(edges)
     bins = np.clip(np.searchsorted(edges, v, side="right") - 1, 0, len(edges) - 2)
@@ -144,7 +200,16 @@ def law_figure(d: Diagnosis, finding: Finding) -> Figure:
         laws.append(_law(record, whole.improved, without, tuple(terms)))
     x, y, law = np.concatenate(xs), np.concatenate(ys), np.concatenate(laws)
     cut = _thin(len(x), 5000)
-    axis.plot(x[cut], y[cut], ".", color=DATA, ms=1.5, alpha=0.35, rasterized=True, label="torque lacking without it")
+    axis.plot(
+        x[cut],
+        y[cut],
+        ".",
+        color=DATA,
+        ms=1.5,
+        alpha=0.35,
+        rasterized=True,
+        label="torque lacking without it",
+    )
     centre, mean, spread = _binned(x, y)
     axis.errorbar(centre, mean, spread, color="black", fmt="o", ms=3, lw=0.8, label="mean of the data")
     if np.any(law):
@@ -152,7 +217,11 @@ def law_figure(d: Diagnosis, finding: Finding) -> Figure:
         axis.plot(centre, mean, color=AFTER, lw=1.8, label=f"{finding.effect}, as found")
     low, high = np.quantile(y, [0.005, 0.995])
     axis.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
-    axis.set(xlabel=f"{name} [{units[name]}]", ylabel=f"torque [{units['torque']}]" if units["torque"] == "N m" else "force [N]", title=f"Joint {joint}: {finding.effect}")
+    axis.set(
+        xlabel=f"{name} [{units[name]}]",
+        ylabel=f"torque [{units['torque']}]" if units["torque"] == "N m" else "force [N]",
+        title=f"Joint {joint}: {finding.effect}",
+    )
     axis.legend(frameon=False, fontsize=8)
     return figure
 
@@ -162,7 +231,9 @@ def _law(record: JointRecord, improved: Model, without: Model, terms: tuple[Term
     if any(t.effect == "inertia" for t in terms):
         out: Array = record.motion.states[2] * sum(t.value("amount") for t in terms)
         return out
-    return trace(record, improved, improved.at(record.joint), floor) - trace(record, without, without.at(record.joint), floor)
+    return trace(record, improved, improved.at(record.joint), floor) - trace(
+        record, without, without.at(record.joint), floor
+    )
 
 
 def _binned(x: Array, y: Array, count: int = 40) -> tuple[Array, Array, Array]:
@@ -183,16 +254,29 @@ def white_figure(d: Diagnosis, joint: int) -> Figure:
     whole = d.details["whole"]
     figure, axis = plt.subplots(figsize=(7.2, 2.4), layout="constrained")
     test: Data = d.details["test"]
-    for model, colour, label in ((whole.calibrated, BEFORE, "calibrated"), (whole.improved, AFTER, "improved")):
+    for model, colour, label in (
+        (whole.calibrated, BEFORE, "calibrated"),
+        (whole.improved, AFTER, "improved"),
+    ):
         record = test.records[0][joint - 1]
         r = run(record, model, 16.0).innovations[record.n // 20 :]
         r = r - r.mean()
         spectrum = np.abs(np.fft.rfft(r, 2 * len(r))) ** 2
         correlation = np.fft.irfft(spectrum)[:201]
-        axis.plot(np.arange(1, 201) * record.sample_time, correlation[1:] / max(correlation[0], 1e-300), color=colour, lw=1.1, label=label)
+        axis.plot(
+            np.arange(1, 201) * record.sample_time,
+            correlation[1:] / max(correlation[0], 1e-300),
+            color=colour,
+            lw=1.1,
+            label=label,
+        )
     bound = 1.96 / np.sqrt(test.records[0][joint - 1].n)
     axis.axhspan(-bound, bound, color=FLOOR, alpha=0.2, lw=0)
-    axis.set(xlabel="lag [s]", ylabel="autocorrelation", title=f"Joint {joint}: one-step errors on the held-out recording (band: white noise)")
+    axis.set(
+        xlabel="lag [s]",
+        ylabel="autocorrelation",
+        title=f"Joint {joint}: one-step errors on the held-out recording (band: white noise)",
+    )
     axis.legend(frameon=False)
     return figure
 
@@ -214,14 +298,34 @@ def draw_all(d: Diagnosis, out: Path) -> list[tuple[str, str, Path]]:
     figures: list[tuple[str, str, str, Callable[[], Figure]]] = []
     joints = sorted({f.joint for f in d.findings} | {r.joint for r in d.regions[:1]}) or [1]
     for j in joints[:7]:
-        figures.append(("fit", f"Joint {j}: error on the held-out recording", f"error_joint{j}.png", partial(error_figure, d, j)))
+        figures.append(
+            (
+                "fit",
+                f"Joint {j}: error on the held-out recording",
+                f"error_joint{j}.png",
+                partial(error_figure, d, j),
+            )
+        )
     for k, f in enumerate(d.findings, 1):
         if any(t.effect == f.effect for t in d.details["whole"].improved.at(f.joint)):
-            figures.append(("law", f.sentence, f"law_{k}_{f.effect}_joint{f.joint}.png", partial(law_figure, d, f)))
+            figures.append(
+                ("law", f.sentence, f"law_{k}_{f.effect}_joint{f.joint}.png", partial(law_figure, d, f))
+            )
     for j in joints[:7]:
-        figures.append(("where", f"Joint {j}: the torque that the calibrated model lacks", f"torque_joint{j}.png", partial(torque_figure, d, j)))
-        figures.append(("where", f"Joint {j}: map of the mismatch", f"map_joint{j}.png", partial(map_figure, d, j)))
-        figures.append(("white", f"Joint {j}: whiteness", f"whiteness_joint{j}.png", partial(white_figure, d, j)))
+        figures.append(
+            (
+                "where",
+                f"Joint {j}: the torque that the calibrated model lacks",
+                f"torque_joint{j}.png",
+                partial(torque_figure, d, j),
+            )
+        )
+        figures.append(
+            ("where", f"Joint {j}: map of the mismatch", f"map_joint{j}.png", partial(map_figure, d, j))
+        )
+        figures.append(
+            ("white", f"Joint {j}: whiteness", f"whiteness_joint{j}.png", partial(white_figure, d, j))
+        )
     done = []
     for section, caption, name, draw in figures:
         figure = draw()

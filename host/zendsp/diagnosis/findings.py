@@ -32,26 +32,36 @@ def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, E
     effect = get_effect(term.effect)
     row = next((i for i, t in enumerate(fit.model.terms) if t is term), None)
     if row is None:
-        row = next(i for i, t in enumerate(fit.model.terms) if t.effect == term.effect and t.joint == term.joint)
+        row = next(
+            i for i, t in enumerate(fit.model.terms) if t.effect == term.effect and t.joint == term.joint
+        )
     out = {}
     for p in effect.parameters:
         if not p.fitted and term.effect == "coupling":
             continue
         value = term.value(p.name, p.default or 0.0)
-        at = [i for i, h in enumerate(fit.handles) if h.place == "term" and h.index == row and h.key == p.name]
+        at = [
+            i for i, h in enumerate(fit.handles) if h.place == "term" and h.index == row and h.key == p.name
+        ]
         variance = float(fit.covariance[at[0], at[0]]) if at else 0.0
         if term.effect == "stribeck" and p.name == "breakaway":
             value, variance = _breakaway(fit, term, value, variance, at)
         if p.name in ("phase", "angle"):
             value = math.remainder(value, 2 * math.pi)
-        out[p.name] = Estimate(value, WIDEN * math.sqrt(max(variance, 0.0)), unit_of(p.size, kind, command_unit))
+        out[p.name] = Estimate(
+            value, WIDEN * math.sqrt(max(variance, 0.0)), unit_of(p.size, kind, command_unit)
+        )
     return out
 
 
 def _breakaway(fit: Fit, term: Term, excess: float, variance: float, at: list[int]) -> tuple[float, float]:
     for i, t in enumerate(fit.model.terms):
         if t.effect == "coulomb" and t.joint == term.joint:
-            where = [k for k, h in enumerate(fit.handles) if h.place == "term" and h.index == i and h.key == "level"]
+            where = [
+                k
+                for k, h in enumerate(fit.handles)
+                if h.place == "term" and h.index == i and h.key == "level"
+            ]
             if where and at:
                 both = fit.covariance[np.ix_([at[0], where[0]], [at[0], where[0]])]
                 variance = float(both.sum())

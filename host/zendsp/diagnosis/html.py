@@ -49,19 +49,28 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
     if d.findings:
         parts += ["<h2>What was left out</h2>", _findings_table(d), _pictures(figures, "law")]
     parts += ["<h2>Where the mismatch lives</h2>", _where(d), _pictures(figures, "where")]
-    parts += ["<h2>What remains</h2>", f"<p>{escape(d.unexplained) or 'Nothing that depends on the state of the machine.'}</p>", _pictures(figures, "white")]
+    parts += [
+        "<h2>What remains</h2>",
+        f"<p>{escape(d.unexplained) or 'Nothing that depends on the state of the machine.'}</p>",
+        _pictures(figures, "white"),
+    ]
     if d.rejected:
         parts += ["<h2>Rejected rivals</h2>", _rejected(d)]
     if d.next_recording:
         parts += ["<h2>Record next</h2>", f"<p>{escape(d.next_recording.sentence)}</p>"]
     if d.notes:
         parts += ["<h2>About the data</h2><ul>", *[f"<li>{escape(n)}" for n in d.notes], "</ul>"]
-    parts.append(f"<p class=small>{d.seconds:.1f} s. Errors are judged on recordings that the models were not fitted to; calibrated = the given model with its free parameters refitted.</p></html>")
+    parts.append(
+        f"<p class=small>{d.seconds:.1f} s. Errors are judged on recordings that the models were not fitted to; calibrated = the given model with its free parameters refitted.</p></html>"
+    )
     return "\n".join(parts)
 
 
 def _sentences(d: Diagnosis) -> str:
-    items = [f"<li>{escape(f.sentence)} <span class=small>confidence {100 * f.confidence:.0f} %</span>" for f in d.findings]
+    items = [
+        f"<li>{escape(f.sentence)} <span class=small>confidence {100 * f.confidence:.0f} %</span>"
+        for f in d.findings
+    ]
     if d.unexplained:
         items.append(f"<li>{escape(d.unexplained)}")
     return f"<ul>{''.join(items)}</ul>" if items else ""
@@ -76,7 +85,9 @@ def _fit_table(d: Diagnosis) -> str:
 
 
 def _findings_table(d: Diagnosis) -> str:
-    rows = ["<tr><th>effect<th>joint<th>parameters<th class=n>share<th class=n>confidence<th>cannot be told from<th>replaces"]
+    rows = [
+        "<tr><th>effect<th>joint<th>parameters<th class=n>share<th class=n>confidence<th>cannot be told from<th>replaces"
+    ]
     for f in d.findings:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
         rows.append(
@@ -91,14 +102,19 @@ def _where(d: Diagnosis) -> str:
         return "<p>Nowhere in particular.</p>"
     rows = ["<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"]
     for r in d.regions:
-        rows.append(f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}<td class=n>{100 * r.share:.0f} %<td class=n>{100 * r.time_share:.0f} %")
+        rows.append(
+            f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}<td class=n>{100 * r.share:.0f} %<td class=n>{100 * r.time_share:.0f} %"
+        )
     spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in d.times)
     return f"<table>{''.join(rows)}</table><p>In time: {spans or 'spread evenly'}.</p>"
 
 
 def _rejected(d: Diagnosis) -> str:
     rows = ["<tr><th>effect<th>joint<th>why not<th class=n>log-likelihood"]
-    rows += [f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:.0f}" for r in d.rejected]
+    rows += [
+        f"<tr><td>{escape(r.effect)}<td>{r.joint}<td>{escape(r.why)}<td class=n>{r.score:.0f}"
+        for r in d.rejected
+    ]
     return f"<table>{''.join(rows)}</table>"
 
 
@@ -107,5 +123,7 @@ def _pictures(figures: list[tuple[str, str, Path]], section: str) -> str:
     for place, caption, path in figures:
         if place == section:
             data = base64.b64encode(path.read_bytes()).decode()
-            out.append(f"<figure><img alt='{escape(caption, quote=True)}' src='data:image/png;base64,{data}'></figure>")
+            out.append(
+                f"<figure><img alt='{escape(caption, quote=True)}' src='data:image/png;base64,{data}'></figure>"
+            )
     return "".join(out)

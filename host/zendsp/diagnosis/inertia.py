@@ -63,7 +63,11 @@ def _estimate(records: list[JointRecord], model: Model) -> tuple[float, float]:
     scale[scale == 0] = 1.0
     theta, *_ = np.linalg.lstsq(a / scale, y, rcond=1e-9)
     left = y - a / scale @ theta
-    spread = np.linalg.pinv((a / scale).T @ (a / scale), rcond=1e-9)[0, 0] * float(left @ left) / max(1, len(y) - a.shape[1])
+    spread = (
+        np.linalg.pinv((a / scale).T @ (a / scale), rcond=1e-9)[0, 0]
+        * float(left @ left)
+        / max(1, len(y) - a.shape[1])
+    )
     return float(theta[0] / scale[0]), float(theta[0] / max(np.sqrt(max(spread, 0.0)), 1e-300))
 
 
@@ -88,7 +92,15 @@ def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
     if key.startswith("inertia "):
         shape += 1.0
     slow = 0.05 * rec.scale.speed
-    columns = [shape * qdd, qd, np.tanh(qd / slow), np.tanh(qd / slow / 8), qd * np.abs(qd), np.ones(rec.n), q]
+    columns = [
+        shape * qdd,
+        qd,
+        np.tanh(qd / slow),
+        np.tanh(qd / slow / 8),
+        qd * np.abs(qd),
+        np.ones(rec.n),
+        q,
+    ]
     if model.kind == "rotary":
         columns += [np.sin(q), np.cos(q)]
     for other in range(rec.others.shape[0]):

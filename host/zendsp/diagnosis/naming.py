@@ -56,7 +56,15 @@ def name_findings(
     rejected: list[Rejected] = []
     for search, result in zip(searches, outcome.joints, strict=True):
         if result.kind == "unexplained":
-            rejected += [Rejected(r.effect, r.joint, "explains a part, but leaves a torque that depends on the state", -0.5 * (r.value - search.base.deviance)) for r in search.tried[:4]]
+            rejected += [
+                Rejected(
+                    r.effect,
+                    r.joint,
+                    "explains a part, but leaves a torque that depends on the state",
+                    -0.5 * (r.value - search.base.deviance),
+                )
+                for r in search.tried[:4]
+            ]
             continue
         if result.kind == "disturbance":
             ranked.append((1e9, _disturbance(result, given)))
@@ -70,13 +78,18 @@ def name_findings(
             rejected += lost
         if not named:
             rejected += [_why(r, search.base, test) for r in search.tried[:6]]
-        ranked += [(0.5 * abs(z), finding) for z, finding in shifted(given, search, whole, {n.term.effect for n in named}, test)]
+        ranked += [
+            (0.5 * abs(z), finding)
+            for z, finding in shifted(given, search, whole, {n.term.effect for n in named}, test)
+        ]
     ranked.sort(key=lambda item: -item[0])
     unique = {(r.effect, r.joint): r for r in sorted(rejected, key=lambda r: r.score)}
     return tuple(f for _, f in ranked), tuple(sorted(unique.values(), key=lambda r: -r.score)[:12])
 
 
-def _evidence(train: Data, test: Data, given: Model, search: JointSearch, jobs: int, tell: Callable[[str], None]) -> list[_Named]:
+def _evidence(
+    train: Data, test: Data, given: Model, search: JointSearch, jobs: int, tell: Callable[[str], None]
+) -> list[_Named]:
     final, joint = search.final, search.joint
     terms = new_terms(given, final.model, joint)
     searcher = Searcher(train, joint, lambda *_: True, jobs, tell)
@@ -90,7 +103,9 @@ def _evidence(train: Data, test: Data, given: Model, search: JointSearch, jobs: 
             names = frozenset(get_effect(term.effect).rivals) | _close_in_steps(search, term.effect)
             beside = searcher.stand_ins(without, names | {term.effect}) if names else []
             rivals = tuple(r for r in beside if r.effect != term.effect)
-            rank = max([r.rank for r in beside if r.effect == term.effect], default=without.deviance - final.deviance)
+            rank = max(
+                [r.rank for r in beside if r.effect == term.effect], default=without.deviance - final.deviance
+            )
         out.append(_Named(term, without.deviance - final.deviance, rivals, final.deviance, rank, without))
     return out
 
@@ -105,11 +120,19 @@ def _close_in_steps(search: JointSearch, effect: str) -> frozenset[str]:
 
 def _without(final: Scored, term: Term, joint: int, jobs: int) -> Scored:
     model = final.model.with_terms(tuple(t for t in final.model.terms if t is not term))
-    return fit_scored(final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3)
+    return fit_scored(
+        final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3
+    )
 
 
 def _finding(
-    given: Model, search: JointSearch, whole: Assembled, item: _Named, result: JointOutcome, share: float, test: Data
+    given: Model,
+    search: JointSearch,
+    whole: Assembled,
+    item: _Named,
+    result: JointOutcome,
+    share: float,
+    test: Data,
 ) -> tuple[Finding, list[Rejected]]:
     term, joint = item.term, search.joint
     fit = whole.fits[joint]
@@ -126,11 +149,22 @@ def _finding(
         else:
             margin = min(margin, behind)
             lost.append(Rejected(r.effect, joint, _reason(behind, item.loss), -0.5 * behind))
-    if term.effect == "coulomb" and "torque_offset" in {t.effect for t in new_terms(given, search.final.model, joint)} and "coulomb_asymmetry" not in same:
+    if (
+        term.effect == "coulomb"
+        and "torque_offset" in {t.effect for t in new_terms(given, search.final.model, joint)}
+        and "coulomb_asymmetry" not in same
+    ):
         same.append("coulomb_asymmetry")  # Coulomb friction and an offset are asymmetric Coulomb friction
     held = compare(item.without, search.final, test, joint)
     replaces = tuple(sorted(set(search.dropped) & set(_replaceable(given, joint))))
-    sure = confidence(item.loss, held.z, margin, result, search.final.data.bandwidth[joint - 1], len(new_terms(given, search.final.model, joint)) - 1)
+    sure = confidence(
+        item.loss,
+        held.z,
+        margin,
+        result,
+        search.final.data.bandwidth[joint - 1],
+        len(new_terms(given, search.final.model, joint)) - 1,
+    )
     text = sentence(term, values)
     if replaces:
         text += f" It makes {', '.join(replaces)} unnecessary."
@@ -138,7 +172,10 @@ def _finding(
         text += f" This recording cannot tell it from {', '.join(same)}."
     numbers: dict[str, int | str] = {}
     if term.effect == "coupling":
-        numbers = {"from_joint": int(term.value("from_joint")), "law": ("inertia", "coriolis", "viscous", "coulomb")[int(term.value("law"))]}
+        numbers = {
+            "from_joint": int(term.value("from_joint")),
+            "law": ("inertia", "coriolis", "viscous", "coulomb")[int(term.value("law"))],
+        }
     finding = Finding(term.effect, joint, values, sure, share, tuple(same), replaces, text, numbers)
     return finding, lost[:6]
 
@@ -149,7 +186,11 @@ def _contains(rival: Rival, term: Term) -> bool:
         return True
     own = sum(p.fitted for p in get_effect(term.effect).parameters)
     more = sum(p.fitted for p in get_effect(rival.effect).parameters) > own
-    return more and any(rival.scored.fit.at_bound[i] for i, h in enumerate(rival.scored.fit.handles) if h.place == "term" and _is_row(rival, h.index))
+    return more and any(
+        rival.scored.fit.at_bound[i]
+        for i, h in enumerate(rival.scored.fit.handles)
+        if h.place == "term" and _is_row(rival, h.index)
+    )
 
 
 def _is_row(rival: Rival, index: int) -> bool:
@@ -159,7 +200,9 @@ def _is_row(rival: Rival, index: int) -> bool:
 
 def _same(terms: Sequence[Term], term: Term) -> Term:
     for t in terms:
-        if t is term or (t.effect == term.effect and t.joint == term.joint and t.value("order") == term.value("order")):
+        if t is term or (
+            t.effect == term.effect and t.joint == term.joint and t.value("order") == term.value("order")
+        ):
             return t
     return next(t for t in terms if t.effect == term.effect and t.joint == term.joint)
 
@@ -192,7 +235,9 @@ def _why(rival: Rival, base: Scored, test: Data) -> Rejected:
     elif held.gain < 20 or held.z < 2.5:
         why = f"does not hold on the held-out recording (z = {held.z:.1f})"
     else:
-        why = f"too small to matter ({100 * torque_share(base, rival.scored, rival.joint):.2f} % of the torque)"
+        why = (
+            f"too small to matter ({100 * torque_share(base, rival.scored, rival.joint):.2f} % of the torque)"
+        )
     return Rejected(rival.effect, rival.joint, why, 0.5 * gain)
 
 

@@ -52,8 +52,13 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     for j in range(joints):
         q, qd, qdd = motions[j].states
         torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
-        inertia_series = sum((1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia for key, b in basis[j].items())
-        inertia = float(np.mean(inertia_series)) + sum(t.value("amount") for t in model.at(j + 1) if t.effect == "inertia")
+        inertia_series = sum(
+            (1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia
+            for key, b in basis[j].items()
+        )
+        inertia = float(np.mean(inertia_series)) + sum(
+            t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
+        )
         effort = float(np.sqrt(np.mean(torque**2))) or inertia * float(np.sqrt(np.mean(qdd**2)))
         scale = Scale(
             torque=max(effort, 1e-12),
@@ -87,4 +92,6 @@ def _guess_inertia(model: Model, joint: int, s: Signals, torque: np.ndarray) -> 
         return mechanism_value(model, "inertia" if model.kind == "rotary" else "mass", joint)
     if model.kind == "planar2r":
         return mechanism_value(model, "p1" if joint == 1 else "p2", joint)
-    return max(float(np.std(torque)), 1e-6) / max(float(np.std(np.diff(s.position[:, joint - 1], 2))) / s.sample_time**2, 1e-6)
+    return max(float(np.std(torque)), 1e-6) / max(
+        float(np.std(np.diff(s.position[:, joint - 1], 2))) / s.sample_time**2, 1e-6
+    )

@@ -48,11 +48,15 @@ def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Gen
         return out
 
     lines = np.arange(1, 25)
-    multisine = sum(np.cos(2 * np.pi * k * 0.1 * t - np.pi * k * (k - 1) / 24 + rng.uniform(0, 0.5)) / k for k in lines)
+    multisine = sum(
+        np.cos(2 * np.pi * k * 0.1 * t - np.pi * k * (k - 1) / 24 + rng.uniform(0, 0.5)) / k for k in lines
+    )
     slow = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in (0.07, 0.13, 0.23))
     triangle = 2 * np.abs(2 * ((0.2 * t) % 1) - 1) - 1
     chirp = np.sin(2 * np.pi * (0.1 * t + 0.5 * (4.0 - 0.1) / SECONDS * t**2))
-    two_speeds = np.where(t < SECONDS / 2, np.sin(2 * np.pi * 0.15 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2)))
+    two_speeds = np.where(
+        t < SECONDS / 2, np.sin(2 * np.pi * 0.15 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2))
+    )
     return {
         "a multisine over the whole range": limited(np.asarray(multisine), reach, 1.2 * top),
         "a slow multisine with many reversals": limited(np.asarray(slow), 0.6 * reach, 0.25 * top),
@@ -64,7 +68,13 @@ def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Gen
 
 
 def propose(
-    train: Sequence[Signals], given: Model, whole: Assembled, searches: Sequence[JointSearch], findings: Sequence[Finding], outcome: Outcome, seed: int
+    train: Sequence[Signals],
+    given: Model,
+    whole: Assembled,
+    searches: Sequence[JointSearch],
+    findings: Sequence[Finding],
+    outcome: Outcome,
+    seed: int,
 ) -> Next | None:
     """What to record next, where something is still open; None where nothing is.
 
@@ -92,10 +102,18 @@ def propose(
     experiment = get_effect(finding.effect).experiment if finding.effect != "disturbance" else ""
     names = ", ".join(finding.indistinguishable)
     if rival is None:
-        return Next(f"To tell {finding.effect} from {names} at joint {finding.joint}: {experiment}", None, (finding.effect, *finding.indistinguishable))
+        return Next(
+            f"To tell {finding.effect} from {names} at joint {finding.joint}: {experiment}",
+            None,
+            (finding.effect, *finding.indistinguishable),
+        )
     best = _best_motion(train[0], given, search, rival, finding.joint, seed)
     if best is None:
-        return Next(f"No motion within the reach of these recordings separates {finding.effect} from {names}. {experiment}", None, (finding.effect, *finding.indistinguishable))
+        return Next(
+            f"No motion within the reach of these recordings separates {finding.effect} from {names}. {experiment}",
+            None,
+            (finding.effect, *finding.indistinguishable),
+        )
     name, motion, gain = best
     q = np.tile(np.array([np.mean(train[0].position[:, j]) for j in range(given.joints)]), (len(motion), 1))
     q[:, finding.joint - 1] = motion
@@ -106,13 +124,21 @@ def propose(
     return Next(text, (q, train[0].sample_time), (finding.effect, rival.effect))
 
 
-def _without_rival(given: Model, findings: Sequence[Finding], outcome: Outcome, searches: Sequence[JointSearch]) -> Next | None:
+def _without_rival(
+    given: Model, findings: Sequence[Finding], outcome: Outcome, searches: Sequence[JointSearch]
+) -> Next | None:
     if outcome.verdict == "unexplained":
         joint = next(j.joint for j in outcome.joints if j.kind == "unexplained")
-        return Next(f"Record joint {joint} again through the same states in another order and at other speeds: what repeats with the state is physics.", None)
+        return Next(
+            f"Record joint {joint} again through the same states in another order and at other speeds: what repeats with the state is physics.",
+            None,
+        )
     weak = [f for f in findings if f.confidence < 0.8 and f.effect != "disturbance"]
     if weak:
-        return Next(f"To confirm {weak[0].effect} at joint {weak[0].joint}: {get_effect(weak[0].effect).experiment}", None)
+        return Next(
+            f"To confirm {weak[0].effect} at joint {weak[0].joint}: {get_effect(weak[0].effect).experiment}",
+            None,
+        )
     return None
 
 
@@ -124,7 +150,9 @@ def _rival(search: JointSearch, finding: Finding) -> Rival | None:
     return None
 
 
-def _best_motion(signals: Signals, given: Model, search: JointSearch, rival: Rival, joint: int, seed: int) -> tuple[str, Array, float] | None:
+def _best_motion(
+    signals: Signals, given: Model, search: JointSearch, rival: Rival, joint: int, seed: int
+) -> tuple[str, Array, float] | None:
     record = search.final.data.records[0][joint - 1]
     inertia = mean_inertia(record, search.final.model)
     gain = abs(per_joint(given.actuator.gain, joint, 1.0)) or 1.0
@@ -132,10 +160,19 @@ def _best_motion(signals: Signals, given: Model, search: JointSearch, rival: Riv
     limits = given.limits.get("position", (-np.inf, np.inf))
     best: tuple[str, Array, float] | None = None
     truth = next(step.chosen.scored.model for step in search.steps if rival in step.rivals)
-    for name, motion in motions(record, (float(limits[0]), float(limits[1])), np.random.default_rng(seed)).items():
+    for name, motion in motions(
+        record, (float(limits[0]), float(limits[1])), np.random.default_rng(seed)
+    ).items():
         resolution = record.measurement.resolution
         loop = simulate_joint_loop(
-            truth, joint, motion, record.sample_time, kp=inertia * speed**2 / gain, kd=1.4 * inertia * speed / gain, inertia=inertia, resolution=resolution
+            truth,
+            joint,
+            motion,
+            record.sample_time,
+            kp=inertia * speed**2 / gain,
+            kd=1.4 * inertia * speed / gain,
+            inertia=inertia,
+            resolution=resolution,
         )
         if not np.isfinite(loop.position).all() or np.ptp(loop.position) <= 8 * resolution:
             continue
@@ -145,17 +182,30 @@ def _best_motion(signals: Signals, given: Model, search: JointSearch, rival: Riv
     return best if best is not None and best[2] > 20.0 else None
 
 
-def _separation(signals: Signals, given: Model, truth: Model, rival: Rival, joint: int, position: Array, command: Array) -> float:
+def _separation(
+    signals: Signals, given: Model, truth: Model, rival: Rival, joint: int, position: Array, command: Array
+) -> float:
     """How much less likely the refitted rival makes a recording that the truth has simulated (deviance)."""
     n = len(position)
     still = np.tile(signals.position.mean(axis=0), (n, 1))
     still[:, joint - 1] = position
     effort = np.zeros((n, still.shape[1]))
     effort[:, joint - 1] = command
-    made = replace(signals, time=np.arange(n, dtype=np.float64) * signals.sample_time, position=still, command=effort, reference=None, notes=())
+    made = replace(
+        signals,
+        time=np.arange(n, dtype=np.float64) * signals.sample_time,
+        position=still,
+        command=effort,
+        reference=None,
+        notes=(),
+    )
     data: Data = prepare([made], given, 8.0)
-    fitted = fit(data, rival.scored.model, joint_handles(data, rival.scored.model, joint), joints=(joint,), iterations=5, tolerance=1e-3)
+    fitted = fit(
+        data,
+        rival.scored.model,
+        joint_handles(data, rival.scored.model, joint),
+        joints=(joint,),
+        iterations=5,
+        tolerance=1e-3,
+    )
     return deviance(data, fitted.model, (joint,)) - deviance(data, truth, (joint,))
-
-
-

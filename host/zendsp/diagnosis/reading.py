@@ -91,9 +91,15 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
             )
     if n < MIN_SAMPLES:
         raise RecordingError(f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples")
-    reference = _matrix(name, "reference", get, columns["reference"], joints) if "reference" in columns and _has(get, columns["reference"]) else None
+    reference = (
+        _matrix(name, "reference", get, columns["reference"], joints)
+        if "reference" in columns and _has(get, columns["reference"])
+        else None
+    )
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
-    resolution = np.array([_resolution(name, columns, j, position, command, model, notes) for j in range(joints)])
+    resolution = np.array(
+        [_resolution(name, columns, j, position, command, model, notes) for j in range(joints)]
+    )
     if grid is not None:
         position = _lattice(_resample(grid, time, position, linear=True), position[0], resolution)
         command = _resample(grid, time, command, linear=False)
@@ -123,7 +129,9 @@ def _getter(source: Any, columns: Any) -> tuple[str, Any]:
             try:
                 return np.asarray(source[column], float)
             except (KeyError, RecordingError):
-                raise RecordingError(f"the recording has no channel {column!r}; it has {', '.join(source.names)}") from None
+                raise RecordingError(
+                    f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
+                ) from None
 
         return "recording", from_recording
     if isinstance(source, Table):
@@ -150,48 +158,74 @@ def _matrix(name: str, label: str, get: Any, spec: Any, joints: int) -> Array:
         parts = [np.asarray(get(str(item)), float) for item in spec]
         for item, part in zip(spec, parts, strict=True):
             if part.ndim != 1:
-                raise RecordingError(f"{name}: column {item!r} has shape {part.shape}; expected one number a row")
+                raise RecordingError(
+                    f"{name}: column {item!r} has shape {part.shape}; expected one number a row"
+                )
         values = np.stack(parts, axis=1)
     else:
         values = np.asarray(get(str(spec)), float)
         values = values[:, None] if values.ndim == 1 else values
     if values.shape[1] != joints:
-        raise RecordingError(f"{name}: {label} {spec!r} has {values.shape[1]} columns; the model has {joints} joints")
+        raise RecordingError(
+            f"{name}: {label} {spec!r} has {values.shape[1]} columns; the model has {joints} joints"
+        )
     return values
 
 
-def _clock(name: str, get: Any, columns: Any, model: Model, n: int) -> tuple[Array, float, list[str], Array | None]:
+def _clock(
+    name: str, get: Any, columns: Any, model: Model, n: int
+) -> tuple[Array, float, list[str], Array | None]:
     notes: list[str] = []
     if "time" not in columns or not _has(get, columns["time"]):
         if model.sample_time is None:
-            raise RecordingError(f"{name}: has no time column {columns.get('time', 't')!r} and the model no sample_time")
+            raise RecordingError(
+                f"{name}: has no time column {columns.get('time', 't')!r} and the model no sample_time"
+            )
         return np.arange(n, dtype=np.float64) * model.sample_time, model.sample_time, notes, None
     time: Array = np.asarray(get(str(columns["time"])), dtype=np.float64)
     if time.ndim != 1 or not np.isfinite(time).all():
-        raise RecordingError(f"{name}: time column {columns['time']!r} holds values that are not finite numbers")
+        raise RecordingError(
+            f"{name}: time column {columns['time']!r} holds values that are not finite numbers"
+        )
     step = np.diff(time)
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 2
-        raise RecordingError(f"{name}: time runs backwards or stands still at row {row}: are two runs glued together? Give them as two files")
+        raise RecordingError(
+            f"{name}: time runs backwards or stands still at row {row}: are two runs glued together? Give them as two files"
+        )
     period = float(np.median(step))
     if period > 0.1:
-        raise RecordingError(f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is the time column {columns['time']!r} in seconds?")
+        raise RecordingError(
+            f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is the time column {columns['time']!r} in seconds?"
+        )
     if model.sample_time and abs(period / model.sample_time - 1) > 0.2:
-        raise RecordingError(f"{name}: samples are {period:.6g} s apart, the model says sample_time = {model.sample_time:.6g} s: check the unit of the time column")
-    if model.sample_time and abs(np.mean(step) / model.sample_time - 1) < 1e-3 and abs(period / model.sample_time - 1) < 0.05:
+        raise RecordingError(
+            f"{name}: samples are {period:.6g} s apart, the model says sample_time = {model.sample_time:.6g} s: check the unit of the time column"
+        )
+    if (
+        model.sample_time
+        and abs(np.mean(step) / model.sample_time - 1) < 1e-3
+        and abs(period / model.sample_time - 1) < 0.05
+    ):
         period = model.sample_time
     jitter = float(np.max(np.abs(step - period))) / period
     if jitter < 0.02:
         return time, float((time[-1] - time[0]) / (n - 1)), notes, None
     if float(np.max(step)) > max(50 * period, 0.1):
         k = int(np.argmax(step))
-        raise RecordingError(f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together? Give them as two files")
+        raise RecordingError(
+            f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together? Give them as two files"
+        )
     spread = float(np.std(step)) / period
-    notes.append(f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step {np.max(step) / period:.1f} samples); resampled uniformly")
+    notes.append(
+        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step {np.max(step) / period:.1f} samples); resampled uniformly"
+    )
     return time, period, notes, np.arange(time[0], time[-1], period)
 
 
-def _resolution(name: str, columns: Any, joint: int, position: Array, command: Array, model: Model, notes: list[str]) -> float:
+def _resolution(
+    name: str, columns: Any, joint: int, position: Array, command: Array, model: Model, notes: list[str]
+) -> float:
     """Step of a position column: as the model says, checked against the lattice that its numbers lie on."""
     stated = per_joint(model.sensor.resolution, joint + 1, 0.0)
     y = position[:, joint]
@@ -204,12 +238,19 @@ def _resolution(name: str, columns: Any, joint: int, position: Array, command: A
     if found > 0:
         for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):
             if abs(found / stated / factor - 1) < 0.02:
-                raise RecordingError(f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the model's position_resolution of {stated:.6g}: the column is in {words}")
+                raise RecordingError(
+                    f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the model's position_resolution of {stated:.6g}: the column is in {words}"
+                )
     if any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
         return stated  # whole fractions of a count: interpolated or averaged by the drive
     if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
-        raise RecordingError(f"{where}: the command column has the sensor's resolution of {stated:.6g} and the position column has not: position and command are swapped")
-    notes.append(f"{where} does not lie on the model's position_resolution of {stated:.4g}; " + (f"its smallest step is {found:.4g}" if found else "no lattice is seen"))
+        raise RecordingError(
+            f"{where}: the command column has the sensor's resolution of {stated:.6g} and the position column has not: position and command are swapped"
+        )
+    notes.append(
+        f"{where} does not lie on the model's position_resolution of {stated:.4g}; "
+        + (f"its smallest step is {found:.4g}" if found else "no lattice is seen")
+    )
     return found or stated
 
 
@@ -243,7 +284,9 @@ def _decimate(signals: Signals) -> Signals:
     half = factor // 2
 
     def centred(values: Array) -> Array:  # mean over the samples around each kept sample
-        padded = np.concatenate([np.repeat(values[:1], half, axis=0), values, np.repeat(values[-1:], factor, axis=0)])
+        padded = np.concatenate(
+            [np.repeat(values[:1], half, axis=0), values, np.repeat(values[-1:], factor, axis=0)]
+        )
         sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), padded]), axis=0)
         start = np.arange(0, n, factor)
         width = 2 * half + 1

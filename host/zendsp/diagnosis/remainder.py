@@ -74,8 +74,10 @@ def _features(records: list[JointRecord], ranges: list[tuple[float, float]]) -> 
     u = [np.clip((x[:, i] - lo) / max(hi - lo, 1e-300), 0.0, 1.0 - 1e-9) for i, (lo, hi) in enumerate(ranges)]
     fine = [_splines(v, 14) for v in u]
     coarse = [_splines(v, 7) for v in u]
-    products = [np.einsum("ni,nj->nij", coarse[a], coarse[b]).reshape(len(x), -1) for a, b in ((0, 1), (1, 3), (0, 3))]
-    sign = np.tanh((x[:, 1] / (0.02 * max(abs(ranges[1][0]), abs(ranges[1][1]), 1e-300))))[:, None]
+    products = [
+        np.einsum("ni,nj->nij", coarse[a], coarse[b]).reshape(len(x), -1) for a, b in ((0, 1), (1, 3), (0, 3))
+    ]
+    sign = np.tanh(x[:, 1] / (0.02 * max(abs(ranges[1][0]), abs(ranges[1][1]), 1e-300)))[:, None]
     return np.concatenate([*fine, *products, sign, sign * fine[0], sign * np.abs(x[:, 3:4])], axis=1)
 
 
@@ -104,7 +106,9 @@ def remainder(train: Data, test: Data, model: Model, joint: int) -> Remainder:
     offset = 0
     for r in test_records:
         x = np.stack([r.motion.states[0], r.motion.states[1]], axis=1)
-        inside[offset : offset + r.n] = np.all((x >= [ranges[0][0], ranges[1][0]]) & (x <= [ranges[0][1], ranges[1][1]]), axis=1)
+        inside[offset : offset + r.n] = np.all(
+            (x >= [ranges[0][0], ranges[1][0]]) & (x <= [ranges[0][1], ranges[1][1]]), axis=1
+        )
         offset += r.n
     target = d_fit[::stride]
     best = (0.0, 0.0)

@@ -98,7 +98,9 @@ class Diagnosis:
             row: dict[str, Any] = {
                 "effect": f.effect,
                 "joint": f.joint,
-                "parameters": {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in f.parameters.items()},
+                "parameters": {
+                    n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in f.parameters.items()
+                },
                 "confidence": round(f.confidence, 4),
                 "share": round(f.share, 4),
                 "indistinguishable": list(f.indistinguishable),
@@ -130,10 +132,16 @@ class Diagnosis:
                 "heldout": self.heldout.as_dict(),
                 "noise_floor": self.noise_floor,
             },
-            "rejected": [{"effect": r.effect, "joint": r.joint, "why": r.why, "score": round(r.score, 1)} for r in self.rejected],
+            "rejected": [
+                {"effect": r.effect, "joint": r.joint, "why": r.why, "score": round(r.score, 1)}
+                for r in self.rejected
+            ],
             "next_recording": None
             if self.next_recording is None
-            else {"sentence": self.next_recording.sentence, "reference": "next_reference.mat" if self.next_recording.reference is not None else None},
+            else {
+                "sentence": self.next_recording.sentence,
+                "reference": "next_reference.mat" if self.next_recording.reference is not None else None,
+            },
             "unexplained": self.unexplained,
             "notes": list(self.notes),
             "seconds": round(self.seconds, 3),
@@ -146,5 +154,7 @@ class Diagnosis:
         if self.unexplained:
             lines.append(f"  {self.unexplained}")
         h = self.heldout
-        lines.append(f"  held out: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})")
+        lines.append(
+            f"  held out: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"
+        )
         return "\n".join(lines)

@@ -84,7 +84,9 @@ def fastest(data: Data) -> float:
     return min(FASTEST, 0.5 / data.records[0][0].sample_time)
 
 
-def tune_bandwidth(data: Data, model: Model, joints: Sequence[int], *, down_only: bool = False) -> tuple[Data, float]:
+def tune_bandwidth(
+    data: Data, model: Model, joints: Sequence[int], *, down_only: bool = False
+) -> tuple[Data, float]:
     """Bandwidth of each joint's observer that maximises the likelihood of a model, by doubling and halving."""
     for j in joints:
         best = deviance(data, model, (j,))
@@ -146,5 +148,7 @@ def fit_scored(
 
 def rescored(scored: Scored, data: Data, *, jobs: int = 2, iterations: int = 6) -> Scored:
     """The same hypothesis refitted with the observers of other data."""
-    result = fit(data, scored.model, scored.fit.handles, joints=scored.joints, iterations=iterations, jobs=jobs)
+    result = fit(
+        data, scored.model, scored.fit.handles, joints=scored.joints, iterations=iterations, jobs=jobs
+    )
     return replace(scored, fit=result, data=data, deviance=deviance(data, result.model, scored.joints))

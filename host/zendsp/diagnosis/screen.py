@@ -19,7 +19,15 @@ from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
-FRICTION = ("coulomb", "viscous", "coulomb_asymmetry", "viscous_asymmetry", "stribeck", "quadratic_drag", "load_friction")
+FRICTION = (
+    "coulomb",
+    "viscous",
+    "coulomb_asymmetry",
+    "viscous_asymmetry",
+    "stribeck",
+    "quadratic_drag",
+    "load_friction",
+)
 HARMONICS = 60
 
 
@@ -77,7 +85,9 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
             else:
                 axes[name] = [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
         elif name == "period":
-            whole = [] if linear_axis else [2 * np.pi / m for m in range(1, 25) if 2 * np.pi / m > 0.03 * span]
+            whole = (
+                [] if linear_axis else [2 * np.pi / m for m in range(1, 25) if 2 * np.pi / m > 0.03 * span]
+            )
             axes[name] = whole or [u * span for u in units]
         elif name == "neutral":
             axes[name] = [centre + u * span for u in units]
@@ -85,7 +95,11 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
             axes[name] = [u * speed_top for u in (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)]
         elif name in ("width", "level") and effect.site == "actuator":
             top = float(np.quantile(np.abs(record.command), 0.999))
-            axes[name] = [u * s.command for u in units] if name == "width" else [u * top for u in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)]
+            axes[name] = (
+                [u * s.command for u in units]
+                if name == "width"
+                else [u * top for u in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)]
+            )
         else:
             axes[name] = [u * s.of(effect.parameter(name).size) for u in units]
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
@@ -128,7 +142,9 @@ class Screen:
             elif any(t.effect in ("delay", "lag") for t in terms):
                 t = terms[0]
                 late = t.value("time") or t.value("time_constant")
-                column = np.diff(rec.command, prepend=rec.command[0]) * (late / rec.sample_time) * self._gain(rec)
+                column = (
+                    np.diff(rec.command, prepend=rec.command[0]) * (late / rec.sample_time) * self._gain(rec)
+                )
             elif any(t.effect == "encoder_eccentricity" for t in terms):
                 t = terms[0]
                 column = -t.value("amplitude") * np.sin(rec.motion.states[0] + t.value("phase"))
@@ -146,7 +162,9 @@ class Screen:
     def _respond(self, rec: JointRecord, column: Array, *, on_sensor: bool = False) -> Array:
         inertia = effective_inertia(rec, self.model)
         b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
-        found: Array = response(rec, self.bandwidth, inertia, np.full(rec.n, b), column, on_sensor=on_sensor)[0]
+        found: Array = response(rec, self.bandwidth, inertia, np.full(rec.n, b), column, on_sensor=on_sensor)[
+            0
+        ]
         return found
 
     def group(self, columns: list[Array]) -> tuple[float, Array]:
@@ -185,7 +203,11 @@ class Screen:
                 best = (gain, values)
         if best is None:
             return []
-        needs = tuple(n for n in effect.needs if n != "friction" and n not in {t.effect for t in self.model.at(self.joint)})
+        needs = tuple(
+            n
+            for n in effect.needs
+            if n != "friction" and n not in {t.effect for t in self.model.at(self.joint)}
+        )
         if needs:
             return []
         return [self._candidate(effect, *best)]
@@ -200,29 +222,51 @@ class Screen:
         phase = next((n for n in effect.names if n in ("phase", "angle")), "")
         if phase and amplitude:
             second = -np.pi / 2 if phase == "angle" else np.pi / 2
-            columns = [self.series((make_term(effect, self.joint, {**point, amplitude: 1.0, phase: a}),)) for a in (0.0, second)]
+            columns = [
+                self.series((make_term(effect, self.joint, {**point, amplitude: 1.0, phase: a}),))
+                for a in (0.0, second)
+            ]
             gain, (a, b) = self.group(columns)
             size = float(np.hypot(a, b))
             angle = float(np.arctan2(b, a)) * (-1 if phase == "angle" else 1)
             return gain, {**point, amplitude: size, phase: angle}
         if effect.name == "stiffness":
             one = [np.concatenate([self._respond(rec, np.ones(rec.n)) for rec in self.records])]
-            gain, (k, c) = self.group([self.series((make_term(effect, self.joint, {"coefficient": 1.0}),)), *one])
+            gain, (k, c) = self.group(
+                [self.series((make_term(effect, self.joint, {"coefficient": 1.0}),)), *one]
+            )
             only, _ = self.group(one)
             k = k if k > 0 else 1e-3 * self.records[0].scale.of("torque/position")
-            return (gain, {"coefficient": float(k), "neutral": float(-c / k)}) if gain > only else (gain, {"coefficient": float(k)})
+            return (
+                (gain, {"coefficient": float(k), "neutral": float(-c / k)})
+                if gain > only
+                else (gain, {"coefficient": float(k)})
+            )
         if not effect.linear:
             gain, theta = self.group([self.series((make_term(effect, self.joint, point),))])
             return (gain if theta[0] > 0 else 0.0), point
-        columns = [self.series((make_term(effect, self.joint, _unit_values(effect, point, name)),)) for name in effect.linear]
+        columns = [
+            self.series((make_term(effect, self.joint, _unit_values(effect, point, name)),))
+            for name in effect.linear
+        ]
         if effect.replaces:
-            columns = [self.series_without(effect, _unit_values(effect, point, name)) for name in effect.linear]
+            columns = [
+                self.series_without(effect, _unit_values(effect, point, name)) for name in effect.linear
+            ]
         gain, theta = self.group(columns)
         values = {**point, **{name: float(v) for name, v in zip(effect.linear, theta, strict=True)}}
         if effect.replaces:
             values = self._add_replaced(effect, values)
         elif any(values[n] < effect.parameter(n).lower for n in effect.linear):
-            gain, values = 0.0, {n: max(v, 1e-3 * self.records[0].scale.of(effect.parameter(n).size)) if n in effect.linear else v for n, v in values.items()}
+            gain, values = (
+                0.0,
+                {
+                    n: max(v, 1e-3 * self.records[0].scale.of(effect.parameter(n).size))
+                    if n in effect.linear
+                    else v
+                    for n, v in values.items()
+                },
+            )
         return gain, values
 
     def series_without(self, effect: Effect, values: dict[str, float]) -> Array:
@@ -260,7 +304,9 @@ class Screen:
 
 def with_candidate(model: Model, candidate: Candidate) -> Model:
     """The model with the candidate's terms added and what they replace removed."""
-    kept = tuple(t for t in model.terms if not (t.joint == candidate.joint and t.effect in candidate.replaces))
+    kept = tuple(
+        t for t in model.terms if not (t.joint == candidate.joint and t.effect in candidate.replaces)
+    )
     return replace(model, terms=(*kept, *candidate.terms))
 
 

@@ -83,7 +83,11 @@ def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float
     count = 0.0
     for term in terms:
         effect = get_effect(term.effect)
-        count += sum(1 for p in effect.parameters if p.fitted) + (1 if effect.grid or effect.starts else 0) - 0.01 * (effect.name in ("coulomb", "torque_offset"))
+        count += (
+            sum(1 for p in effect.parameters if p.fitted)
+            + (1 if effect.grid or effect.starts else 0)
+            - 0.01 * (effect.name in ("coulomb", "torque_offset"))
+        )
         if effect.name in replacing:
             count -= 1
     return count * math.log(max(n, 10))
@@ -97,7 +101,9 @@ def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scor
 class Searcher:
     """Searches one joint; ``accept`` decides whether a step counts (held-out evidence is its business)."""
 
-    def __init__(self, data: Data, joint: int, accept: Callable[[Scored, Rival], bool], jobs: int, progress: Progress) -> None:
+    def __init__(
+        self, data: Data, joint: int, accept: Callable[[Scored, Rival], bool], jobs: int, progress: Progress
+    ) -> None:
         self.data, self.joint, self.accept, self.jobs, self.progress = data, joint, accept, jobs, progress
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
@@ -125,10 +131,7 @@ class Searcher:
             step = Step(rivals[0], tuple(rivals[1:]), current)
             since = waiting[0].before if waiting else current
             together = replace(rivals[0], price=sum(s.chosen.price for s in waiting) + rivals[0].price)
-            if self.accept(current, rivals[0]) and (not waiting or self.accept(since, together)):
-                found.steps += [*waiting, step]
-                waiting = []
-            elif waiting and self.accept(since, together):
+            if self.accept(since, together):
                 found.steps += [*waiting, step]
                 waiting = []
             elif len(waiting) < 3 and current.deviance - rivals[0].value > 10 * WAIT:
@@ -156,7 +159,9 @@ class Searcher:
             if current.deviance - first.value < 0.4 * gain or _general(first, rivals[0]):
                 continue
             behind = self.round(first.scored)
-            if behind and behind[0].value + first.price < total - max(10.0, (1.0 - SUFFICIENT) * (current.deviance - total)):
+            if behind and behind[0].value + first.price < total - max(
+                10.0, (1.0 - SUFFICIENT) * (current.deviance - total)
+            ):
                 best, total = first, behind[0].value + first.price
         return [best, *[r for r in rivals if r is not best]]
 
@@ -194,14 +199,32 @@ class Searcher:
         ranked = [replace(r, rank=current.deviance - r.value) for r in rivals]
         if len(ranked) < 2 or ranked[0].scored.data.bandwidth[self.joint - 1] <= UNSETTLED:
             return ranked
-        slow = current.data.at_bandwidth(self.joint, max(8.0, ranked[0].scored.data.bandwidth[self.joint - 1] / 4))
+        slow = current.data.at_bandwidth(
+            self.joint, max(8.0, ranked[0].scored.data.bandwidth[self.joint - 1] / 4)
+        )
         joints = (self.joint,)
-        base = fit(slow, current.model, current.fit.handles, joints=joints, iterations=5, tolerance=1e-3, jobs=self.jobs)
+        base = fit(
+            slow,
+            current.model,
+            current.fit.handles,
+            joints=joints,
+            iterations=5,
+            tolerance=1e-3,
+            jobs=self.jobs,
+        )
         level = deviance(slow, base.model, joints)
         reach = [r for r in ranked[:8] if r.rank > 0.1 * ranked[0].rank and r.rank > WAIT]
 
         def slowly(rival: Rival) -> Rival:
-            result = fit(slow, rival.scored.model, rival.scored.fit.handles, joints=joints, iterations=6, tolerance=1e-3, jobs=1)
+            result = fit(
+                slow,
+                rival.scored.model,
+                rival.scored.fit.handles,
+                joints=joints,
+                iterations=6,
+                tolerance=1e-3,
+                jobs=1,
+            )
             return replace(rival, rank=level - deviance(slow, result.model, joints) - rival.price)
 
         with ThreadPoolExecutor(self.jobs) as pool:
@@ -219,7 +242,9 @@ class Searcher:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(current.data, model, self.joint)
             rounds = 3 if len(group) > 1 else 4
-            result = fit(current.data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1)
+            result = fit(
+                current.data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1
+            )
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:
@@ -229,29 +254,54 @@ class Searcher:
         if len(group) > 1:
             handles = best.scored.fit.handles
             more = 10 if best.effect == "backlash" else 5
-            result = fit(current.data, best.scored.model, handles, joints=(self.joint,), iterations=more, tolerance=1e-2, jobs=1)
+            result = fit(
+                current.data,
+                best.scored.model,
+                handles,
+                joints=(self.joint,),
+                iterations=more,
+                tolerance=1e-2,
+                jobs=1,
+            )
         else:
             result = best.scored.fit
         data, value = tune_bandwidth(current.data, result.model, (self.joint,), down_only=True)
         return replace(best, scored=Scored(result, data, value, (self.joint,)))
 
     def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
-        return Rival(candidate.effect, self.joint, scored, price(candidate.terms, self.n, (candidate.effect,) if candidate.replaces else ()), candidate.terms, candidate.replaces)
+        return Rival(
+            candidate.effect,
+            self.joint,
+            scored,
+            price(candidate.terms, self.n, (candidate.effect,) if candidate.replaces else ()),
+            candidate.terms,
+            candidate.replaces,
+        )
 
     def _full(self, rival: Rival) -> Rival:
-        scored = fit_scored(rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=1)
+        scored = fit_scored(
+            rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=1
+        )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
-                options.append(fit_scored(rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=1, rounds=2))
+                options.append(
+                    fit_scored(
+                        rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=1, rounds=2
+                    )
+                )
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
 
     def _split_asymmetry(self, found: JointSearch, current: Scored) -> Scored:
         """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither, they stand for themselves."""
         had = {t.effect for t in found.base.model.at(self.joint)}
         term = next((t for t in current.model.at(self.joint) if t.effect == "coulomb_asymmetry"), None)
-        if term is None or had & {"coulomb", "coulomb_asymmetry"} or "torque_offset" in {t.effect for t in current.model.at(self.joint)}:
+        if (
+            term is None
+            or had & {"coulomb", "coulomb_asymmetry"}
+            or "torque_offset" in {t.effect for t in current.model.at(self.joint)}
+        ):
             return current
         up, down = term.value("level_pos"), term.value("level_neg")
         parts = (
@@ -259,7 +309,14 @@ class Searcher:
             make_term(get_effect("torque_offset"), self.joint, {"level": 0.5 * (up - down)}),
         )
         model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
-        other = fit_scored(current.data, model, joint_handles(current.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=1)
+        other = fit_scored(
+            current.data,
+            model,
+            joint_handles(current.data, model, self.joint),
+            (self.joint,),
+            jobs=self.jobs,
+            rounds=1,
+        )
         return other if other.deviance < current.deviance + 10.0 else current
 
     def _as_coulomb(self, best: Scored) -> Scored:
@@ -277,7 +334,14 @@ class Searcher:
         else:
             named = make_term(get_effect("coulomb"), self.joint, {"level": term.value("force")})
         model = best.model.with_terms((*others, named))
-        other = fit_scored(best.data, model, joint_handles(best.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=1)
+        other = fit_scored(
+            best.data,
+            model,
+            joint_handles(best.data, model, self.joint),
+            (self.joint,),
+            jobs=self.jobs,
+            rounds=1,
+        )
         return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
 
     def simplify(self, found: JointSearch) -> tuple[Scored, tuple[str, ...]]:
@@ -290,10 +354,19 @@ class Searcher:
                 if term.joint != self.joint or _needed_by(best.model, term):
                     continue
                 model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
-                trial = fit_scored(best.data, model, joint_handles(best.data, model, self.joint), (self.joint,), jobs=self.jobs, rounds=2)
+                trial = fit_scored(
+                    best.data,
+                    model,
+                    joint_handles(best.data, model, self.joint),
+                    (self.joint,),
+                    jobs=self.jobs,
+                    rounds=2,
+                )
                 if trial.deviance < best.deviance + price((term,), self.n):
                     best = trial
-                    if term.effect not in added or term.effect in {t.effect for t in found.base.model.at(self.joint)}:
+                    if term.effect not in added or term.effect in {
+                        t.effect for t in found.base.model.at(self.joint)
+                    }:
                         dropped.append(term.effect)
                     break
             else:
@@ -339,13 +412,13 @@ def _simplest_sufficient(rivals: list[Rival], before: Scored) -> list[Rival]:
 
 def _general(rival: Rival, other: Rival) -> bool:
     """Whether one of two hypotheses contains the other as a special case."""
-    return other.effect in get_effect(rival.effect).replaces or rival.effect in get_effect(other.effect).replaces
+    return (
+        other.effect in get_effect(rival.effect).replaces or rival.effect in get_effect(other.effect).replaces
+    )
 
 
 def _needed_by(model: Model, term: Term) -> bool:
-    return any(
-        term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term
-    )
+    return any(term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term)
 
 
 def _set_number(model: Model, effect: str, joint: int, name: str, value: float) -> Model:

@@ -22,7 +22,9 @@ TOLERANCE = 0.045  # relative standard deviation of a given inertia, mass or gra
 FAR = 3.0  # standard deviations
 
 
-def shifted(given: Model, search: JointSearch, whole: Assembled, found: Collection[str], test: Data) -> list[tuple[float, Finding]]:
+def shifted(
+    given: Model, search: JointSearch, whole: Assembled, found: Collection[str], test: Data
+) -> list[tuple[float, Finding]]:
     """Findings about mechanism parameters that moved far from their given values, with their z.
 
     Parameters
@@ -80,7 +82,9 @@ def _needed(given: Model, search: JointSearch, key: str, test: Data) -> bool:
     items = given.mechanism[key]
     held = tuple(replace(q, free=False) for q in items)
     model = replace(final.model, mechanism={**final.model.mechanism, key: held})
-    handles = tuple(h for h in joint_handles(final.data, model, joint) if not (h.place == "mechanism" and h.key == key))
+    handles = tuple(
+        h for h in joint_handles(final.data, model, joint) if not (h.place == "mechanism" and h.key == key)
+    )
     fixed = fit_scored(final.data, model, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < 100.0:
         return False
@@ -88,10 +92,15 @@ def _needed(given: Model, search: JointSearch, key: str, test: Data) -> bool:
     return evidence.gain > 50.0 and evidence.z > 3.0
 
 
-def _gravity_only(given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]) -> list[tuple[float, Finding]]:
+def _gravity_only(
+    given: Model, joint: int, moves: dict[str, tuple[float, float, float, float]]
+) -> list[tuple[float, Finding]]:
     if "gravity" not in moves or abs(moves["gravity"][1]) < 2 * FAR:
         return []
     ratio, z, amount, std = moves["gravity"]
-    values = {"torque": Estimate(abs(amount), std, "N m"), "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad")}
+    values = {
+        "torque": Estimate(abs(amount), std, "N m"),
+        "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
+    }
     text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} N m), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
     return [(z, Finding("gravity", joint, values, 0.7, 0.0, ("stiffness",), (), text))]

@@ -20,9 +20,13 @@ def summary(d: Diagnosis) -> str:
         lines.append(d.unexplained)
     if d.findings or d.unexplained:
         lines.append("")
-    lines.append(f"position error within 0.25 s ({d.unit}, RMS)   given      calibrated  improved   noise floor")
+    lines.append(
+        f"position error within 0.25 s ({d.unit}, RMS)   given      calibrated  improved   noise floor"
+    )
     for name, table in (("  recordings of the fit", d.estimation), ("  held-out recordings", d.heldout)):
-        lines.append(f"{name:<44} {table.given:<10.3g} {table.calibrated:<11.3g} {table.improved:<10.3g} {d.noise_floor:.3g}")
+        lines.append(
+            f"{name:<44} {table.given:<10.3g} {table.calibrated:<11.3g} {table.improved:<10.3g} {d.noise_floor:.3g}"
+        )
     for r in d.regions[:2]:
         lines.append(
             f"mismatch: joint {r.joint}, {r.variable} {r.interval[0]:.3g} … {r.interval[1]:.3g}: {100 * r.share:.0f} % of it in {100 * r.time_share:.0f} % of the time"

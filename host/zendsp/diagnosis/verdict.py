@@ -42,7 +42,9 @@ class Outcome:
     sentence: str
 
 
-def judge(train: Data, test: Data, given: Model, searches: Sequence[JointSearch], whole: Assembled, jobs: int) -> Outcome:
+def judge(
+    train: Data, test: Data, given: Model, searches: Sequence[JointSearch], whole: Assembled, jobs: int
+) -> Outcome:
     """Decide the verdict.
 
     Parameters
@@ -67,8 +69,16 @@ def judge(train: Data, test: Data, given: Model, searches: Sequence[JointSearch]
                 f"Joint {j.joint}: a torque of {j.after.state_size:.3g} {unit} RMS ({100 * j.after.relative:.1f} % of the torque) depends on the state of the joint and is none of the known effects"
             )
         elif j.kind == "missing" and j.after.relative > SMALL and j.after.state_share > STATE:
-            words.append(f"Joint {j.joint}: beside what was found, {j.after.size:.3g} {unit} RMS ({100 * j.after.relative:.1f} % of the torque) stays unexplained")
-    verdict = "missing" if kinds & {"missing", "disturbance"} else "unexplained" if "unexplained" in kinds else "complete"
+            words.append(
+                f"Joint {j.joint}: beside what was found, {j.after.size:.3g} {unit} RMS ({100 * j.after.relative:.1f} % of the torque) stays unexplained"
+            )
+    verdict = (
+        "missing"
+        if kinds & {"missing", "disturbance"}
+        else "unexplained"
+        if "unexplained" in kinds
+        else "complete"
+    )
     return Outcome(verdict, joints, ". ".join(words))
 
 

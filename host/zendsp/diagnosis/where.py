@@ -58,7 +58,9 @@ def missing_torque(record: JointRecord, model: Model) -> Missing:
     torque = -(motion.states[2] - known) * inertia
     std = np.sqrt(motion.variances[2]) * inertia
     time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
-    return Missing(time, torque, std, {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command})
+    return Missing(
+        time, torque, std, {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
+    )
 
 
 def energy(missing: Missing) -> Array:
@@ -93,7 +95,15 @@ def regions(missing: Missing, joint: int) -> list[Region]:
             if run > best:
                 best, at = run, (start, i)
         a, b = at
-        found.append(Region(joint, name, (float(edges[a]), float(edges[b + 1])), float(share[a : b + 1].sum()), float(time[a : b + 1].sum())))
+        found.append(
+            Region(
+                joint,
+                name,
+                (float(edges[a]), float(edges[b + 1])),
+                float(share[a : b + 1].sum()),
+                float(time[a : b + 1].sum()),
+            )
+        )
     return sorted(found, key=lambda r: r.time_share - r.share)
 
 
@@ -114,7 +124,10 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
             spans[-1] = (spans[-1][0], b)
         else:
             spans.append((a, b))
-    out = [(float(missing.time[a]), float(missing.time[min(b, len(e)) - 1]), float(e[a:b].sum()) / total) for a, b in spans]
+    out = [
+        (float(missing.time[a]), float(missing.time[min(b, len(e)) - 1]), float(e[a:b].sum()) / total)
+        for a, b in spans
+    ]
     return sorted(out, key=lambda s: -s[2])[:most]
 
 

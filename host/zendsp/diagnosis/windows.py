@@ -24,7 +24,9 @@ def window_error(data: Data, model: Model, joint: int) -> Array:
     for rec in data.records:
         record = rec[joint - 1]
         size = max(16, round(WINDOW / record.sample_time))
-        r = run(record, model, data.bandwidth[joint - 1], inner=max(data.inner, 4), free_every=size).innovations
+        r = run(
+            record, model, data.bandwidth[joint - 1], inner=max(data.inner, 4), free_every=size
+        ).innovations
         count = record.n // size
         if not count:
             continue
@@ -56,7 +58,9 @@ def noise_floor(data: Data) -> float:
             size = max(16, round(WINDOW / record.sample_time))
             left = 1.0 - 2.0 / size
             if m.resolution > 0:
-                squares += record.n * left * _quantisation(record.position, record.motion.states[0], size) ** 2
+                squares += (
+                    record.n * left * _quantisation(record.position, record.motion.states[0], size) ** 2
+                )
             else:
                 squares += record.n * left * m.noise**2
             count += record.n

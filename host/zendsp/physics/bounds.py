@@ -27,7 +27,10 @@ def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[
     s, q = record.scale, record.motion.states[0]
     span, centre = s.position, 0.5 * (float(q.max()) + float(q.min()))
     top_speed = float(np.quantile(np.abs(record.motion.states[1]), 0.99))
-    slowest, fastest = 2 * np.pi * 0.5, min(2 * np.pi * 200.0, 1.0 / record.sample_time)  # rad/s of a resonance
+    slowest, fastest = (
+        2 * np.pi * 0.5,
+        min(2 * np.pi * 200.0, 1.0 / record.sample_time),
+    )  # rad/s of a resonance
     two_mass = effect_name in ("elasticity", "backlash")
     if name == "neutral":
         return centre - 3 * span, centre + 3 * span

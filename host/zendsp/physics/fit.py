@@ -39,7 +39,9 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
     keys = set(data.records[0][joint - 1].basis) | {"gravity"}
     out = []
     for h in free_handles(model, joints=(joint,)):
-        if h.place == "mechanism" and (h.key not in keys or (h.index != joint - 1 and len(model.mechanism[h.key]) > 1)):
+        if h.place == "mechanism" and (
+            h.key not in keys or (h.index != joint - 1 and len(model.mechanism[h.key]) > 1)
+        ):
             continue
         out.append(h)
     return tuple(out)
@@ -71,7 +73,11 @@ def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = Tr
     for i, term in enumerate(model.terms):
         if term.joint in wanted:
             effect = get_effect(term.effect)
-            handles += [Handle("term", i, p.name) for p in effect.parameters if p.fitted and term.parameters[p.name].free]
+            handles += [
+                Handle("term", i, p.name)
+                for p in effect.parameters
+                if p.fitted and term.parameters[p.name].free
+            ]
     if model.actuator.gain_free:
         handles += [Handle("gain", j - 1) for j in sorted(wanted)]
     if offsets and model.kind == "rotary" and any(q.value for q in model.mechanism.get("gravity", ())):
@@ -133,7 +139,9 @@ class Data:
     records: tuple[tuple[JointRecord, ...], ...]
     bandwidth: tuple[float, ...]
     inner: int = 2
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # of inertial figures: see diagnosis/inertia.py
+    ranges: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict
+    )  # of inertial figures: see diagnosis/inertia.py
 
     @property
     def joints(self) -> int:
@@ -142,7 +150,9 @@ class Data:
 
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""
-        return replace(self, bandwidth=tuple(value if j + 1 == joint else b for j, b in enumerate(self.bandwidth)))
+        return replace(
+            self, bandwidth=tuple(value if j + 1 == joint else b for j, b in enumerate(self.bandwidth))
+        )
 
 
 @dataclass(frozen=True)
@@ -168,7 +178,11 @@ class Fit:
 
 def residual(data: Data, model: Model, joints: Sequence[int]) -> Array:
     """Weighted innovations of some joints over all recordings, (N,)."""
-    parts = [run(rec[j - 1], model, data.bandwidth[j - 1], inner=data.inner).innovations for rec in data.records for j in joints]
+    parts = [
+        run(rec[j - 1], model, data.bandwidth[j - 1], inner=data.inner).innovations
+        for rec in data.records
+        for j in joints
+    ]
     return np.concatenate(parts)
 
 
@@ -186,7 +200,11 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
                 lower, upper = data.ranges.get(f"inertia {term.joint}", (lower, upper))
             low.append(lower)
             high.append(upper)
-            size.append(max(abs(term.parameters[h.key].value), 0.02 * s) if parameter.size not in ("angle", "number", "ratio") else 1.0)
+            size.append(
+                max(abs(term.parameters[h.key].value), 0.02 * s)
+                if parameter.size not in ("angle", "number", "ratio")
+                else 1.0
+            )
             if parameter.size == "ratio":
                 size[-1] = 0.1
         elif h.place == "offset":
@@ -255,7 +273,12 @@ def fit(
     centre = get_values(model, handles)
 
     def evaluate(at: Array) -> Array:
-        return np.concatenate([residual(data, set_values(model, handles, at), wanted), prior[prior > 0] * (at - centre)[prior > 0]])
+        return np.concatenate(
+            [
+                residual(data, set_values(model, handles, at), wanted),
+                prior[prior > 0] * (at - centre)[prior > 0],
+            ]
+        )
 
     r = evaluate(x)
     cost, damping, done = float(r @ r), 1e-3, not len(handles)
@@ -270,7 +293,11 @@ def fit(
             step = np.where(at + step > high, -step, step)
             points = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
             columns = list(pool.map(evaluate, points))
-            return np.stack([(c - base) / s for c, s in zip(columns, step, strict=True)], axis=1) if columns else jac
+            return (
+                np.stack([(c - base) / s for c, s in zip(columns, step, strict=True)], axis=1)
+                if columns
+                else jac
+            )
 
         if handles:
             jac = jacobian(x, r)

@@ -94,7 +94,15 @@ class JointRecord:
             reference = white if white > 0 else float(np.median(variance[variance > 0]))
             k1, k2, w = np.empty(n), np.empty(n), np.empty(n)
             p = lib.doubles
-            lib.lib.zf_gains(n, self.sample_time, bandwidth**2 * np.sqrt(reference), p(self.measurement.variance), p(k1), p(k2), p(w))
+            lib.lib.zf_gains(
+                n,
+                self.sample_time,
+                bandwidth**2 * np.sqrt(reference),
+                p(self.measurement.variance),
+                p(k1),
+                p(k2),
+                p(w),
+            )
             self._gains[key] = (k1, k2, w)
         return self._gains[key]
 
@@ -195,7 +203,10 @@ def run(
     half = record.measurement.half
     if free_every:
         value, half, w = record.position + shift, np.zeros(n), np.ones(n)
-    rq, rqd = np.ascontiguousarray(record.motion.states[0] + shift), np.ascontiguousarray(record.motion.states[1])
+    rq, rqd = (
+        np.ascontiguousarray(record.motion.states[0] + shift),
+        np.ascontiguousarray(record.motion.states[1]),
+    )
     value = np.ascontiguousarray(value)
     r = np.empty(n)
     xq, xqd, torque = (np.empty(n), np.empty(n), np.empty(n)) if states else (None, None, None)
@@ -233,7 +244,15 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     return out
 
 
-def response(record: JointRecord, bandwidth: float, inertia: Array, damping: Array, columns: Array, *, on_sensor: bool = False) -> Array:
+def response(
+    record: JointRecord,
+    bandwidth: float,
+    inertia: Array,
+    damping: Array,
+    columns: Array,
+    *,
+    on_sensor: bool = False,
+) -> Array:
     """What torque columns (m, n) do to the weighted innovations, to first order (m, n); ``on_sensor``: position columns."""
     lib, n = native(), record.n
     p = lib.doubles

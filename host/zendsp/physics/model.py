@@ -13,7 +13,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 KINDS = ("rotary", "linear", "planar2r", "urdf", "python")
-REQUIRED = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2", "p3"), "urdf": (), "python": ()}
+REQUIRED = {
+    "rotary": ("inertia",),
+    "linear": ("mass",),
+    "planar2r": ("p1", "p2", "p3"),
+    "urdf": (),
+    "python": (),
+}
 
 
 @cache
@@ -23,7 +29,11 @@ def _movable(path: str) -> int:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
         return 1
-    moving = [j for j in root.findall("joint") if j.get("type") in ("revolute", "continuous", "prismatic") and j.find("mimic") is None]
+    moving = [
+        j
+        for j in root.findall("joint")
+        if j.get("type") in ("revolute", "continuous", "prismatic") and j.find("mimic") is None
+    ]
     return max(1, len(moving))
 
 
@@ -100,8 +110,18 @@ class Model:
             return 2
         if isinstance(position, list):
             return len(position)
-        moving = _movable(str(self.folder / self.file)) if self.kind == "urdf" else 1  # the column may be one 2-D array
-        return max([moving, len(self.sensor.matrix), len(self.actuator.matrix), *(len(v) for v in self.mechanism.values()), *(t.joint for t in self.terms)])
+        moving = (
+            _movable(str(self.folder / self.file)) if self.kind == "urdf" else 1
+        )  # the column may be one 2-D array
+        return max(
+            [
+                moving,
+                len(self.sensor.matrix),
+                len(self.actuator.matrix),
+                *(len(v) for v in self.mechanism.values()),
+                *(t.joint for t in self.terms),
+            ]
+        )
 
     def joint_kind(self, joint: int) -> str:
         """``"rotary"`` or ``"linear"`` for joint 1, 2, …"""

@@ -41,7 +41,9 @@ class _Reader:
         items = value if isinstance(value, list) else [value]
         numbers = tuple(self.number(key, item) for item in items)
         if not numbers or min(numbers) < least:
-            raise self.fail(key, f"numbers of at least {least:g}" if numbers else "at least one number", value)
+            raise self.fail(
+                key, f"numbers of at least {least:g}" if numbers else "at least one number", value
+            )
         return numbers
 
     def matrix(self, key: str, value: Any) -> tuple[tuple[float, ...], ...]:
@@ -117,7 +119,9 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     if kind not in KINDS:
         raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
     parameters = read.table(mechanism, "parameters")
-    values = {key: read.quantities(f"[mechanism.parameters] {key}", value) for key, value in parameters.items()}
+    values = {
+        key: read.quantities(f"[mechanism.parameters] {key}", value) for key, value in parameters.items()
+    }
     for key in REQUIRED[kind]:
         if key not in values:
             raise ModelError(f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs")
@@ -169,7 +173,9 @@ def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
     if side not in ("motor", "load"):
         raise read.fail("[sensor] side", '"motor" or "load"', side)
     return Sensor(
-        resolution=read.numbers("[sensor] position_resolution", data["position_resolution"], least=0.0) if "position_resolution" in data else (),
+        resolution=read.numbers("[sensor] position_resolution", data["position_resolution"], least=0.0)
+        if "position_resolution" in data
+        else (),
         matrix=read.matrix("[sensor] matrix", data["matrix"]) if "matrix" in data else (),
         offset=read.numbers("[sensor] offset", data["offset"]) if "offset" in data else (),
         side=side,
@@ -198,8 +204,14 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
             continue
         quantity = read.quantities(f"{where} {parameter.name}", raw)[0]
         if not parameter.lower <= quantity.value <= parameter.upper:
-            raise read.fail(f"{where} {parameter.name}", f"a number from {parameter.lower:g} to {parameter.upper:g}", quantity.value)
-        values[parameter.name] = quantity if parameter.fitted else Quantity(quantity.value, False, quantity.unit)
+            raise read.fail(
+                f"{where} {parameter.name}",
+                f"a number from {parameter.lower:g} to {parameter.upper:g}",
+                quantity.value,
+            )
+        values[parameter.name] = (
+            quantity if parameter.fitted else Quantity(quantity.value, False, quantity.unit)
+        )
     return Term(effect.name, joint, values)
 
 
@@ -208,7 +220,9 @@ def _number(value: float) -> float:
 
 
 def _quantity(items: tuple[Quantity, ...]) -> dict[str, Any]:
-    out: dict[str, Any] = {"value": _number(items[0].value) if len(items) == 1 else [_number(q.value) for q in items]}
+    out: dict[str, Any] = {
+        "value": _number(items[0].value) if len(items) == 1 else [_number(q.value) for q in items]
+    }
     if not all(q.free for q in items):
         out["free"] = False
     if items[0].std > 0:
@@ -265,12 +279,18 @@ def model_text(model: Model) -> str:
         data["actuator"]["unit"] = a.unit
     data["sensor"] = {"side": s.side}
     if s.resolution:
-        data["sensor"]["position_resolution"] = s.resolution[0] if len(s.resolution) == 1 else list(s.resolution)
+        data["sensor"]["position_resolution"] = (
+            s.resolution[0] if len(s.resolution) == 1 else list(s.resolution)
+        )
     if s.matrix:
         data["sensor"]["matrix"] = [list(row) for row in s.matrix]
     if s.offset:
         data["sensor"]["offset"] = list(s.offset)
-    for key, table in (("controller", model.controller), ("columns", model.columns), ("limits", model.limits)):
+    for key, table in (
+        ("controller", model.controller),
+        ("columns", model.columns),
+        ("limits", model.limits),
+    ):
         if table:
             data[key] = dict(table)
     return tomli_w.dumps(data)

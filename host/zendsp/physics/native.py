@@ -56,7 +56,11 @@ def source_text(effects: dict[str, Effect]) -> str:
         if effect.site == "setup":
             setup.append(f"case {i}: {effect.c} break;")
             continue
-        unused = "(void)p; " + ("(void)s; " if effect.site != "actuator" else "") + ("(void)dir; " if effect.site == "dry" else "")
+        unused = (
+            "(void)p; "
+            + ("(void)s; " if effect.site != "actuator" else "")
+            + ("(void)dir; " if effect.site == "dry" else "")
+        )
         functions.append(f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}")
         if effect.site in _CASES:
             look = "look_at(M, (int)p[0], k, &o);" if effect.name == "coupling" else ""
@@ -82,7 +86,10 @@ def source_text(effects: dict[str, Effect]) -> str:
 
 def cache_folder() -> Path:
     """Folder of compiled code: ``$ZENDSP_CACHE``, else the user's cache folder."""
-    base = os.environ.get("ZENDSP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "zendsp"
+    base = (
+        os.environ.get("ZENDSP_CACHE")
+        or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "zendsp"
+    )
     folder = Path(base)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -119,14 +126,18 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
         There is no compiler; the message says what to install.
     """
     compiler = find_compiler().command
-    key = hashlib.sha256("\0".join([source, *flags, *compiler, _machine(), platform.machine()]).encode()).hexdigest()[:24]
+    key = hashlib.sha256(
+        "\0".join([source, *flags, *compiler, _machine(), platform.machine()]).encode()
+    ).hexdigest()[:24]
     target = cache_folder() / f"physics-{key}.so"
     if target.exists():
         return target
     with tempfile.TemporaryDirectory(dir=cache_folder()) as folder:
         code, out = Path(folder) / "physics.c", Path(folder) / "physics.so"
         code.write_text(source)
-        run = subprocess.run([*compiler, *flags, str(code), "-o", str(out), "-lm"], capture_output=True, text=True, check=False)
+        run = subprocess.run(
+            [*compiler, *flags, str(code), "-o", str(out), "-lm"], capture_output=True, text=True, check=False
+        )
         if run.returncode:
             raise ZendspError(f"the C compiler refused the physics kernel:\n{run.stderr[-4000:]}")
         out.replace(target)  # atomic: several processes may build at once
