@@ -39,10 +39,14 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
     found = keep(lab, static(lab, positions=(0.3, -0.6)))
     assert found.values["breakaway1_ccw"].value == pytest.approx(11.4 * 1.05, rel=0.05)
     assert found.values["breakaway2_cw"].value == pytest.approx(3.1 * 1.04, rel=0.05)
-    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.05)
+    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.1)  # 0.3 mrad: seven counts of the encoder
+    assert found.values["stiffness2"].value == pytest.approx(1500, rel=0.03)
     fast = keep(lab, viscous(lab, speeds=(2.2, 3.5, 5.0)))
     assert fast.values["viscous1_ccw"].value == pytest.approx(5.3 * 1.02, rel=0.01)
     assert fast.values["level2_cw"].value == pytest.approx(2.35 * 1.04, rel=0.01)
+    push = Recording.load(next((folder / "imi-viscous").glob("joint2_+*.npz")))
+    assert np.abs(push["q"][push["phase"] >= 2, 0]).max() < 0.02, "the other joint is held"
+    assert np.abs(push["q"][:, 1]).max() < 2.15, "the pushed one is braked before its limit"
     slow = keep(lab, low_speed(lab, cycles=2))
     at = {(row["joint"], row["speed rad/s"]): row["friction N m"] for row in slow.tables["curve"]}
     assert at[1, 0.5] == pytest.approx(8.45 * 1.05 + 5.3 * 1.02 * 0.5, rel=0.03)
@@ -113,9 +117,3 @@ def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Pat
         run_experiment("imi-static", Lab(tmp_path, target))
     with pytest.raises(Refused, match="there are imi-static"):
         run_experiment("nope", Lab(tmp_path))
-
-
-def test_the_pushed_joint_is_braked_and_the_other_held(folder: Path) -> None:
-    rec = Recording.load(next((folder / "imi-viscous").glob("joint2_+*.npz")))
-    pushed = rec["phase"] >= 2
-    assert np.abs(rec["q"][pushed, 0]).max() < 0.02 and np.abs(rec["q"][:, 1]).max() < 2.15

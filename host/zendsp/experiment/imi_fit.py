@@ -96,7 +96,8 @@ def fit(lab: Lab) -> Result:
     for joint in imi_friction.JOINTS:
         with np.load(lab.folder / "imi-low-speed" / f"curve{joint}.npz") as stored:
             v, f = stored["speed"], stored["friction"]
-            sliding = (np.abs(v) > SLOWEST) & stored["slowing"]
+            # at the peaks the acceleration jumps, which the smoothing smears: they are left out
+            sliding = (np.abs(v) > SLOWEST) & (np.abs(v) < 0.95 * np.abs(v).max()) & stored["slowing"]
         fast = np.array([(p["speed rad/s"], p["friction N m"]) for p in viscous.tables["points"] if p["joint"] == joint])
         speed, friction = np.r_[v[sliding], fast[:, 0]], np.r_[f[sliding], fast[:, 1]]
         weight = np.r_[np.full(sliding.sum(), 1.0), np.full(len(fast), sliding.sum() / len(fast) / 3.0)]
@@ -151,6 +152,6 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
             top = 1.15 * max(np.abs(f[inside]).max(), np.abs(curve.size(np.array([min(limit, 5.2)])))[0])
             axis.set_ylim(-top, top)
             label(axis, "speed (rad/s)", "friction torque (N m)", f"joint {joint}, {words}")
-            if joint == 1 and limit < 1:
-                axis.legend(fontsize=7, frameon=False, loc="lower right", bbox_to_anchor=(1.02, 0.08), markerscale=2.0)
+    handles, words = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.5)
     return save(figure, folder / "fit.png")

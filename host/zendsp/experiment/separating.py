@@ -53,7 +53,7 @@ def run_reference(target: Target, reference: Reference, model: Model, like: Reco
             target.update(None, row_rate=round(1.0 / reference.sample_time))
         status = target.status()
         if status.state == "running" and status.clock == "real":
-            target.acquire_configure(_channels(model), seconds + START_S)
+            target.acquire_configure(_channels(model, names), seconds + START_S)
             target.acquire_start()
             _send(target, reference, names)
             recording = target.acquire_finish(2.0 * seconds + 10.0, "separating experiment")
@@ -61,7 +61,7 @@ def run_reference(target: Target, reference: Reference, model: Model, like: Reco
             if status.state == "running":  # a fast clock does not wait for tables
                 target.pause()
             _send(target, reference, names)
-            recording = target.acquire(_channels(model), seconds, start=True, note="separating experiment")
+            recording = target.acquire(_channels(model, names), seconds, start=True, note="separating experiment")
     trip = target.status().trip
     if trip is not None and trip.reason:
         raise Refused(f"the separating experiment ended early: {trip.text}. What came before is not used")
@@ -116,11 +116,12 @@ def _send(target: Target, reference: Reference, names: Any) -> None:
             target.upload(table, rows)
 
 
-def _channels(model: Model) -> Sequence[str]:
-    """Columns of the model as channels; time comes with every recording."""
+def _channels(model: Model, names: Any) -> Sequence[str]:
+    """Columns of the model as channels; time comes with every recording, and the reference only where the program tells it."""
     channels: list[str] = []
     for role in ("position", "command", "reference"):
-        name = model.columns.get(role)
-        if name is not None:
-            channels += name if isinstance(name, list) else [str(name)]
+        column = model.columns.get(role)
+        wanted = [] if column is None else list(column) if isinstance(column, list) else [str(column)]
+        if role != "reference" or all(name.partition("[")[0] in names for name in wanted):
+            channels += wanted
     return channels
