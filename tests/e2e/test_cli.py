@@ -151,16 +151,3 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     assert not running(process.pid) and zendsp.discover() == []
     assert os.listdir(os.environ["ZENDSP_RUNTIME_DIR"]) == []
     process.stdout.close()
-
-
-def test_the_demo_moves_the_arm_and_draws_it(tmp_path: Path) -> None:
-    done = zendsp_("demo", "--clock", "fast", "--out", str(tmp_path / "demo"), "--json")
-    assert done.returncode == 0, done.stderr
-    body = json.loads(done.stdout)
-    assert body["lost"] == 0 and body["rows"] == 14_000
-    assert all(Path(file).stat().st_size > 20_000 for file in body["files"])
-    rec = zendsp.Recording.load(tmp_path / "demo" / "circle.mat")
-    assert {change.tick for change in rec.log} == {5000, 9500}
-    # Stiffness divided by ten (5000 to 500 N m/rad) must show as an error several times larger.
-    error = abs(rec["e"][:, 0])
-    assert error[10_500:].max() > 4.0 * error[6000:9500].max()

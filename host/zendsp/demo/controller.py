@@ -13,8 +13,8 @@ from zendsp.physics.model import Model, Quantity, Term
 
 APPROACH_S = 1.0
 LAWS = range(4)  # of a coupling
-# Numbers that give an effect its shape, not its size: any harmless value while the size is zero.
-NEUTRAL = {"velocity": 1.0, "exponent": 2.0, "period": 1.0, "order": 1.0, "smooth": 0.02}
+# Numbers that give an effect its shape, not its size: 1 is harmless for all of them, while 0 would divide by zero.
+SHAPES = ("speed", "position", "order", "number", "time")
 SIZES = ("level", "level_pos", "level_neg", "coefficient", "coefficient_pos", "coefficient_neg")
 BLOCKS = ("friction_block",)  # a whole friction law in place of another, not an effect of the contract
 
@@ -38,7 +38,7 @@ def slots(joints: int) -> tuple[Term, ...]:
     made: list[Term] = []
     for joint in range(1, joints + 1):
         for effect in library().values():
-            zero = {n: Quantity(NEUTRAL.get(n, 0.0)) for n in effect.names}
+            zero = {p.name: Quantity(1.0 if p.size in SHAPES else 0.0) for p in effect.parameters}
             if effect.name == "coupling":
                 others = [other for other in range(1, joints + 1) if other != joint]
                 made += [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,12 +32,11 @@ def draw(told: Told, path: Path) -> None:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    style = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
-    with rc_context(style):
+    with rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}):
         figure = Figure(figsize=(12.8, 8.2), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0), hspace=0.06)
         left = grid[0, 0].subgridspec(2, 1, hspace=0.03)
-        joint = told.diagnosis.findings[0].joint if told.diagnosis.findings else told.hidden.joint
+        joint = told.diagnosis.findings[0].joint if told.diagnosis.findings else told.recorded.hidden.joint
         top = figure.add_subplot(left[0])
         _position(top, told, joint)
         _command(figure.add_subplot(left[1], sharex=top), told, joint)
@@ -59,12 +58,12 @@ def _unit(told: Told) -> str:
 
 
 def _position(axis: Axes, told: Told, joint: int) -> None:
-    t = np.arange(len(told.train)) * told.train.sample_time
-    q, s = columns(told.train, "q")[:, joint - 1], columns(told.simulated, "q")[:, joint - 1]
+    t = np.arange(len(told.recorded.train)) * told.recorded.train.sample_time
+    q, s = columns(told.recorded.train, "q")[:, joint - 1], columns(told.recorded.simulated, "q")[:, joint - 1]
     axis.plot(t, q, color=MACHINE, lw=2.4, alpha=0.45, label="machine")
     axis.plot(t[: len(s)], s[: len(t)], color=MODEL, lw=1.0, ls=(0, (4, 2)), label="simulated by the given model")
     axis.set_ylabel(f"position ({_unit(told)})")
-    size = 1e3 * told.hidden.position[joint - 1]
+    size = 1e3 * told.recorded.hidden.position[joint - 1]
     axis.set_title(f"The loop hides it: joint {joint} differs from its simulation by {size:.2g} m{_unit(told)}", loc="left")
     span = float(np.ptp(q)) or 1.0
     axis.set_ylim(float(q.min()) - 0.08 * span, float(q.max()) + 0.35 * span)
@@ -73,8 +72,8 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
 
 
 def _command(axis: Axes, told: Told, joint: int) -> None:
-    t = np.arange(len(told.train)) * told.train.sample_time
-    u, s = columns(told.train, "tau")[:, joint - 1], columns(told.simulated, "tau")[:, joint - 1]
+    t = np.arange(len(told.recorded.train)) * told.recorded.train.sample_time
+    u, s = columns(told.recorded.train, "tau")[:, joint - 1], columns(told.recorded.simulated, "tau")[:, joint - 1]
     rows = min(len(u), len(s))
     axis.axhline(0.0, color=QUIET, lw=0.8)
     axis.plot(t[:rows], u[:rows] - s[:rows], color=MODEL, lw=0.6)

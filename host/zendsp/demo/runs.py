@@ -10,14 +10,14 @@ import numpy as np
 
 from zendsp.demo.controller import APPROACH_S, flags, sources
 from zendsp.demo.stage import Stage, nominal_model
-from zendsp.errors import Refused
+from zendsp.errors import AcquisitionError, Refused
 from zendsp.link import Target
 from zendsp.physics.model import Model
 from zendsp.physics.simulate_run import simulate
 from zendsp.recording import Recording
 from zendsp.reference import Reference
 
-CHANNELS = ("q", "r", "tau", "e", "aout")
+CHANNELS = ("q", "r", "tau", "e", "aout", "tau_comp")
 REST_S = 0.3  # after the last row
 
 
@@ -62,12 +62,20 @@ class Machine:
         if update is not None:
             target.update(round(update[0] * rate), **update[1])
         seconds = APPROACH_S + motion.duration + REST_S
-        recording = target.acquire(list(CHANNELS), seconds=seconds, start=True, note=note)
-        trip = target.status().trip
-        if trip is not None and trip.reason:
-            target.acknowledge()
-            raise Refused(f"{note}: the machine stopped itself: {trip.text}")
+        try:
+            recording = target.acquire(list(CHANNELS), seconds=seconds, start=True, note=note)
+        except AcquisitionError:
+            self._refuse_trip(note)
+            raise
+        self._refuse_trip(note)
         return recording
+
+    def _refuse_trip(self, note: str) -> None:
+        """Say why the machine stopped itself, if it did, and make it ready for another run."""
+        trip = self.target.status().trip
+        if trip is not None and trip.reason:
+            self.target.acknowledge()
+            raise Refused(f"{note}: the machine stopped itself: {trip.text}")
 
     def settings(self) -> dict[str, Any]:
         """Parameters of the control program on this machine."""

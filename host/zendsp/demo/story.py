@@ -22,15 +22,22 @@ from zendsp.recording import Recording
 from zendsp.reference import Reference
 
 
-@dataclass
-class Told:
-    """Everything that the story made, in the order in which it happened."""
+@dataclass(frozen=True)
+class Recorded:
+    """What was known before the diagnosis."""
 
     seal: str
     train: Recording
     heldout: Recording
     simulated: Recording
     hidden: Hidden
+
+
+@dataclass
+class Told:
+    """Everything that the story made, in the order in which it happened."""
+
+    recorded: Recorded
     diagnosis: Diagnosis
     separating: Recording | None = None
     work: Recording | None = None
@@ -65,14 +72,14 @@ def tell_story(target: Target, stage: Stage, out: Path, narrator: Narrator, seed
     -------
     Told
     """
-    machine, told = _record(target, stage, out, narrator)
-    _diagnose(machine, told, out, narrator, seed)
+    machine, recorded = _record(target, stage, out, narrator)
+    told = _diagnose(machine, recorded, out, narrator, seed)
     _compensate(machine, told, out, narrator)
     _reveal(machine, told, narrator)
     return told
 
 
-def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tuple[Machine, Told]:
+def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tuple[Machine, Recorded]:
     narrator.chapter("1  A machine that conceals something")
     seal = target.seal()
     narrator.say(f"target {target.name} runs in process {target.info.pid}, {target.info.clock} clock; it conceals physics under the seal {seal[:16]}…")
@@ -101,25 +108,25 @@ def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tupl
         f"in the command they do not: {hidden.command[j]:.2g} N m RMS, {100 * hidden.command[j] / hidden.effort[j]:.0f} % of the effort: "
         "the controller fights something that the model lacks"
     )
-    return machine, Told(seal, train, heldout, simulated, hidden, None)  # type: ignore[arg-type]  # filled by the next chapter
+    return machine, Recorded(seal, train, heldout, simulated, hidden)
 
 
-def _diagnose(machine: Machine, told: Told, out: Path, narrator: Narrator, seed: int) -> None:
+def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrator, seed: int) -> Told:
     narrator.chapter("3  The diagnosis")
 
     def look(recordings: list[Recording]) -> Diagnosis:
         with narrator.step("diagnosing"):
             return diagnose(
-                recordings, out / "given_model.toml", told.heldout, seed=seed, jobs=os.cpu_count() or 1, progress=narrator.progress
+                recordings, out / "given_model.toml", recorded.heldout, seed=seed, jobs=os.cpu_count() or 1, progress=narrator.progress
             )
 
-    told.diagnosis = look([told.train])
+    told = Told(recorded, look([recorded.train]))
     _say_findings(told.diagnosis, narrator)
     if any(f.indistinguishable for f in told.diagnosis.findings):
         told.separating = _separate(machine, told.diagnosis, narrator)
         if told.separating is not None:
             told.separating.save(out / "separating.mat")
-            told.diagnosis = look([told.train, told.separating])
+            told.diagnosis = look([recorded.train, told.separating])
             narrator.say("with the second recording:")
             _say_findings(told.diagnosis, narrator)
     held = told.diagnosis.heldout
@@ -133,11 +140,13 @@ def _diagnose(machine: Machine, told: Told, out: Path, narrator: Narrator, seed:
         told.failures.append(f"nothing was named: the verdict is {told.diagnosis.verdict}")
     elif not better:
         told.failures.append("the improved model is not better on the held-out recording")
+    return told
 
 
 def _say_findings(d: Diagnosis, narrator: Narrator) -> None:
     narrator.say(f"verdict: {d.verdict} ({d.seconds:.1f} s)")
-    for region in d.regions[:1]:
+    told_of = d.findings[0].joint if d.findings else 0
+    for region in [r for r in d.regions if told_of in (0, r.joint)][:1]:
         narrator.say(
             f"where: joint {region.joint}, {region.variable} {region.interval[0]:.3g} … {region.interval[1]:.3g}: "
             f"{100 * region.share:.0f} % of the mismatch in {100 * region.time_share:.0f} % of the time"
@@ -206,7 +215,7 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
     narrator.chapter("5  The truth")
     truth = machine.target.reveal()
     told.truth = truth
-    if truth.sha256 != told.seal:
+    if truth.sha256 != told.recorded.seal:
         told.failures.append("the revealed record is not the one sealed at the beginning")
     for effect in truth.effects:
         values = ", ".join(f"{name} {p['value']} {p['unit']}".rstrip() for name, p in effect["parameters"].items())

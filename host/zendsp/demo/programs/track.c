@@ -11,6 +11,7 @@
 #include "compensation.h"
 
 static double Kp[N], Kd[N], tau[N], tau_comp[N];
+static double rd_late[N]; /* speed of the reference, as late as the measured speed: both go through the same filter */
 
 void UserInit(void) {
     MotionInit();
@@ -24,10 +25,12 @@ void UserInit(void) {
 
 void UserISR_INT2(void) {
     MotionStep();
+    const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
     ModelTorque(r, rd, rdd, tau);
     for (int32_t j = 0; j < N; j++) {
+        rd_late[j] += a * (rd[j] - rd_late[j]);
         tau_comp[j] = Compensation(j, r, rd, rdd, tau[j]);
-        tau[j] += tau_comp[j] + Kp[j] * e[j] + Kd[j] * (rd[j] - qd[j]);
+        tau[j] += tau_comp[j] + Kp[j] * e[j] + Kd[j] * (rd_late[j] - qd[j]);
         WRITE_TORQUE(j, tau[j]);
     }
 }
