@@ -156,7 +156,8 @@ def _finding(
     ):
         same.append("coulomb_asymmetry")  # Coulomb friction and an offset are asymmetric Coulomb friction
     held = compare(item.without, search.final, test, joint)
-    replaces = tuple(sorted(set(search.dropped) & set(_replaceable(given, joint))))
+    kept = {t.effect for t in search.final.model.at(joint)}
+    replaces = tuple(sorted({t.effect for t in given.at(joint)} - kept))
     sure = confidence(
         item.loss,
         held.z,
@@ -215,10 +216,6 @@ def _tied(rival: Rival, best: Scored, behind: float, gain: float, test: Data) ->
     z = compare(rival.scored, best, test, rival.joint).z
     z_train = compare(rival.scored, best, best.data, rival.joint).z
     return z < TIE_Z and z_train < TIE_Z
-
-
-def _replaceable(given: Model, joint: int) -> list[str]:
-    return [t.effect for t in given.at(joint)]
 
 
 def _reason(behind: float, gain: float) -> str:

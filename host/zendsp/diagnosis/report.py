@@ -59,7 +59,9 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
         return
     found = {(f.effect, f.joint) for f in d.findings}
     terms = [t for t in d.improved.terms if (t.effect, t.joint) in found]
-    (folder / "compensation.c").write_text(compensation(terms), encoding="utf-8")
+    (folder / "compensation.c").write_text(
+        compensation(terms, model=d.improved, sentences=[f.sentence for f in d.findings]), encoding="utf-8"
+    )
 
 
 def _finite(value: Any) -> Any:

@@ -26,6 +26,7 @@ Progress = Callable[[str], None]
 
 PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
+RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
 FINALISTS = 4
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
@@ -128,13 +129,16 @@ class Searcher:
             rivals = _simplest_sufficient(rivals, current)
             if not found.steps and not waiting:
                 rivals = self._best_first(current, rivals)
-            step = Step(rivals[0], tuple(rivals[1:]), current)
             since = waiting[0].before if waiting else current
-            together = replace(rivals[0], price=sum(s.chosen.price for s in waiting) + rivals[0].price)
-            if self.accept(since, together):
+            paid = sum(step.chosen.price for step in waiting)
+            passing = (r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price)))
+            chosen = next(passing, rivals[0])
+            rivals = [chosen, *[r for r in rivals if r is not chosen]]
+            step = Step(chosen, tuple(rivals[1:]), current)
+            if self.accept(since, replace(chosen, price=paid + chosen.price)):
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < 3 and current.deviance - rivals[0].value > 10 * WAIT:
+            elif len(waiting) < 3 and current.deviance - chosen.value > 10 * WAIT:
                 waiting.append(step)
             else:
                 break
