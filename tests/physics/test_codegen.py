@@ -200,3 +200,11 @@ def test_model2c_writes_what_the_function_gives(tmp_path: Path) -> None:
     assert out.read_text() == model_code(load_model(MODELS / "imi_planar.toml"))
     shown = CliRunner().invoke(command, [str(MODELS / "imi_planar.toml"), "--effects-only"])
     assert "Compensation(int32_t joint" in shown.output and "comp_coulomb2_level" in shown.output
+
+
+def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_model() -> None:
+    base = {"sample_time": 0.001, "mechanism": {"kind": "linear", "parameters": {"mass": 1.0}}, "actuator": {"unit": "V"}}
+    model = parse_model({**base, "name": "axis", "effect": [{"kind": "coulomb", "joint": 1, "level": 0.4}, {"kind": "stribeck", "joint": 1, "breakaway": 0.7, "velocity": 0.02}]})
+    text = compensation([model.terms[1]], model=model, sentences=["Friction falls with speed."])
+    assert "comp_stribeck1_breakaway, 0.29999" in text and '"N"' in text and "physics found in axis" in text and "Friction falls" in text
+    assert "comp_coulomb1" not in text

@@ -18,6 +18,7 @@ def compensation(
     sentences: Sequence[str] = (),
     kinds: Sequence[str] = (),
     actuator: Actuator | None = None,
+    model: Model | None = None,
     sign_speed: float = SIGN_SPEED,
 ) -> str:
     """Found effects as a C function that gives the torque to add to a command.
@@ -37,6 +38,9 @@ def compensation(
         "rotary" or "linear" for each joint; rotary where absent.
     actuator : Actuator, optional
         Needed for effects in command units.
+    model : Model, optional
+        The whole model that the terms are part of: where ``kinds``, ``actuator`` and ``title`` come from if they are not given, and the
+        Coulomb level under a Stribeck term whose Coulomb term is not among ``terms``.
     sign_speed : float
         Initial value of ``comp_sign_speed``, rad/s: dry friction is compensated by tanh(qd / comp_sign_speed); 0 is a hard sign.
 
@@ -52,8 +56,12 @@ def compensation(
     >>> "comp_share * (comp_coulomb1_level * comp_sign(vel[0]))" in text
     True
     """
-    model = Model("found", None, "rotary", {}, terms=tuple(terms))
-    made = lines(kernel_terms(model), "comp", kinds=kinds, actuator=actuator)
+    whole = model or Model("found", None, "rotary", {}, terms=tuple(terms))
+    if model is not None:
+        kinds = kinds or [model.joint_kind(j + 1) for j in range(model.joints)]
+        actuator, title = actuator or model.actuator, title or model.name
+    others = tuple(t for t in whole.terms if not any(t is chosen for chosen in terms))
+    made = lines(kernel_terms(whole.with_terms((*terms, *others)))[: len(terms)], "comp", kinds=kinds, actuator=actuator)
     variables = [
         Variable("comp_share", 1.0, "", "part of the compensation that is added, 0 to 1"),
         Variable("comp_sign_speed", sign_speed, "rad/s", "speed over which dry friction changes its sign; 0: at once"),
