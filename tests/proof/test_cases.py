@@ -47,7 +47,7 @@ def test_concealed_effect_is_not_in_the_given_model_and_is_visible_in_the_truth(
 def test_complete_machine_leaves_the_oracle_nothing() -> None:
     """Refit of the given structure to the true motion explains all torque: the truth is in the model's reach."""
     from zendsp.proof import build_case
-    from zendsp.proof.effects import inertia_of
+    from zendsp.proof.effect_kit import inertia_of
     from zendsp.proof.machines import MACHINES
     from zendsp.proof.oracle import Judge
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from zendsp.proof.conceal import KINDS
 from zendsp.proof.draft import Array, Concealed, Draft, Scale
-from zendsp.proof.effects import inertia_of
+from zendsp.proof.effect_kit import inertia_of
 from zendsp.proof.files import NAMES, columns_of, format_for
 from zendsp.proof.given import model_file
 from zendsp.proof.machines import MACHINES

@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from zendsp.proof.draft import Draft, Scale, Term
-from zendsp.proof.effects import EFFECTS, set_friction, share
+from zendsp.proof.effect_kit import set_friction, share
+from zendsp.proof.effects import EFFECTS
 from zendsp.proof.foreign import add_foreign
 
 Rng = np.random.Generator
