@@ -59,6 +59,7 @@ def test_most_seeds_are_named_right_and_wrong_answers_are_not_confident(answer: 
     lines = "\n".join(a.line() for a in answers)
     right = sum(a.named for a in answers)
     confident_and_wrong = [a for a in answers if not a.named and a.confident > 0.9]
+    # Measured: seven; two drifts of friction are called unexplained, one backlash within the noise of the encoder is not seen.
     assert right >= 7, lines
     assert len(confident_and_wrong) <= 1, lines
 

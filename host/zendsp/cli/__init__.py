@@ -12,7 +12,7 @@ from zendsp.errors import ZendspError
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("zendsp.cli.demo:command", "Start a simulated arm, move it, tune it, record it, draw it."),
+    "demo": ("zendsp.cli.demo:command", "A machine conceals physics: find it live, and switch its compensation on."),
     "target": ("zendsp.cli.target:command", "Run a target here."),
     "ls": ("zendsp.cli.ls:command", "List the targets that answer."),
     "info": ("zendsp.cli.info:command", "Show a target and its variables."),

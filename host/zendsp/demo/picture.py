@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zendsp.demo.evidence import columns
+from zendsp.demo.evidence import Array, columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,9 +79,7 @@ def _command(axis: Axes, told: Told, joint: int) -> None:
     axis.plot(t[:rows], u[:rows] - s[:rows], color=MODEL, lw=0.6)
     axis.set_ylabel("command\nbeyond it (N m)")
     axis.set_xlabel("time (s)")
-    difference = u[:rows] - s[:rows]
-    top = 1.3 * float(np.quantile(np.abs(difference), 0.998)) or 1.0
-    axis.set_ylim(-top, top)
+    _scale(axis, u[:rows] - s[:rows], 0.1)
     axis.set_xlim(0.0, float(t[-1]))
 
 
@@ -100,9 +98,7 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
         axis.plot(x[every], y[every], ".", ms=1.6, alpha=0.35, color=colour, rasterized=True)
         axis.plot([], [], "o", color=colour, label=label)
         _middle(axis, x, y, colour)
-    limits = np.concatenate([m.torque for m in told.diagnosis.missing[joint]])
-    top = 1.4 * float(np.quantile(np.abs(limits), 0.99)) or 1.0
-    axis.set_ylim(-top, top)
+    _scale(axis, np.concatenate([m.torque for m in told.diagnosis.missing[joint]]), 0.3)
     axis.axhline(0.0, color=QUIET, lw=0.8)
     axis.set_xlabel(f"{variable} of joint {joint} ({units[variable]})")
     axis.set_ylabel("missing torque (N m)")
@@ -111,7 +107,7 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     axis.legend(loc="upper left", fontsize=8, frameon=False)
 
 
-def _middle(axis: Axes, x: np.ndarray, y: np.ndarray, colour: str) -> None:  # type: ignore[type-arg]
+def _middle(axis: Axes, x: Array, y: Array, colour: str) -> None:
     """Median over bins of equal counts."""
     order = np.argsort(x)
     parts = [part for part in np.array_split(order, 60) if len(part)]
@@ -130,18 +126,24 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     before, after = t < at, t >= at
     axis.plot(t[before], e[before], color=MODEL, lw=0.7)
     axis.plot(t[after], e[after], color=FOUND, lw=0.7)
-    low, high = (float(x) for x in np.quantile(e[t > LEAD_S], (0.001, 0.999)))
-    span = max(high - low, 1e-9)
-    axis.set_ylim(low - 0.25 * span, high + 0.35 * span)
+    low = _scale(axis, e[t > LEAD_S], 0.3)
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
-    axis.text(at, low - 0.22 * span, f" one synchronous update, sample {told.tracking.tick}", fontsize=8, va="bottom", color="0.2")
+    axis.text(at, low, f" one synchronous update, sample {told.tracking.tick}", fontsize=8, va="bottom", color="0.2")
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13, fontweight="bold", ha="center", transform=axis.transAxes)
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")
     axis.set_title("Switched on in the running program", loc="left")
     axis.set_xlim(0.0, float(t[-1]))
+
+
+def _scale(axis: Axes, values: Array, headroom: float) -> float:
+    """Limits that show all but the rarest values and zero, with room for words above; the lower limit."""
+    low, high = np.quantile(np.append(values, 0.0), (0.002, 0.998))
+    span = max(float(high - low), 1e-9)
+    axis.set_ylim(float(low) - 0.15 * span, float(high) + headroom * span)
+    return float(low) - 0.13 * span
 
 
 def _fit(axis: Axes, told: Told) -> None:
