@@ -1,7 +1,7 @@
 /* A machine as its model file describes it, forward in time: coupled rigid bodies and every effect of the library.
  *
  * Completed at build time: EFFECT_FUNCTIONS becomes one small function per physical effect (see effects/), EFFECT_CASES_* the
- * switches that call them. simulate_tree.h goes before it.
+ * switches that call them. simulate_tree.h, simulate_state.h and simulate_solve.h go before it.
  *
  * Scheme: implicit midpoint in two stages. Position halfway is q + h/2 v; a half step from there gives the speed halfway, at which
  * all forces are taken for the full step. Linear damping, springs in the transmission and bristles are implicit (stable at any
@@ -10,64 +10,6 @@
  *
  * Units: rad or m, s, N m or N. Joints from 0.
  */
-#include <stdint.h> /* int32_t */
-#include <stdlib.h> /* calloc, free */
-#include <string.h> /* memset, memcpy */
-
-enum { SIM_MAX = 8, SIM_DOF = 2 * SIM_MAX, SIM_P = 6 };
-enum { SIM_DIAGONAL = 0, SIM_PLANAR2R = 1, SIM_TREE = 2 };
-
-typedef struct sim_config {
-    int32_t joints, kind, inner; /* inner: integration steps per sample */
-    int32_t load_sensor;         /* 1: the sensor sits on the load side of an elastic joint */
-    int32_t hold;                /* samples for which a command is held */
-    int32_t effects;
-    double period, t0;           /* s */
-    double delay;                /* s, of every command */
-    double p1, p2, p3;           /* planar2r, kg m^2 */
-    double gravity[3];           /* tree, m/s^2 */
-    double inertia[SIM_MAX], weight[SIM_MAX];      /* diagonal: kg m^2 or kg; torque = weight sin(q) */
-    double gain[SIM_MAX], limit[SIM_MAX];          /* torque per command unit; command units, 0: none */
-    double resolution[SIM_MAX];                    /* of the sensor, 0: continuous */
-    double command_matrix[SIM_MAX * SIM_MAX];      /* joint command = matrix command */
-    double sensor_matrix[SIM_MAX * SIM_MAX];       /* measured = matrix (joint - offset) */
-    double sensor_offset[SIM_MAX];
-    double q0[SIM_MAX], qd0[SIM_MAX];
-    const double *tree;          /* TREE_ROW numbers a joint */
-    const int32_t *effect, *effect_joint; /* index into the library; joint, ascending */
-    const double *effect_p;      /* SIM_P numbers an effect */
-} sim_config;
-
-typedef struct { /* what an effect may look at (the names that the effects' C uses) */
-    double q, qd, qdd, t;
-    double u, tau;
-    double oq, oqd, oqdd;
-    double lag_t;
-} zs;
-
-typedef struct sim_joint { /* what the effects of site "setup" set, and states */
-    double delay, lag, k_spring, c_spring, j_load, gap, s0, s1, bw_force, bw_a, bw_n, j_extra;
-    int two_mass, lag_on;
-    int motor;          /* degree of freedom on the motor side; the joint's own where it is rigid */
-    double j_motor;     /* inertia on the motor side of an elastic joint */
-    double z, hyst, a;  /* bristle, hysteresis, lagged command */
-    double u, tau;      /* command and torque in this step */
-} sim_joint;
-
-typedef struct sim {
-    sim_config c;
-    sim_joint j[SIM_MAX];
-    int dof, ticks, room;
-    int first[SIM_MAX + 1];        /* effects of joint i: first[i] … first[i + 1] */
-    double x[SIM_DOF], v[SIM_DOF]; /* position and speed: joints (load side), then motors of elastic joints */
-    double across[SIM_MAX][SIM_MAX]; /* inertia couplings of the effects */
-    double *ucum;                  /* room + 1 rows of joints: integral of the held command */
-    double held[SIM_MAX];
-    double torque[SIM_MAX];        /* mean over the last sample */
-} sim;
-
-static inline double sgn(double x) { return (x > 0) - (x < 0); }
-static inline double soft(double v, double lim) { return v > lim ? v - lim : v < -lim ? v + lim : 0.0; }
 
 /* EFFECT_FUNCTIONS */
 
@@ -167,134 +109,6 @@ static void bias(const sim *S, const double *x, const double *v, const tree_pose
     } else
         for (int i = 0; i < S->c.joints; i++)
             out[i] = S->c.weight[i] != 0 ? S->c.weight[i] * sin(x[i]) : 0.0;
-}
-
-/* Gaussian elimination without pivoting (A is positive definite up to the effects' couplings); rows and columns of joints that
- * friction holds are left out. Solution in v. */
-static void eliminate(int n, const double *A, const double *b, const int8_t *stuck, double *v) {
-    int at[SIM_DOF], m = 0;
-    for (int i = 0; i < n; i++) {
-        v[i] = 0;
-        if (!stuck[i])
-            at[m++] = i;
-    }
-    double B[SIM_DOF * SIM_DOF], r[SIM_DOF];
-    for (int i = 0; i < m; i++) {
-        r[i] = b[at[i]];
-        for (int k = 0; k < m; k++)
-            B[i * m + k] = A[at[i] * n + at[k]];
-    }
-    for (int i = 0; i < m; i++)
-        for (int k = i + 1; k < m; k++) {
-            const double f = B[k * m + i] / B[i * m + i];
-            if (f == 0)
-                continue;
-            for (int l = i + 1; l < m; l++)
-                B[k * m + l] -= f * B[i * m + l];
-            r[k] -= f * r[i];
-        }
-    for (int i = m - 1; i >= 0; i--) {
-        for (int l = i + 1; l < m; l++)
-            r[i] -= B[i * m + l] * r[l];
-        r[i] /= B[i * m + i];
-    }
-    for (int i = 0; i < m; i++)
-        v[at[i]] = r[i];
-}
-
-/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest. v comes in as a guess. */
-static void solve(int n, const double *A, const double *b, const double *up, const double *down, double *v) {
-    if (n == 1) {
-        v[0] = (b[0] > up[0] ? b[0] - up[0] : b[0] < -down[0] ? b[0] + down[0] : 0) / A[0];
-        return;
-    }
-    int8_t side[SIM_DOF], stuck[SIM_DOF];
-    double r[SIM_DOF];
-    int dry = 0;
-    for (int i = 0; i < n; i++) {
-        dry |= up[i] > 0 || down[i] > 0;
-        side[i] = v[i] > 0 ? 1 : v[i] < 0 ? -1 : 0;
-        if (up[i] <= 0 && down[i] <= 0)
-            side[i] = 2; /* free: no sign to keep */
-    }
-    for (int trial = 0; trial < 12; trial++) {
-        for (int i = 0; i < n; i++) {
-            stuck[i] = side[i] == 0;
-            r[i] = b[i] - (side[i] == 1 ? up[i] : side[i] == -1 ? -down[i] : 0);
-        }
-        eliminate(n, A, r, stuck, v);
-        if (!dry)
-            return;
-        int changed = 0;
-        for (int i = 0; i < n; i++) {
-            if (side[i] == 2)
-                continue;
-            if (side[i] != 0) {
-                if (v[i] * side[i] < 0) {
-                    side[i] = 0;
-                    changed = 1;
-                }
-                continue;
-            }
-            double load = b[i];
-            for (int k = 0; k < n; k++)
-                load -= A[i * n + k] * v[k];
-            if (load > up[i])
-                side[i] = 1, changed = 1;
-            else if (load < -down[i])
-                side[i] = -1, changed = 1;
-        }
-        if (!changed)
-            return;
-    }
-    for (int sweep = 0; sweep < 200; sweep++) { /* it cycled (many joints at the edge at once): converge slowly but surely */
-        double change = 0, size = 0;
-        for (int i = 0; i < n; i++) {
-            double load = b[i];
-            for (int k = 0; k < n; k++)
-                if (k != i)
-                    load -= A[i * n + k] * v[k];
-            const double next = (load > up[i] ? load - up[i] : load < -down[i] ? load + down[i] : 0) / A[i * n + i];
-            change = fmax(change, fabs(next - v[i]));
-            size = fmax(size, fabs(next));
-            v[i] = next;
-        }
-        if (change <= 1e-14 * size)
-            return;
-    }
-}
-
-/* Bouc-Wen variable after h at constant speed, and its mean on the way. */
-static double hysteresis(const sim_joint *j, double z, double speed, double h, double *mean) {
-    const double way = j->bw_a * fabs(speed) * h;
-    const int steps = 1 + (way > 8 ? 63 : (int)(8 * way));
-    double sum = 0;
-    for (int i = 0; i < steps; i++) {
-        const double d = h / steps;
-        double rate = 0, at = z;
-        for (int stage = 0; stage < 2; stage++) {
-            const double size = pow(fabs(at), j->bw_n);
-            rate = j->bw_a * (speed - 0.5 * fabs(speed) * size * sgn(at) - 0.5 * speed * size);
-            at = z + 0.5 * d * rate;
-        }
-        double next = z + d * rate;
-        next = next > 1 ? 1 : next < -1 ? -1 : next;
-        sum += 0.5 * (z + next);
-        z = next;
-    }
-    *mean = sum / steps;
-    return z;
-}
-
-/* (1 - exp(-x)) / x and (1 - that) / x, without cancellation near 0. */
-static void decay(double x, double *phi, double *psi) {
-    if (x < 1e-4) {
-        *phi = 1 - 0.5 * x + x * x / 6;
-        *psi = 0.5 - x / 6 + x * x / 24;
-    } else {
-        *phi = -expm1(-x) / x;
-        *psi = (1 - *phi) / x;
-    }
 }
 
 /* Speeds after H seconds from speeds v, forces at (xm, ve). M: joints' inertia at xm. keep: also advance bristles and hysteresis. */

@@ -12,6 +12,7 @@ from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
 from zendsp.physics.native import build
 
+_HEADERS = ("simulate_tree.h", "simulate_state.h", "simulate_solve.h")
 MAX_JOINTS, MAX_PARAMETERS, TREE_ROW = 8, 6, 28
 
 _CASES = {
@@ -118,7 +119,7 @@ def source_text(effects: dict[str, Effect]) -> str:
         text = text.replace(f"/* {mark} */", "\n".join(lines))
     isr = resources.files("zendsp_isr").joinpath("include", "isr.h").read_text(encoding="utf-8")
     host = re.sub(r'#include "isr.h"', lambda _: isr, _read("simulate_isr.c"))
-    return _read("simulate_tree.h") + text + _TREE_ENTRY + host
+    return "".join(map(_read, _HEADERS)) + text + _TREE_ENTRY + host
 
 
 def _read(name: str) -> str:
