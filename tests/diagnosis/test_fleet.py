@@ -1,0 +1,84 @@
+"""Many recordings, each on its own: local processes, and a Dask cluster where it is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import pytest
+import reality
+
+from zendsp.cli import main
+from zendsp.diagnosis.fleet import diagnose_each, stems, table
+from zendsp.errors import LinkError, ZendspError
+
+RATE = 500.0
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three machines of one kind: healthy, with more friction than the model knows, and with a broken recording."""
+    folder = tmp_path_factory.mktemp("fleet")
+    for name, machine in (("one", reality.Machine()), ("two", reality.Machine(drag=0.005))):
+        reality.save(folder / f"{name}.csv", reality.simulate(machine, reality.multisine(8.0, RATE, 4), RATE))
+    (folder / "three.csv").write_text("t,q,u\n0,0,0\n")
+    reality.model_file(folder / "model.toml", RATE, reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03))
+    return folder
+
+
+def test_each_recording_gets_its_own_diagnosis_in_its_own_process(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    runs = [str(fleet / f"{n}.csv") for n in ("one", "two", "three")]
+    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", *runs, "--model", str(fleet / "model.toml"), "--each", "--jobs", "2", "--out", str(tmp_path), "--json"])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [Path(r["recording"]).name for r in rows] == ["one.csv", "two.csv", "three.csv"]
+    assert [r["report"] and r["report"]["verdict"] for r in rows] == ["complete", "missing", None]
+    assert rows[1]["report"]["findings"][0]["effect"] == "quadratic_drag"
+    assert "three.csv" in rows[2]["error"] and "samples" in rows[2]["error"]
+    assert (tmp_path / "one" / "report.json").exists() and (tmp_path / "two" / "report.html").exists()
+    assert not (tmp_path / "three").exists()
+
+
+def test_table_has_one_line_a_recording(fleet: Path) -> None:
+    items = diagnose_each([fleet / "two.csv", fleet / "three.csv"], fleet / "model.toml")
+    lines = table(items).splitlines()
+    assert "quadratic_drag (joint 1) coefficient 0.00" in lines[1] and "missing" in lines[1]
+    assert "unusable" in lines[2]
+    assert lines[-1] == "quadratic_drag, joint 1: in 1 of 1 recordings"
+
+
+def test_recordings_of_the_same_name_get_folders_of_their_own() -> None:
+    assert stems(["/a/run.csv", "/b/run.csv", "/c/other.csv.gz"]) == ["1_run", "2_run", "other"]
+
+
+def test_all_recordings_unusable_is_an_error(fleet: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(fleet / "three.csv"), "--model", str(fleet / "model.toml"), "--each"])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2 and "three.csv" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="Dask is installed")
+def test_without_dask_the_scheduler_option_says_what_to_install(fleet: Path) -> None:
+    with pytest.raises(ZendspError, match=r"zendsp\[fleet\]"):
+        diagnose_each([fleet / "one.csv"], fleet / "model.toml", scheduler="tcp://127.0.0.1:8786")
+
+
+def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
+        there = diagnose_each([fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml", scheduler=cluster.scheduler_address)
+    here = diagnose_each([fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml")
+    for a, b in zip(there, here, strict=True):
+        assert a.report is not None and b.report is not None
+        assert {**a.report, "seconds": 0} == {**b.report, "seconds": 0}
+
+
+def test_a_scheduler_that_is_not_there_is_named() -> None:
+    pytest.importorskip("distributed")
+    with pytest.raises(LinkError, match="127.0.0.1:9"):
+        diagnose_each(["x.csv"], "m.toml", scheduler="tcp://127.0.0.1:9")

@@ -1,0 +1,119 @@
+"""Simulators of kind = "python": a small pendulum simulator lacks what the machine has."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+import reality
+
+from zendsp.cli import main
+from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.report import write_report
+from zendsp.errors import ModelError
+
+RATE = 250.0
+SIMULATOR = """
+import math
+
+
+def simulate(recording, parameters):
+    J, G, b = parameters["inertia"], parameters["gravity"], parameters["viscous"]
+    h, out = recording["sample_time"], []
+    q, v = float(recording["position"][0]), float(recording["velocity"][0])
+    for u in recording["command"]:
+        out.append(q)
+        for _ in range(2):
+            s = 0.5 * h
+            a = (u - b * v - G * math.sin(q)) / J
+            a = (u - b * (v + 0.5 * s * a) - G * math.sin(q + 0.5 * s * v)) / J
+            q += s * (v + 0.5 * s * a)
+            v += s * a
+    return out
+
+
+def whole(recording, parameters):  # starts at zero whatever the recording says, and holds the reference by a loop of its own
+    q = v = 0.0
+    h, out = recording["sample_time"], []
+    for r in recording["reference"]:
+        out.append(q)
+        v += h * (40.0 * (r - q) - 12.0 * v) * parameters["stiff"]
+        q += h * v
+    return out
+
+
+def broken(recording, parameters):
+    raise ValueError("no licence")
+
+
+def short(recording, parameters):
+    return [0.0, 1.0]
+"""
+MODEL = """name = "pendulum"
+sample_time = 0.004
+[mechanism]
+kind = "python"
+entry = "pendulum_sim:{function}"
+[mechanism.parameters]
+{parameters}
+[actuator]
+gain = {{ value = 1.0, free = false }}
+[sensor]
+position_resolution = {resolution}
+[columns]
+time = "t"
+position = "q"
+command = "u"
+reference = "r"
+"""
+OWN = "inertia = { value = 0.0102 }\ngravity = { value = 0.206 }\nviscous = { value = 0.0042 }"
+
+
+def files(folder: Path, machine: reality.Machine, function: str = "simulate", parameters: str = OWN) -> tuple[Path, Path, Path]:
+    (folder / "pendulum_sim.py").write_text(SIMULATOR)
+    model = folder / "model.toml"
+    model.write_text(MODEL.format(function=function, parameters=parameters, resolution=repr(reality.RESOLUTION)))
+    made = [reality.save(folder / f"{name}.csv", reality.simulate(machine, reality.multisine(6.0, RATE, seed), RATE)) for name, seed in (("a", 1), ("b", 2))]
+    return made[0], made[1], model
+
+
+def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path) -> None:
+    train, test, model = files(tmp_path, reality.Machine(gravity=0.2))
+    d = diagnose(train, model, test)
+    assert d.verdict == "missing" and [f.effect for f in d.findings] == ["coulomb"]
+    level = d.findings[0].parameters["level"]
+    assert level.value == pytest.approx(0.03, rel=0.04) and level.std < 0.002
+    mechanism = {k: v[0].value for k, v in d.improved.mechanism.items()}
+    assert mechanism["inertia"] == pytest.approx(0.010, rel=0.01) and mechanism["gravity"] == pytest.approx(0.2, rel=0.02)
+    assert d.heldout.improved < 0.2 * d.heldout.calibrated
+    assert d.findings[0].confidence <= 0.9  # not calibrated for black boxes: it must not boast
+    out = write_report(d, tmp_path / "out")
+    assert "data:image/png" in (out / "report.html").read_text()
+    again = diagnose(train, out / "model.toml", test)  # its terms act on the input; the module stands beside the first model
+    assert again.verdict == "complete", again.findings
+
+
+def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:
+    train, test, model = files(tmp_path, reality.Machine(gravity=0.2, coulomb=0.0))
+    d = diagnose(train, model, test)
+    assert d.verdict == "complete" and d.findings == ()
+
+
+def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_says_so(tmp_path: Path) -> None:
+    train, test, model = files(tmp_path, reality.Machine(), "whole", "stiff = { value = 1.0 }")
+    d = diagnose(train, model, test)
+    assert any("whole recordings" in n for n in d.notes)
+
+
+@pytest.mark.parametrize(("entry", "words"), [("pendulum_sim:broken", "no licence"), ("pendulum_sim:short", "shape"), ("pendulum_sim:nothing", "no function"), ("pendulum_sim", "module:function")])
+def test_failing_simulators_are_refused_with_their_own_words(entry: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    train, _, model = files(tmp_path, reality.Machine(gravity=0.2))
+    model.write_text(model.read_text().replace("pendulum_sim:simulate", entry))
+    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(train), "--model", str(model)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    err = capsys.readouterr().err
+    assert stop.value.code == 2 and words in err and len(err.strip().splitlines()) == 1
+    with pytest.raises(ModelError):
+        diagnose(train, model)

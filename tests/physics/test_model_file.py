@@ -1,0 +1,78 @@
+"""Model files: what is written is read back, and every wrong key is named with what was expected."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zendsp.errors import ModelError
+from zendsp.physics.effects import library
+from zendsp.physics.model_file import load_model, model_text, parse_model
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "models").glob("*.toml"))
+GOOD: dict[str, Any] = {
+    "name": "two",
+    "sample_time": 0.001,
+    "mechanism": {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": {"value": 0.1, "free": False}, "p3": 0.1}},
+    "effect": [{"kind": "viscous", "joint": 2, "coefficient": {"value": 0.2, "std": 0.01, "unit": "N m s/rad"}}],
+    "actuator": {"gain": {"value": [1.0, 2.0]}, "limit": [3.0, 4.0], "delay": 0.001},
+    "sensor": {"position_resolution": [0.001, 0.002], "matrix": [[1, 0], [0.5, 1]], "offset": [0.1, 0.2]},
+    "columns": {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"]},
+}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_example_models_survive_writing_and_reading(path: Path) -> None:
+    model = load_model(path)
+    again = parse_model(tomllib.loads(model_text(model)), str(path))
+    assert model_text(again) == model_text(model)
+    assert again.terms == model.terms and again.joints == model.joints
+
+
+def test_every_part_of_a_model_survives_writing_and_reading() -> None:
+    model = parse_model(GOOD)
+    again = parse_model(tomllib.loads(model_text(model)))
+    for part in ("name", "sample_time", "kind", "mechanism", "terms", "actuator", "sensor", "columns"):
+        assert getattr(again, part) == getattr(model, part), part
+
+
+@pytest.mark.parametrize("name", library())
+def test_every_effect_can_stand_in_a_model_file(name: str) -> None:
+    effect = library()[name]
+    whole = {"from_joint": 1.0, "law": 2.0}
+    numbers = {p.name: whole.get(p.name, p.default if p.default is not None else max(p.lower, min(p.upper, 0.5))) for p in effect.parameters}
+    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}, "effect": [{"kind": name, "joint": 1, **numbers}]})
+    again = parse_model(tomllib.loads(model_text(model)))
+    assert {k: q.value for k, q in again.terms[0].parameters.items()} == pytest.approx(numbers)
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"mechanism": {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": 0.1}}}, "p3"),
+    ({"mechanism": {"kind": "planar2r", "parameters": {"p1": -0.3, "p2": 0.1, "p3": 0.1}}}, "p1"),
+    ({"mechanism": {"kind": "round"}}, "kind"),
+    ({"mechanism": 3}, "mechanism"),
+    ({"effect": {"kind": "viscous"}}, "array of tables"),
+    ({"effect": [{"joint": 1}]}, "kind"),
+    ({"effect": [{"kind": "viscous", "joint": 3, "coefficient": 0.1}]}, "1 … 2"),
+    ({"effect": [{"kind": "viscous", "joint": True, "coefficient": 0.1}]}, "joint"),
+    ({"effect": [{"kind": "viscous", "coefficient": {"value": 0.1, "free": "yes"}}]}, "free"),
+    ({"effect": [{"kind": "coupling", "joint": 1, "from_joint": 2, "law": "love", "coefficient": 1.0}]}, "inertia | coriolis"),
+    ({"effect": [{"kind": "coulomb", "level": -1.0}]}, "level"),
+    ({"sensor": {"matrix": [[1, 0]]}}, "square"),
+    ({"sensor": {"side": "outside"}}, "motor"),
+    ({"sensor": {"position_resolution": -1.0}}, "position_resolution"),
+    ({"actuator": {"gain": 0.0}}, "gain"),
+    ({"actuator": {"delay": -0.1}}, "delay"),
+    ({"actuator": {"limit": []}}, "limit"),
+    ({"sample_time": "fast"}, "sample_time"),
+]
+
+
+@pytest.mark.parametrize(("change", "words"), WRONG, ids=lambda v: str(v)[:60])
+def test_wrong_key_is_named(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ModelError) as error:
+        parse_model({**GOOD, **change}, "bench.toml")
+    assert "bench.toml" in str(error.value) and words in str(error.value)
