@@ -41,6 +41,7 @@ BLOCK = 0.25  # s
 WINDOW = 0.25  # s: each window is simulated from the smoothed motion, where the simulator starts from its first row
 MIN_GAIN = 20.0  # of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
 MIN_Z = 2.5
+SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5
 SCREENED = 400  # simulations that one screen may take
 UNEXPLAINED = 0.03  # of the RMS torque, as a function of time
@@ -289,7 +290,12 @@ class Hunt:
         for promise, term in options[SHORTLIST:]:
             self.tried.setdefault((term.effect, term.joint), (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"))
         passed = [c for c in claims if c.gain > MIN_GAIN and c.z > MIN_Z]
-        return (max(passed, key=lambda c: c.gain) if passed else None), claims
+        if not passed:
+            return None, claims
+        best = max(passed, key=lambda c: c.gain)
+        # a special case that does nearly as well goes first; the general one can follow it
+        special = [c for c in passed if c.term.effect in get_effect(best.term.effect).replaces and c.gain > SUFFICIENT * best.gain]
+        return (special[0] if special else best), claims
 
     def _why(self, c: Claim) -> str:
         if c.gain <= MIN_GAIN:
@@ -317,7 +323,8 @@ def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, lis
                 columns.append((e[:, i] - Bench(pushed, moved, b.function, b.size).error(output.model)[:, i]) / step)
             a = np.stack(columns, axis=1) / _noise(b, i)
             ridge = 1e-6 * float(np.trace(a.T @ a)) / a.shape[1] * np.eye(a.shape[1])
-            coefficients = np.linalg.solve(a.T @ a + ridge, a.T @ e[:, i] / _noise(b, i))
+            # least squares: a simulator that does not look at its command leaves nothing to solve for
+            coefficients = np.linalg.lstsq(a.T @ a + ridge, a.T @ e[:, i] / _noise(b, i), rcond=1e-12)[0]
             torque = shapes.T @ coefficients
             q, qd, qdd = record.motion.states
             item = Missing(b.signals.time, torque, np.zeros_like(torque), {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command})

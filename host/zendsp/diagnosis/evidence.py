@@ -71,7 +71,10 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     """
     a = _points(before, test, joint)
     b = _points(after, test, joint)
-    return evidence([x - y for x, y in zip(a, b, strict=True)], test)
+    two_mass = any(
+        t.effect in ("elasticity", "backlash") for m in (before.model, after.model) for t in m.at(joint)
+    )
+    return evidence([x - y for x, y in zip(a, b, strict=True)], test, settle=0.3 if two_mass else 0.1)
 
 
 def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
@@ -79,14 +82,17 @@ def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
     return point_deviance(data, scored.model, joint)
 
 
-def evidence(differences: Sequence[Array], data: Data) -> Evidence:
-    """Blocks of summed differences, their total and z."""
+def evidence(differences: Sequence[Array], data: Data, settle: float = 0.1) -> Evidence:
+    """Blocks of summed differences, their total and z; at most the share ``settle`` of each recording is left out at its beginning.
+
+    The observer has to settle; a load behind a spring, whose own state nobody measured, rings longer.
+    """
     blocks = []
     seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
     block = min(BLOCK, max(0.05, seconds / 40))
     for d, rec in zip(differences, data.records, strict=True):
         size = max(10, round(block / rec[0].sample_time))
-        skip = min(size, len(d) // 10)  # the observer settles
+        skip = min(size, len(d) // 10) if settle <= 0.1 else round(settle * len(d))
         usable = d[skip:]
         count = len(usable) // size
         if count:

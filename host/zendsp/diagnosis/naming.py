@@ -91,7 +91,7 @@ def _evidence(
     train: Data, test: Data, given: Model, search: JointSearch, jobs: int, tell: Callable[[str], None]
 ) -> list[_Named]:
     final, joint = search.final, search.joint
-    terms = new_terms(given, final.model, joint)
+    terms = [t for t in new_terms(given, final.model, joint) if not _weight_of_payload(given, final.model, t)]
     searcher = Searcher(train, joint, lambda *_: True, jobs, tell)
     out = []
     for term in terms:
@@ -108,6 +108,15 @@ def _evidence(
             )
         out.append(_Named(term, without.deviance - final.deviance, rivals, final.deviance, rank, without))
     return out
+
+
+def _weight_of_payload(given: Model, final: Model, term: Term) -> bool:
+    """Whether a gravity term is the weight of an inertia that was found with it: a payload is one finding, not two."""
+    found = {t.effect for t in new_terms(given, final, term.joint)}
+    upright = abs(math.sin(term.value("angle"))) < 0.2 and any(
+        q.value for q in given.mechanism.get("gravity", ())
+    )
+    return term.effect == "gravity" and "inertia" in found and upright
 
 
 def _close_in_steps(search: JointSearch, effect: str) -> frozenset[str]:
@@ -167,6 +176,14 @@ def _finding(
         len(new_terms(given, search.final.model, joint)) - 1,
     )
     text = sentence(term, values)
+    if term.effect == "inertia":
+        weight = [
+            t
+            for t in new_terms(given, search.final.model, joint)
+            if _weight_of_payload(given, search.final.model, t)
+        ]
+        if weight:
+            text += f" It weighs: gravity grows by {weight[0].value('torque') * math.cos(weight[0].value('angle')):.3g} N m with it."
     if replaces:
         text += f" It makes {', '.join(replaces)} unnecessary."
     if same:

@@ -132,10 +132,11 @@ class Searcher:
             since = waiting[0].before if waiting else current
             paid = sum(step.chosen.price for step in waiting)
             passing = (r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price)))
-            chosen = next(passing, rivals[0])
+            holds = next(passing, None)
+            chosen = holds or rivals[0]
             rivals = [chosen, *[r for r in rivals if r is not chosen]]
             step = Step(chosen, tuple(rivals[1:]), current)
-            if self.accept(since, replace(chosen, price=paid + chosen.price)):
+            if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
             elif len(waiting) < 3 and current.deviance - chosen.value > 10 * WAIT:
@@ -348,9 +349,29 @@ class Searcher:
         )
         return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
 
+    def _as_payload(self, found: JointSearch, best: Scored) -> Scored:
+        """More inertia and a weaker actuator together are a payload, which adds inertia and gravity: name it so where that explains as much."""
+        had = {t.effect for t in found.base.model.at(self.joint)}
+        new = {t.effect: t for t in best.model.at(self.joint) if t.effect not in had}
+        gravity = best.model.mechanism.get("gravity", ())
+        if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
+            return best
+        weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
+        load = make_term(get_effect("gravity"), self.joint, {"torque": weight, "angle": 0.0})
+        model = best.model.with_terms((*(t for t in best.model.terms if t is not new["torque_gain"]), load))
+        other = fit_scored(
+            best.data,
+            model,
+            joint_handles(best.data, model, self.joint),
+            (self.joint,),
+            jobs=self.jobs,
+            rounds=2,
+        )
+        return other if other.deviance < best.deviance + 10.0 else best
+
     def simplify(self, found: JointSearch) -> tuple[Scored, tuple[str, ...]]:
         """Drop every term, given or found, that the recording does not need any more."""
-        best = self._as_coulomb(found.final)
+        best = self._as_payload(found, self._as_coulomb(found.final))
         dropped: list[str] = []
         added = {t.effect for s in found.steps for t in s.chosen.terms}
         while True:
