@@ -152,8 +152,7 @@ def _say_findings(d: Diagnosis, narrator: Narrator) -> None:
             f"{100 * region.share:.0f} % of the mismatch in {100 * region.time_share:.0f} % of the time"
         )
     for f in d.findings:
-        rivals = f"; this recording cannot tell it from {', '.join(f.indistinguishable)}" if f.indistinguishable else ""
-        narrator.say(f"what: {f.sentence} (confidence {100 * f.confidence:.0f} %{rivals})")
+        narrator.say(f"what: {f.sentence} (confidence {100 * f.confidence:.0f} %)")
     if d.unexplained:
         narrator.say(d.unexplained)
 
