@@ -118,6 +118,44 @@ def test_the_table_is_interpolated_between_its_rows() -> None:
     assert out["rd"][k, 0] == pytest.approx(0.5, abs=1e-9)
 
 
+def test_hold_brings_the_reference_to_rest_on_its_path_and_lets_it_go_on() -> None:
+    reference = make_circle(load_machine("imi_planar"), radius=0.15, duration=4.5)
+    with running("imi_planar", "inverse_dynamics.c") as runtime:
+        free = play(runtime, reference, "r", before=0.5)["r"]
+    with running("imi_planar", "inverse_dynamics.c") as runtime:
+        runtime.write({**reference.tables(), "approach_time": 0.5}, "test")
+        names = ("play_time", "r", "rd", "rdd", "qd")
+        moving = record(runtime, 2.0, *names)
+        held = record(runtime, 1.5, *names, hold=True)
+        after = record(runtime, 1.5, *names, hold=False)
+    assert np.abs(moving["rd"][-1]).max() > 0.05, "it was moving"
+    stands = held["r"][400:]
+    assert np.ptp(stands, axis=0).max() < 1e-12 and np.abs(held["qd"][1200:]).max() < 0.02, "0.3 s later nothing moves"
+    assert not held["rd"][400:].any() and not held["rdd"][400:].any()
+    # on its path all the while: each point of the held motion is one of the free motion at the same time of the reference
+    for out in (held, after):
+        k = out["play_time"] * 1000.0
+        for joint in range(2):
+            assert np.abs(out["r"][:, joint] - np.interp(k, np.arange(len(free)), free[:, joint])).max() < 1e-6
+    # rd and rdd are the derivatives of r, slowing down included, to the half sample by which their differences are taken apart
+    speed = (held["r"][2:] - held["r"][:-2]) / 0.002
+    assert np.abs(speed - held["rd"][1:-1]).max() < 1e-3 * np.abs(held["rdd"]).max()
+    slope = (held["rd"][2:] - held["rd"][:-2])[10:280] / 0.002
+    assert np.abs(slope - held["rdd"][11:281]).max() < 0.02 * np.abs(held["rdd"]).max()
+    assert after["play_time"][-1] > held["play_time"][-1] + 1.0, "and goes on"
+
+
+def test_pd_holds_where_its_circle_is_and_goes_on_from_there() -> None:
+    with running("imi_planar", "pd.c") as runtime:
+        moving = record(runtime, 3.0, "r1", "qd1")
+        held = record(runtime, 1.5, "r1", "qd1", "tau1", hold=True)
+        after = record(runtime, 1.5, "r1", "qd1", hold=False)
+    assert abs(moving["r1"][-1] - moving["r1"][-100]) > 1e-2, "it was moving"
+    assert np.ptp(held["r1"][400:]) < 1e-12 and np.abs(held["qd1"][1000:]).max() < 1e-2
+    assert np.abs(held["tau1"]).max() < 200.0, "without a jerk beyond the machine's torque"
+    assert np.abs(np.diff(np.concatenate([held["r1"], after["r1"]]))).max() < 5e-3 and np.ptp(after["r1"]) > 0.05
+
+
 def test_changing_play_repeats_the_motion_from_where_the_machine_stands() -> None:
     reference = make_point_to_point(load_machine("imi_planar"), start=0.0, goal=[0.3, 0.0], duration=0.3)
     with running("imi_planar", "inverse_dynamics.c") as runtime:

@@ -207,12 +207,7 @@ with connect(sys.argv[1]) as t:
 
 @pytest.mark.parametrize("policy", ["stop", "hold", "finish"])
 def test_when_the_commanding_host_disappears_the_policy_decides(target: Target, folder: Path, policy: str) -> None:
-    source = (folder / "pd.c").read_text()
-    if policy == "hold":  # a program that can hold its reference declares so
-        source = source.replace("static bool use_table;", "static bool use_table, hold;").replace(
-            "void UserInit(void) {", 'void UserInit(void) {\n    PARAMETER(hold, 0, "", 0, 1, "hold the reference");'
-        )
-    target.download({"pd.c": source})
+    target.download(folder / "pd.c")
     host = subprocess.Popen([sys.executable, "-c", _HOST, target.name, policy], stdout=subprocess.PIPE)
     try:
         assert host.stdout is not None and host.stdout.readline() == b"running\n"

@@ -21,6 +21,7 @@ static double tau[N], friction[N];
 
 void UserInit(void) {
     MotionInit();
+    MotionHolds();
     PARAMETER_ARRAY(Kp, "1/s^2", 0.0, 10000.0, "position gain");
     PARAMETER_ARRAY(Kd, "1/s", 0.0, 400.0, "velocity gain");
     PARAMETER(p1, 3.473, "kg m^2", 0.0, 20.0, "inertia of both links about axis 1");

@@ -10,7 +10,9 @@
  * The host downloads the table `ref`, one row a step, N columns of positions (the q of a reference file), and with it, if the
  * program wants a torque as well, `ref_tau`. Both in one synchronous update; the motion begins when they switch over, when `play`
  * changes, or when the drives come on: from where the machine stands, over `approach_time`, into the first row. Between rows the
- * position is interpolated; its speed and acceleration are differences over one row. docs/references.md has the convention.
+ * position is interpolated; its speed and acceleration are differences over one row. While `hold` is set the reference's time slows
+ * down within MOTION_HALT seconds and stands: the machine comes to rest on its path and goes on from there. Only a
+ * program that follows r may offer it, with MotionHolds() after MotionInit(). docs/references.md has the convention.
  */
 #ifndef ZENDSP_MOTION_H
 #define ZENDSP_MOTION_H
@@ -21,12 +23,15 @@
 #ifndef MOTION_CUTOFF
 #define MOTION_CUTOFF 80.0 /* Hz, initial value of the velocity filter */
 #endif
+#ifndef MOTION_HALT
+#define MOTION_HALT 0.3 /* s from full speed to rest */
+#endif
 #ifndef MOTION_ROWS
 #define MOTION_ROWS 60000 /* 60 s at 1 kHz */
 #endif
 
 static table ref, ref_tau;
-static bool use_table;
+static bool use_table, hold;
 static int32_t row_rate, play;
 static double approach_time, cutoff;
 
@@ -39,6 +44,7 @@ static bool playing;
 static struct motion {
     bool known, begun;
     double last[N], start[N], t0; /* positions one sample ago and at the beginning, and when that was */
+    double pace; /* of the reference's time: 1 runs, 0 stands */
     uint32_t seen;
     int32_t played;
 } motion;
@@ -61,6 +67,9 @@ static inline void MotionInit(void) {
     SIGNAL(play_time, "s", "time in the reference");
     SIGNAL(playing, "", "true from the first row to the last");
 }
+
+/* For programs whose command follows r: a host that is lost may then leave the machine standing under control. */
+#define MotionHolds() PARAMETER(hold, 0, "", 0, 1, "come to rest on the reference and stay there; 0 goes on")
 
 /* Fifth-order step, at rest at both ends. */
 static inline double MotionSmooth(double s) {
@@ -94,23 +103,36 @@ static inline void MotionBegin(void) {
     motion.t0 = SAMPLE_TIME;
     motion.seen = ref.version;
     motion.played = play;
+    if (!motion.begun || !DRIVE_ENABLED)
+        motion.pace = hold ? 0.0 : 1.0;
     motion.begun = true;
+}
+
+/* Returns the rate at which the pace changes, 1/s. */
+static inline double MotionPace(void) {
+    const double before = motion.pace, step = SAMPLE_PERIOD / MOTION_HALT;
+    motion.pace = hold ? fmax(before - step, 0.0) : fmin(before + step, 1.0);
+    motion.t0 += (1.0 - motion.pace) * SAMPLE_PERIOD;
+    return (motion.pace - before) / SAMPLE_PERIOD;
 }
 
 static inline void MotionStep(void) {
     MotionMeasure();
     if (!motion.begun || !DRIVE_ENABLED || motion.seen != ref.version || motion.played != play)
         MotionBegin();
+    const double slowing = MotionPace(), pace = motion.pace;
     const double t = SAMPLE_TIME - motion.t0, h = 1.0 / row_rate;
     play_time = t - approach_time;
     playing = use_table && ref.rows > 0 && play_time >= 0.0 && play_time <= (ref.rows - 1) * h;
     for (int32_t j = 0; j < N; j++) {
         const double before = MotionAt(t - h, j), after = MotionAt(t + h, j);
         r[j] = MotionAt(t, j);
-        rd[j] = (after - before) / (2.0 * h);
-        rdd[j] = (after - 2.0 * r[j] + before) / (h * h);
+        const double speed = (after - before) / (2.0 * h);
+        rd[j] = pace * speed;
+        rdd[j] = pace * pace * (after - 2.0 * r[j] + before) / (h * h) + slowing * speed;
         e[j] = r[j] - q[j];
-        tau_ff[j] = playing ? TableValue(&ref_tau, floor(play_time * row_rate + 1e-6), j) : 0.0; /* a torque is held, not interpolated */
+        /* a torque is held, not interpolated; it belongs to the motion, and fades with it */
+        tau_ff[j] = playing ? pace * TableValue(&ref_tau, floor(play_time * row_rate + 1e-6), j) : 0.0;
     }
 }
 

@@ -7,10 +7,11 @@
 #include "isr.h"
 
 enum { N = 2, ROWS = 60000 }; /* reference of 60 s at 1 kHz */
+#define HALT 0.3              /* s that the reference takes to come to rest */
 
 static double Kp1, Kd1, Kp2, Kd2, cutoff;
 static double center1, center2, radius, turn_time, approach_time;
-static bool use_table;
+static bool use_table, hold;
 static int32_t row_rate; /* rows of the table a second */
 static table ref;
 
@@ -19,6 +20,7 @@ static double q[N], e[N], tau[N];
 
 static double rd1, rd2;
 static double start[N], last_q[N], last_r[N], t0;
+static double pace; /* of the reference's time: 1 runs, 0 stands */
 static uint32_t seen;
 static bool running;
 
@@ -35,6 +37,7 @@ void UserInit(void) {
     PARAMETER(approach_time, 1.5, "s", 0.1, 60.0, "time from where the arm stands to the reference");
     PARAMETER(use_table, 0, "", 0, 1, "follow the table ref in place of the circle");
     PARAMETER(row_rate, 1000, "1/s", 1, 100000, "rows of ref a second");
+    PARAMETER(hold, 0, "", 0, 1, "come to rest on the reference and stay there; 0 goes on");
     TABLE(ref, ROWS, N, "rad", "reference positions, one row a step");
     SIGNAL(q1, "rad", "position, joint 1");
     SIGNAL(q2, "rad", "position, joint 2");
@@ -82,6 +85,7 @@ static void begin(void) {
         r2 = last_q[1] = last_r[1] = q2;
         qd1 = qd2 = rd1 = rd2 = 0.0;
         running = true;
+        pace = hold ? 0.0 : 1.0;
     }
     if (fresh || (use_table && seen != ref.version)) {
         start[0] = r1;
@@ -89,6 +93,13 @@ static void begin(void) {
         t0 = SAMPLE_TIME;
         seen = ref.version;
     }
+}
+
+/* While `hold` is set the reference's time slows down within HALT seconds and stands, so that nothing jumps; then it runs up again. */
+static void slow_down(void) {
+    const double step = SAMPLE_PERIOD / HALT;
+    pace = hold ? fmax(pace - step, 0.0) : fmin(pace + step, 1.0);
+    t0 += (1.0 - pace) * SAMPLE_PERIOD;
 }
 
 static void differentiate(void) {
@@ -107,6 +118,7 @@ void UserISR_INT2(void) {
     q1 = READ_POSITION(0);
     q2 = READ_POSITION(1);
     begin();
+    slow_down();
     reference(SAMPLE_TIME - t0);
     differentiate();
     e1 = r1 - q1;

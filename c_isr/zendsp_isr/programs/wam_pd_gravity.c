@@ -15,6 +15,7 @@ static double g[N], tau[N];
 
 void UserInit(void) {
     MotionInit();
+    MotionHolds();
     PARAMETER_ARRAY(Kp, "N m/rad", 0.0, 10000.0, "position gain");
     PARAMETER_ARRAY(Kd, "N m s/rad", 0.0, 1000.0, "velocity gain");
     PARAMETER_ARRAY(limit, "N m", 0.0, 200.0, "largest torque");
