@@ -24,6 +24,7 @@ from zendsp_target.shm import SharedFile
 
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = {0: "idle", 1: "armed", 2: "running", 3: "done"}
+_LARGEST = 2_000_000_000  # bytes of a stream: its pages are made present at once, which takes about a second for so many
 _ANSWER_S = 5.0  # the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
 
 
@@ -88,6 +89,8 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
         raise AcquisitionError(f"{len(sources)} channels: give 1 … {lib.LAYOUT_CHANNELS}")
     if config.decimation < 1:
         raise AcquisitionError(f"decimation {config.decimation}: give 1 or more")
+    if not np.isfinite(config.seconds):
+        raise AcquisitionError(f"{config.seconds} s: give a finite time")
     rows = round(config.seconds * rate_hz / config.decimation)
     if rows < 1:
         raise AcquisitionError(f"{config.seconds:g} s hold no row at {rate_hz / config.decimation:g} rows a second: acquire longer")
@@ -119,7 +122,7 @@ def create(
     config : AcquireConfig
     rate_hz : float
     free_bytes : int
-        Of the shared memory.
+        Of the shared memory and of the computer's.
 
     Returns
     -------
@@ -136,10 +139,11 @@ def create(
     capacity = plan.rows + max(64, plan.rows // 8 if config.continuous else 0)
     head_bytes = (ffi.sizeof("stream_head") + 4095) & ~4095
     size = head_bytes + capacity * len(plan.sources) * 8
-    if size > 0.9 * free_bytes:
+    allowed = min(free_bytes // 2, _LARGEST)  # the rest of the computer needs memory too
+    if size > allowed:
         raise AcquisitionError(
             f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of shared memory, "
-            f"{free_bytes / 1e6:.0f} MB are free: shorten it, raise the decimation, or record fewer channels"
+            f"{allowed / 1e6:.0f} MB are given here: shorten it, raise the decimation, or record fewer channels"
         )
     file = SharedFile(path, size)
     head = file.pointer("stream_head")

@@ -37,6 +37,15 @@ def _remove_abandoned(base: Path) -> None:
             continue  # alive, another user's, or not ours at all
 
 
+def _available_memory() -> int:
+    """Bytes that programs may still take, as the kernel reckons."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration, ValueError, IndexError):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
 class SharedFolder:
     """A folder in shared memory that lives as long as its owner."""
 
@@ -49,9 +58,9 @@ class SharedFolder:
         fcntl.flock(self._lock, fcntl.LOCK_EX)
 
     def free_bytes(self) -> int:
-        """Bytes that still fit."""
+        """Bytes that still fit, into the file system and into memory, which it is made of."""
         status = os.statvfs(self.path)
-        return status.f_bavail * status.f_frsize
+        return min(status.f_bavail * status.f_frsize, _available_memory())
 
     def close(self) -> None:
         """Remove the folder and all files in it; mappings stay valid until they are dropped."""

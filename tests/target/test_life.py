@@ -81,6 +81,8 @@ def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) 
         (AcquireConfig(()), "0 channels"),
         (AcquireConfig(("x",), seconds=0.0), "acquire longer"),
         (AcquireConfig(("x",), seconds=1e9), "shared memory"),
+        (AcquireConfig(("x",), seconds=3e5), "shared memory"),  # 2.4 GB: the computer could, and would stand still for it
+        (AcquireConfig(("x",), seconds=float("nan")), "finite"),
         (AcquireConfig(("x",), decimation=0), "decimation"),
     ):
         with pytest.raises(AcquisitionError, match=says):
