@@ -80,5 +80,5 @@ def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path) -> None:
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
     pytest.importorskip("distributed")
-    with pytest.raises(LinkError, match="127.0.0.1:9"):
+    with pytest.raises(LinkError, match=r"127\.0\.0\.1:9"):
         diagnose_each(["x.csv"], "m.toml", scheduler="tcp://127.0.0.1:9")
