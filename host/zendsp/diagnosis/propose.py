@@ -29,6 +29,7 @@ from zendsp.physics.model import Model, per_joint
 Array = npt.NDArray[np.float64]
 
 SECONDS = 10.0
+ROUND_S = 0.1
 
 
 def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Generator) -> dict[str, Array]:
@@ -44,7 +45,11 @@ def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Gen
     def limited(shape: Array, span: float, speed: float) -> Array:
         shape = shape / max(float(np.max(np.abs(shape))), 1e-12)
         fastest = float(np.max(np.abs(np.gradient(shape, period))))
-        out: Array = centre + min(span, speed / max(fastest, 1e-12)) * shape * fade
+        moved = min(span, speed / max(fastest, 1e-12)) * shape * fade
+        # Corners of triangles, fades and joints are steps of the speed, which no machine follows: rounded over ROUND_S.
+        window = np.hanning(max(3, round(ROUND_S / period) | 1))
+        rounded = np.convolve(np.pad(moved, len(window) // 2, mode="edge"), window / window.sum(), "valid")
+        out: Array = centre + rounded
         return out
 
     lines = np.arange(1, 25)
