@@ -15,6 +15,8 @@ from zendsp.recording import Recording
 Array = npt.NDArray[np.float64]
 
 BOUNDARY_S = 0.5  # on both sides of the update: the filter and the loop settle
+SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
+PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
 
 
@@ -113,6 +115,11 @@ def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:
     return finding.joint == truth["joint"] and truth["effect"] in (finding.effect, *finding.indistinguishable)
 
 
+def matters(finding: Finding) -> bool:
+    """Whether a finding that is not there spoils the story: it was stated with confidence, or explains a part that counts."""
+    return finding.confidence >= SURE or finding.share >= PART
+
+
 @dataclass(frozen=True)
 class Judged:
     """The answer beside the truth.
@@ -123,15 +130,15 @@ class Judged:
         Every concealed effect is among the findings, or among what a finding says it cannot be told from.
     exact : bool
         And by its own name.
-    extra : tuple of str
-        Findings that are no concealed effect.
+    extra : tuple of Finding
+        That are no concealed effect.
     parameters : tuple
         (name, found, std, true, unit) of those named exactly.
     """
 
     named: bool
     exact: bool
-    extra: tuple[str, ...]
+    extra: tuple[Finding, ...]
     parameters: tuple[tuple[str, float, float, float, str], ...]
 
 
@@ -151,7 +158,7 @@ def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
     found = diagnosis.findings
     named = all(any(matches(f, truth) for f in found) for truth in effects)
     pairs = [(f, truth) for truth in effects for f in found if f.effect == truth["effect"] and f.joint == truth["joint"]]
-    extra = tuple(f"{f.effect} on joint {f.joint}" for f in found if not any(matches(f, truth) for truth in effects))
+    extra = tuple(f for f in found if not any(matches(f, truth) for truth in effects))
     rows = []
     for finding, truth in pairs:
         for name, told in truth["parameters"].items():

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito 2008: told apart by readers with any kind of colour vision, and in grey.
 MACHINE, MODEL, FOUND, QUIET = "#0072B2", "#D55E00", "#009E73", "0.55"
+ONE_LINE = 75  # characters of the headline that fit beside one another
 LEAD_S = 0.2  # the first moment is the leap from rest and would set the scale
 
 
@@ -43,14 +44,15 @@ def draw(told: Told, path: Path) -> None:
         _missing(figure.add_subplot(grid[0, 1]), told, joint)
         _error(figure.add_subplot(grid[1, 0]), told, joint)
         _fit(figure.add_subplot(grid[1, 1]), told)
-        figure.suptitle(_headline(told), fontsize=14, fontweight="bold")
+        figure.suptitle(_headline(told), fontsize=13, fontweight="bold")
         figure.savefig(path, dpi=150)
 
 
 def _headline(told: Told) -> str:
     truth = ", ".join(f"{e['effect'].replace('_', ' ')} on joint {e['joint']}" for e in told.truth.effects) if told.truth else "?"
     found = ", ".join(f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in told.diagnosis.findings) or "nothing"
-    return f"concealed: {truth}      found: {found}"
+    gap = "      " if len(truth) + len(found) < ONE_LINE else "\n"
+    return f"concealed: {truth}{gap}found: {found}"
 
 
 def _unit(told: Told) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from zendsp.demo.controller import APPROACH_S, plan_update
-from zendsp.demo.evidence import Hidden, Judged, Tracking, compare_loop, compare_tracking, judge
+from zendsp.demo.evidence import Hidden, Judged, Tracking, compare_loop, compare_tracking, judge, matters
 from zendsp.demo.narrator import Narrator
 from zendsp.demo.runs import Machine, prepare_machine
 from zendsp.demo.stage import Stage
@@ -231,4 +231,7 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
     for name, value, std, true, unit in judged.parameters:
         narrator.say(f"{name}: found {value:.4g} ± {std:.2g}, true {true:.4g} {'' if unit == '1' else unit}".rstrip())
     for extra in judged.extra:
-        narrator.say(f"named beside it, and not there: {extra}", good=False)
+        name = f"{extra.effect} on joint {extra.joint}"
+        narrator.say(f"named beside it, and not there: {name}, {100 * extra.share:.1f} % of the mismatch", good=False)
+        if judged.named and matters(extra):
+            told.failures.append(f"{name} was named and is not there")
