@@ -60,7 +60,7 @@ def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Gen
     triangle = 2 * np.abs(2 * ((0.2 * t) % 1) - 1) - 1
     chirp = np.sin(2 * np.pi * (0.1 * t + 0.5 * (4.0 - 0.1) / SECONDS * t**2))
     two_speeds = np.where(
-        t < SECONDS / 2, np.sin(2 * np.pi * 0.15 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2))
+        t < SECONDS / 2, np.sin(2 * np.pi * 0.2 * t), np.sin(2 * np.pi * 0.8 * (t - SECONDS / 2))
     )
     return {
         "a multisine over the whole range": limited(np.asarray(multisine), reach, 1.2 * top),
