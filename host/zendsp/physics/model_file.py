@@ -131,7 +131,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         if kind == key and not isinstance(mechanism.get(needed), str):
             raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
     sample_time = data.get("sample_time")
-    folder = Path(path).parent
+    folder = Path(path).parent / str(mechanism.get("folder", ""))  # of the URDF or the Python module
     model = Model(
         name=str(data.get("name", Path(path).stem)),
         sample_time=None if sample_time is None else read.number("sample_time", sample_time, positive=True),
@@ -251,6 +251,7 @@ def model_text(model: Model) -> str:
         mechanism["file"] = str((model.folder / model.file).resolve())
     if model.entry:
         mechanism["entry"] = model.entry
+        mechanism["folder"] = str(model.folder.resolve())
     mechanism["parameters"] = {key: _quantity(items) for key, items in model.mechanism.items()}
     data["mechanism"] = mechanism
     terms = []
