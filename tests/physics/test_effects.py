@@ -1,0 +1,95 @@
+"""The library of effects: complete against the contract, documented, usable."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from zendsp.errors import ModelError
+from zendsp.physics.effects import get_effect, library, load_effects, unit_of
+
+ROOT = Path(__file__).parents[2]
+# DIAGNOSIS.md, "Names of physical effects"; a disturbance is a curve, found by what remains
+CONTRACT = {
+    "viscous": ["coefficient"],
+    "coulomb": ["level"],
+    "coulomb_asymmetry": ["level_pos", "level_neg"],
+    "viscous_asymmetry": ["coefficient_pos", "coefficient_neg"],
+    "stribeck": ["breakaway", "velocity", "exponent"],
+    "presliding": ["stiffness", "damping"],
+    "quadratic_drag": ["coefficient"],
+    "load_friction": ["coefficient"],
+    "position_friction": ["amplitude", "period", "phase"],
+    "friction_drift": ["ratio", "time_constant"],
+    "gravity": ["torque", "angle"],
+    "stiffness": ["coefficient", "neutral"],
+    "cubic_stiffness": ["coefficient"],
+    "inertia": ["amount"],
+    "coupling": ["from_joint", "law", "coefficient"],
+    "elasticity": ["stiffness", "damping", "load_inertia"],
+    "backlash": ["gap", "stiffness", "load_inertia"],
+    "hysteresis": ["force", "stiffness", "exponent"],
+    "ripple": ["order", "amplitude", "phase"],
+    "torque_gain": ["ratio"],
+    "torque_offset": ["level"],
+    "dead_zone": ["width"],
+    "saturation": ["level"],
+    "lag": ["time_constant"],
+    "delay": ["time"],
+    "encoder_eccentricity": ["amplitude", "phase"],
+}
+
+
+@pytest.mark.parametrize("name", CONTRACT)
+def test_effect_of_the_contract_has_its_parameters(name: str) -> None:
+    assert set(CONTRACT[name]) <= set(get_effect(name).names)
+
+
+@pytest.mark.parametrize("name", library())
+def test_effect_is_explained(name: str) -> None:
+    effect = library()[name]
+    assert effect.name == name and effect.equation and effect.experiment.endswith(".")
+    assert "{joint}" in effect.sentence and effect.sentence.endswith(".")
+    for field in re.findall(r"{(\w+)}", effect.sentence):
+        assert field == "joint" or field in effect.names
+    assert len(effect.parameters) <= 6  # what the kernel's table holds
+    for p in effect.parameters:
+        assert unit_of(p.size, "rotary") and unit_of(p.size, "linear") and p.lower < p.upper
+    assert set(effect.linear) | set(effect.grid) <= set(effect.names)
+    assert all(other in library() or other == "disturbance" for other in (*effect.rivals, *effect.replaces))
+
+
+def test_units_follow_the_kind_of_joint() -> None:
+    assert unit_of("torque/speed", "rotary") == "N m s/rad" and unit_of("torque/speed", "linear") == "N s/m"
+    assert unit_of("inertia", "rotary") == "kg m²" and unit_of("inertia", "linear") == "kg"
+    assert unit_of("command", "rotary", "V") == "V"
+
+
+def _generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("generate_effects", ROOT / "docs" / "generate_effects.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_page_of_effects_is_the_library() -> None:
+    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == _generator().page(), "run python docs/generate_effects.py"
+
+
+def test_unknown_effect_lists_the_known_ones() -> None:
+    with pytest.raises(ModelError, match="coulomb"):
+        get_effect("friktion")
+
+
+@pytest.mark.parametrize(("text", "words"), [("x = 1\n", "defines no"), ("1 / 0\n", "division"), (None, "no such")])
+def test_files_without_effects_are_refused(text: str | None, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ModelError, match=words):
+        load_effects(file)
