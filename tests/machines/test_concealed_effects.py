@@ -157,7 +157,7 @@ CASES: list[tuple[str, int, dict[str, float], Callable[[], Array]]] = [
     ("hysteresis", 2, {"force": 1.5, "stiffness": 10.0, "exponent": 1.0}, lambda: run_reference(BOUC, states=BOUC_STATES, x0=(0.0,))),
     ("ripple", 1, {"order": 8.0, "amplitude": 6.0, "phase": 0.7}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0 * math.sin(8 * q[0] + 0.7)))),
     ("torque_gain", 1, {"ratio": -0.15}, lambda: run_reference(actuator=lambda t: command(t) * [0.85, 1.0])),
-    ("torque_offset", 2, {"level": -0.8}, lambda: run_reference(actuator=lambda t: command(t) - np.array([0.0, 0.8]))),
+    ("torque_offset", 2, {"level": -0.8}, lambda: run_reference(actuator=lambda t: command(t) + np.array([0.0, 0.8]))),
     ("dead_zone", 1, {"width": 4.0}, lambda: run_reference(actuator=lambda t: command(t) - [4.0, 0.0])),
     ("saturation", 1, {"level": 29.0}, lambda: run_reference(actuator=lambda t: np.minimum(command(t), [29.0, 99.0]))),
     ("lag", 2, {"time_constant": 0.010}, lambda: run_reference(actuator=lagged)),

@@ -85,8 +85,8 @@ static inline void concealed_command(concealed *c, double t, double dt, double *
         case TORQUE_GAIN:
             *u *= 1.0 + e->p[0];
             break;
-        case TORQUE_OFFSET:
-            *u += e->p[0];
+        case TORQUE_OFFSET: /* as every effect, on the left of M qdd + … + effect = command */
+            *u -= e->p[0];
             break;
         case DEAD_ZONE:
             *u = fabs(*u) < e->p[0] ? 0.0 : *u - e->p[0] * concealed_sign(*u);
