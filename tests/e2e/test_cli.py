@@ -69,7 +69,7 @@ def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
     assert answer("get", "Kp1")["values"] == {"Kp1": 900.0}
     assert answer("set", "Kp1=450", "use_table=false")["tick"] == 500
     parameters = tmp_path / "good.json"
-    assert answer("params", "save", str(parameters))["count"] == 12
+    assert answer("params", "save", str(parameters))["count"] == 13
     assert answer("params", "diff", str(parameters)) == []
     answer("set", "Kp1=1")
     differs = zendsp_("params", "diff", str(parameters), "--json")
@@ -106,6 +106,27 @@ def test_failures_are_one_sentence_and_an_exit_code(target: Target, tmp_path: Pa
         done = zendsp_(*arguments)
         assert done.returncode == code, (arguments, done.returncode, done.stderr)
         assert words in done.stderr and "Traceback" not in done.stderr, (arguments, done.stderr)
+
+
+def test_what_was_recorded_before_a_crash_is_saved_and_a_wrong_name_is_refused_before_the_recording(
+    target: Target, tmp_path: Path
+) -> None:
+    crash = tmp_path / "crash.c"
+    crash.write_text(
+        '#include "isr.h"\nstatic double x; static int *volatile nowhere;\n'
+        'void UserInit(void) { SIGNAL(x, "", "counts"); }\n'
+        "void UserISR_INT2(void) { if (++x > 700) *nowhere = 1; }\n"
+    )
+    target.download(crash)
+    for wrong in (["-o", "run.xyz"], ["-o", "run.npz", "--plot", "run.xyz"]):
+        refused = zendsp_("acquire", "x", "-s", "1", "--start", *wrong, cwd=tmp_path)
+        assert refused.returncode == 2 and "Traceback" not in refused.stderr and ".xyz" in refused.stderr
+    assert target.status().tick == 0, "nothing was started for them"
+    out = tmp_path / "run.npz"
+    done = zendsp_("acquire", "x", "-s", "1", "-o", str(out), "--start", "--json")
+    assert done.returncode == 1 and "SIGSEGV" in done.stderr and "acquire_load" not in done.stderr, done.stderr
+    assert "crash.c:4" in json.loads(done.stdout)["ended"]
+    assert zendsp.Recording.load(out)["x"].tolist() == [float(k) for k in range(1, 701)]
 
 
 def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:

@@ -9,6 +9,9 @@ import click
 from zendsp.cli.common import emit, open_target, progress, target_options
 
 
+PICTURES = (".png", ".svg", ".pdf")
+
+
 @click.command("acquire")
 @click.argument("channels", nargs=-1, required=True)
 @click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
@@ -46,28 +49,52 @@ def command(
 ) -> None:
     """Record CHANNELS (variables, elements, built-in signals) and save them with all circumstances.
 
+    Exit status 1 where the program stopped or crashed before the end; what was recorded until then is saved all the same.
+
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
+    from zendsp.errors import AcquisitionError, RunnerDied
     from zendsp.link import Trigger
+    from zendsp.recording.files import check_suffix
 
+    check_suffix(out)  # before the recording, not after it
+    if plot is not None and plot.suffix.lower() not in PICTURES:
+        raise click.BadParameter(f"{plot}: a picture ends in {', '.join(PICTURES)}", param_hint="--plot")
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
-    with open_target(target, connect) as t, progress("recording", seconds, as_json) as set_fraction:
-        recording = t.acquire(
-            list(channels),
-            seconds,
-            decimation,
-            when,
-            start=start,
-            take=take,
-            note=note,
-            progress=set_fraction,
-        )
+    ended = ""
+    with open_target(target, connect) as t:
+        try:
+            with progress("recording", seconds, as_json) as set_fraction:
+                recording = t.acquire(
+                    list(channels),
+                    seconds,
+                    decimation,
+                    when,
+                    start=start,
+                    take=take,
+                    note=note,
+                    progress=set_fraction,
+                )
+        except (RunnerDied, AcquisitionError) as error:
+            if "acquire_load()" not in str(error):  # nothing was recorded
+                raise
+            ended = str(error).split("What was recorded")[0].split("; acquire_load()")[0].rstrip(". ")
+            recording = t.acquire_load(note or ended)
     recording.save(out)
     if plot is not None:
         recording.plot(path=plot)
-    body = {"file": str(out), "rows": len(recording), "columns": recording.columns, "lost": recording.lost}
+    body = {
+        "file": str(out),
+        "rows": len(recording),
+        "columns": recording.columns,
+        "lost": recording.lost,
+        "ended": ended,
+    }
     emit(
         body,
         as_json,
         f"{len(recording)} rows of {len(recording.columns)} signals to {out}, {recording.lost} lost",
     )
+    if ended:
+        click.echo(f"zendsp: {ended}", err=True)
+        raise click.exceptions.Exit(1)

@@ -59,7 +59,12 @@ def _bars(counts: np.ndarray[Any, Any], edges: np.ndarray[Any, Any]) -> list[str
     """One line per bin that holds anything; the length of the bar is the logarithm of the count."""
     used = np.flatnonzero(counts)
     top = np.log1p(counts.max())
+    bars = [round(WIDTH * np.log1p(count) / top) for count in counts]
     return [
-        f"{edges[k]:10.3g} … {edges[k + 1]:8.3g}  {counts[k]:10d}  {'█' * max(1, round(WIDTH * np.log1p(counts[k]) / top))}"
+        f"{_short(edges[k])} … {_short(edges[k + 1])}  {counts[k]:10d}  {'█' * max(min(1, counts[k]), bars[k])}".rstrip()
         for k in range(used[0], used[-1] + 1)
     ]
+
+
+def _short(edge: float) -> str:
+    return f"{edge:9.3g}" if edge < 1000.0 else f"{edge:9.0f}"

@@ -12,8 +12,8 @@ from zendsp.cli.common import emit, open_target, show, target_options
 
 @click.command("watch")
 @click.argument("channels", nargs=-1, required=True)
-@click.option("--interval", type=float, default=0.1, show_default=True, metavar="S", help="Between lines.")
-@click.option("--count", type=int, default=0, metavar="N", help="End after N lines (default: never).")
+@click.option("--interval", type=click.FloatRange(min=0.001), default=0.1, show_default=True, metavar="S", help="Between lines.")
+@click.option("--count", type=click.IntRange(min=0), default=0, metavar="N", help="End after N lines (default: never).")
 @target_options
 def command(
     channels: tuple[str, ...], interval: float, count: int, target: str, connect: str | None, as_json: bool
@@ -35,6 +35,7 @@ def command(
             newest = view.latest()
             if not newest:
                 newest = _first(view)
+                due = time.monotonic() + interval  # from the first rows on
             line = "  ".join(f"{name} {show(value):>10}" for name, value in newest.items())
             if rewrite:
                 click.echo(f"\r\x1b[K{line}", nl=False)

@@ -40,6 +40,21 @@ def save(recording: Recording, path: Path) -> Path:
     return path
 
 
+def check_suffix(path: str | Path) -> None:
+    """Refuse a name that no recording can be saved under, before there is one.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    RecordingError
+        Its suffix is none of ``.mat``, ``.npz``, ``.parquet``, ``.csv``.
+    """
+    _writer(Path(path))
+
+
 def _writer(path: Path) -> Callable[[Recording, str, Path], None]:
     suffix = path.suffix.lower()
     if suffix == ".mat":
