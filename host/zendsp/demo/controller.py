@@ -32,8 +32,8 @@ def slots(joints: int) -> tuple[Term, ...]:
 
     Examples
     --------
-    >>> [t.effect for t in slots(1)][:3]
-    ['coulomb', 'coulomb_asymmetry', 'cubic_stiffness']
+    >>> [t.effect for t in slots(1)][:2]
+    ['coulomb', 'coulomb_asymmetry']
     """
     made: list[Term] = []
     for joint in range(1, joints + 1):
