@@ -89,7 +89,7 @@ class Drives:
                 return "stopped" if status.trip.reason in STOPS else "tripped"
             running = status.state == "running"
             if not self._explicit:
-                return "running" if running else "homed" if status.homed else "ready"
+                return "running" if running else "homed" if status.homed and _loaded(status) else "ready"
             if not self._powered:
                 return "off"
             if self._enabled:

@@ -8,7 +8,6 @@ import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
 
-
 PICTURES = (".png", ".svg", ".pdf")
 
 

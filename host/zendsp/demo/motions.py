@@ -105,14 +105,15 @@ def _pendulum_mechanism(machine: Machine) -> dict[str, Any]:
 
 
 # What a draw may choose: effects that show in this motion. Left out are those that the given model has itself (viscous, coulomb and
-# inertia: calibration finds them and nothing is missing), and those with which the machine trips (saturation, cubic_stiffness).
+# inertia: calibration finds them and nothing is missing), and those with which the machine trips (saturation, cubic_stiffness),
+# and friction_drift, which wants recordings longer than these.
 ARM_POOL = (
     "ripple", "position_friction", "coupling", "quadratic_drag", "stribeck", "coulomb_asymmetry", "viscous_asymmetry", "stiffness",
-    "gravity", "torque_offset", "dead_zone", "friction_drift", "lag", "delay",
+    "gravity", "torque_offset", "dead_zone", "lag", "delay",
 )  # fmt: skip
 PENDULUM_POOL = (
     "ripple", "position_friction", "quadratic_drag", "stribeck", "coulomb_asymmetry", "viscous_asymmetry", "stiffness", "torque_offset",
-    "dead_zone", "friction_drift",
+    "dead_zone",
 )  # fmt: skip
 
 STAGES = {
