@@ -81,7 +81,7 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
             continue
         if name == "order":
             if linear_axis:
-                axes[name] = [2 * np.pi * m / span for m in np.arange(1.0, 160.0, 0.5)]
+                axes[name] = (2 * np.pi / span * np.arange(1.0, 160.0, 0.5)).tolist()
             else:
                 axes[name] = [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
         elif name == "period":

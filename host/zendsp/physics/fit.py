@@ -173,7 +173,7 @@ class Fit:
     @property
     def std(self) -> Array:
         """Standard deviations (p,)."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
 
 
 def residual(data: Data, model: Model, joints: Sequence[int]) -> Array:

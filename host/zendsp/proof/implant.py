@@ -75,11 +75,11 @@ def parameters_for(effect: str, size: float, q: Array, v: Array, command: Array)
 def torque(effect: str, p: dict[str, float], q: Array, v: Array) -> Array:
     """The implanted force along the motion, N."""
     if effect == "stiffness":
-        return p["coefficient"] * (q - p["neutral"])
+        return np.asarray(p["coefficient"] * (q - p["neutral"]))
     if effect == "cubic_stiffness":
         return np.asarray(p["coefficient"] * (q - p["neutral"]) ** 3)
     if effect == "quadratic_drag":
-        return p["coefficient"] * v * np.abs(v)
+        return np.asarray(p["coefficient"] * v * np.abs(v))
     if effect == "ripple":
         return np.asarray(p["amplitude"] * np.sin(p["order"] * q + p["phase"]))
     return np.asarray(p["amplitude"] * np.sin(2 * np.pi * q / p["period"] + p["phase"]) * np.sign(v))

@@ -101,7 +101,7 @@ def make_lspb(
     s, sd, sdd = integrate_velocity(t, knots, speeds.tolist())
     used = {"start": a.tolist(), "goal": b.tolist(), "duration": duration, "blend_time": blend_time, "hold": hold, "back": back}
     return Reference(
-        a + np.outer(s, b - a), dt, np.outer(sd, b - a), np.outer(sdd, b - a),
+        a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),
         kind="lspb", parameters=used, machine=machine.name, cyclic=back,
     )  # fmt: skip
 

@@ -81,7 +81,7 @@ def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array, rounds: in
         if crest < lowest:
             best, lowest = phases, crest
         level = (0.75 + 0.22 * swap / rounds) * np.max(np.abs(x))
-        phases = np.angle(np.fft.rfft(np.clip(x, -level, level))[lines])
+        phases = np.asarray(np.angle(np.fft.rfft(np.clip(x, -level, level))[lines]), dtype=np.float64)
     return np.asarray(best)
 
 

@@ -86,13 +86,13 @@ def make_point_to_point(
     a, b = spread(machine, "start", start), spread(machine, "goal", goal)
     if duration <= 0.0:
         _, sd, sdd = rest_to_rest(np.linspace(0.0, 1.0, 2001), 1.0, law, blend)
-        duration = fastest_duration(machine, np.outer(sd, b - a), np.outer(sdd, b - a), 1.0)
+        duration = fastest_duration(machine, sd[:, None] * (b - a), sdd[:, None] * (b - a), 1.0)
         duration = max(duration, 10 * dt)
     t = make_grid(duration, dt)
     s, sd, sdd = rest_to_rest(t, duration, law, blend)
     used = {"start": a.tolist(), "goal": b.tolist(), "duration": duration, "law": law, "blend": blend}
     return Reference(
-        a + np.outer(s, b - a), dt, np.outer(sd, b - a), np.outer(sdd, b - a),
+        a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),
         kind="point_to_point", parameters=used, machine=machine.name,
     )  # fmt: skip
 
