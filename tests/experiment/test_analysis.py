@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from zendsp.cli.experiment import command
 from zendsp.errors import ModelError, RecordingError
-from zendsp.experiment import EXPERIMENTS, Estimate, Result, put_into
+from zendsp.experiment import EXPERIMENTS, Estimate, Result, fit_model, put_into
 from zendsp.experiment.imi_fit import fit_curve
 from zendsp.experiment.imi_friction import breakaway_torque, bristle_stiffness, inertia_torque
 from zendsp.experiment.pendulum_motor import fit_parameters, pendulum_model, steady_means
@@ -139,8 +139,20 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
     model.write_text((MODELS / "imi_planar.toml").read_text())
     with pytest.raises(ModelError, match="nothing that a model file holds"):
         put_into(Result("imi-circle", "Circle", "imi_planar"), model)
-    with pytest.raises(ModelError, match="measured joint 5"):
-        put_into(Result("x", "x", "wam7", effects=[{"kind": "coulomb", "joint": 5, "level": 1.0}]), model)
+    before = model.read_text()
+    for machine, joints in (("wam7", 7), ("pendulum", 1)):
+        with pytest.raises(ModelError, match=rf"has 2 joints and {machine}, which was measured, {joints}"):
+            put_into(Result("x", "x", machine, effects=[{"kind": "coulomb", "joint": 1, "level": 1.0}]), model)
+    assert model.read_text() == before and not list(tmp_path.glob("*.new"))
+
+
+def test_what_goes_into_a_model_is_known_before_a_machine_moves() -> None:
+    assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["imi-fit"]
+    assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["wam-friction"]
+    with pytest.raises(ModelError, match=r"imi-circle finds nothing .* imi-fit, pendulum-mechanical, wam-friction do"):
+        fit_model(["imi-circle"], MODELS / "imi_planar.toml")
+    with pytest.raises(ModelError, match="has 2 joints and pendulum, which was measured, 1"):
+        fit_model(["pendulum-mechanical"], MODELS / "imi_planar.toml")
 
 
 def test_the_report_asks_for_what_is_missing(tmp_path: Path) -> None:

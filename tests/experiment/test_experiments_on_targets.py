@@ -97,6 +97,32 @@ def test_machine_and_simulation_have_the_same_joint_error(tmp_path: Path) -> Non
             assert 1e-3 < machine < 0.05 and simulation == pytest.approx(machine, rel=0.15)
 
 
+def test_a_recording_that_is_interrupted_is_kept_and_the_machine_stopped(tmp_path: Path) -> None:
+    import zendsp
+
+    def interrupt(share: float) -> None:
+        if share > 0.2:
+            raise KeyboardInterrupt
+
+    with zendsp.local("pendulum", clock="real") as target:
+        real = target.acquire
+        target.acquire = lambda *args, **keys: real(*args, progress=interrupt, **keys)  # type: ignore[method-assign]
+        with pytest.raises(KeyboardInterrupt), Lab(tmp_path, target).bench("pendulum", "any") as bench:
+            bench.record("long", "pendulum_torque.c", ["q", "tau"], seconds=2.0)
+        assert target.status().state == "stopped"
+    part = Recording.load(tmp_path / "any" / "long_ended.npz")
+    assert len(part) >= 400 and "KeyboardInterrupt" in part.note
+    assert not (tmp_path / "any" / "long.npz").exists()
+
+
+def test_an_experiment_refuses_a_drive_that_takes_another_command(tmp_path: Path) -> None:
+    import zendsp
+    from zendsp.errors import Refused
+
+    with zendsp.local("pendulum", clock="fast") as target, pytest.raises(Refused, match="command is a voltage, here it is a torque"):
+        run_experiment("pendulum-electrical", Lab(tmp_path, target))
+
+
 def test_a_run_that_is_interrupted_leaves_the_target_stopped(tmp_path: Path) -> None:
     import zendsp
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 @click.command("experiment")
 @click.argument("name", required=False)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("experiments"), show_default=True, help="Folder of recordings, figures and results.")
-@click.option("--into", type=click.Path(path_type=Path, exists=True), help="Model file that takes in what was found.")
+@click.option("--into", type=click.Path(path_type=Path, exists=True), help="Model file that takes in what was found; with all, what is of its machine.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write all results of the folder beside the papers' (Markdown, figures beside it).")
 @click.option("-t", "--target", default="", metavar="NAME", help="A target with the machine. Default: a simulated one, started here, on the fast clock.")
 @click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")
@@ -22,29 +22,37 @@ if TYPE_CHECKING:
 def command(name: str | None, out: Path, into: Path | None, report: Path | None, target: str, connect: str | None, as_json: bool) -> None:
     """Make the experiment NAME, or all of them; without NAME, list them.
 
-    Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept; the result is a TOML file that a model takes in.
+    Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept, also the one that Ctrl-C ends; the result is a TOML file that a
+    model takes in. With --target, all means all of that machine.
 
     Example:  zendsp experiment imi-fit --into examples/models/imi_planar.toml
     """
     from zendsp.cli.progress import stages
-    from zendsp.experiment import EXPERIMENTS, Lab, put_into, run_experiment
+    from zendsp.experiment import EXPERIMENTS, Lab, fit_model, put_into, run_experiment
 
     if name is None:
         _list()
         return
     names = list(EXPERIMENTS) if name == "all" else [name]
+    takes = fit_model(names, into) if into is not None else []  # before the machine moves
     opened = None
     if target or connect:
         from zendsp.cli.common import open_target
 
         opened = open_target(target, connect)
+        if name == "all":
+            names = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
     try:
         for each in names:
-            with stages(quiet=as_json) as tell:
-                lab = Lab(out, opened, lambda text, each=each: tell(f"{each}: {text}"))  # type: ignore[misc]
-                result = run_experiment(each, lab)
+            try:
+                with stages(quiet=as_json) as tell:
+                    lab = Lab(out, opened, lambda text, each=each: tell(f"{each}: {text}"))  # type: ignore[misc]
+                    result = run_experiment(each, lab)
+            except KeyboardInterrupt:
+                click.echo(f"{each}: the machine was stopped; what was recorded is in {out / each}", err=True)
+                raise
             _print(result, out / each, as_json)
-            if into is not None:
+            if into is not None and each in takes:
                 for change in put_into(result, into):
                     click.echo(f"{into}: {change}", err=as_json)
     finally:

@@ -2,15 +2,60 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from zendsp.errors import ModelError
+from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
 from zendsp.physics import load_model, model_text, parse_model
-from zendsp.physics.model import Quantity
+from zendsp.physics.model import Model, Quantity
+from zendsp.reference import load_machine
 
 FRICTION = ("coulomb", "coulomb_asymmetry", "viscous", "viscous_asymmetry", "stribeck", "quadratic_drag", "friction_block", "presliding")
+
+
+def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
+    """Which of these experiments find something that this model file holds; asked before a machine moves.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of experiments; unknown ones are left out.
+    path : path
+        A model file.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    ModelError
+        None of them does.
+
+    Examples
+    --------
+    >>> fit_model(["imi-fit", "wam-friction"], "examples/models/imi_planar.toml")  # doctest: +SKIP
+    ['imi-fit']
+    """
+    model = load_model(path)
+    known = [EXPERIMENTS[name] for name in names if name in EXPERIMENTS]
+    holding = [e for e in known if e.models]
+    fitting = [e.name for e in holding if load_machine(e.machine).joints == model.joints]
+    if holding and not fitting:
+        _require_joints(holding[0].machine, model, path)
+    if known and not fitting:
+        do = ", ".join(e.name for e in EXPERIMENTS.values() if e.models)
+        raise ModelError(f"{', '.join(e.name for e in known)} finds nothing that a model file holds; {do} do")
+    return fitting
+
+
+def _require_joints(machine: str, model: Model, path: str | Path) -> None:
+    joints = load_machine(machine).joints
+    if joints != model.joints:
+        raise ModelError(f"{path} has {model.joints} joints and {machine}, which was measured, {joints}: give a model of that machine")
 
 
 def put_into(result: Result, path: str | Path) -> list[str]:
@@ -30,15 +75,14 @@ def put_into(result: Result, path: str | Path) -> list[str]:
     Raises
     ------
     ModelError
-        The result has nothing for a model, or the model has no such joint.
+        The result has nothing for a model, or the model is of another machine; the file stays as it was.
     """
     if not result.effects and not result.mechanism:
         raise ModelError(f"{result.name} finds nothing that a model file holds: there is nothing to put into {path}")
     model = load_model(path)
+    _require_joints(result.machine, model, path)
     found = parse_model({"name": "found", "mechanism": _shell(result), "effect": result.effects, "columns": {"position": [f"q{j}" for j in range(8)]}}, result.name)
     joints = sorted({term.joint for term in found.terms})
-    if joints and joints[-1] > model.joints:
-        raise ModelError(f"{path} has {model.joints} joints, {result.name} measured joint {joints[-1]}")
     kept = tuple(t for t in model.terms if t.joint not in joints or t.effect not in FRICTION)
     changes = [f"friction of joint {', '.join(map(str, joints))} replaced ({len(model.terms) - len(kept)} terms by {len(found.terms)})"] if joints else []
     mechanism = dict(model.mechanism)

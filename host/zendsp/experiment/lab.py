@@ -114,6 +114,7 @@ class Bench:
         after: float = 0.3,
         decimation: int = 1,
         flags: Sequence[str] = (),
+        command: str = "torque",
         **values: Any,
     ) -> Recording:
         """Load a program afresh, set its parameters, run it, and keep the recording as ``name.npz``.
@@ -134,6 +135,8 @@ class Bench:
         decimation : int
         flags : sequence of str
             For the compiler.
+        command : {"torque", "voltage"}
+            What the program commands.
         **values
             Parameters of the program.
 
@@ -144,13 +147,15 @@ class Bench:
         Raises
         ------
         Refused
-            A limit of the machine tripped; the message says which.
+            The machine takes another command; or a limit tripped; the message says which, and the recording is kept as ``name_ended.npz``. So is one that
+            Ctrl-C ends, or a program that crashes.
         """
         self.say(name)
         target = self.target
         if target.status().state in ("running", "paused"):
             target.pause()
         target.download(program, flags)
+        self._require_command(name, command)
         if reference is not None:
             values.setdefault("approach_time", before)
             values.setdefault("row_rate", round(1.0 / reference.sample_time))
@@ -161,12 +166,30 @@ class Bench:
             target.write(**values)
         if seconds is None:
             raise ZendspError(f"recording {name}: give seconds, or a reference")
-        recording = target.acquire(channels, seconds=seconds, decimation=decimation, start=True, note=name)
-        trip = target.status().trip
-        if trip is not None and trip.reason:
-            raise Refused(f"{name}: the machine stopped itself: {trip.text}")
+        try:
+            recording = target.acquire(channels, seconds=seconds, decimation=decimation, start=True, note=name)
+            trip = target.status().trip
+            if trip is not None and trip.reason:
+                raise Refused(f"{name}: the machine stopped itself: {trip.text}")
+        except BaseException as error:
+            with contextlib.suppress(ZendspError):
+                _stop(target)  # first of all
+                self._keep_part(name, str(error) or type(error).__name__)
+            raise
         self.recordings.append(recording.save(self.folder / f"{name}.npz").name)
         return recording
+
+    def _require_command(self, name: str, command: str) -> None:
+        """The machine says what it is once a program is loaded."""
+        has = self.target.machine().joints[0].command
+        if has != command:
+            raise Refused(f"{name}: needs a machine whose command is a {command}, here it is a {has}: start the target with --machine-option drive={command}")
+
+    def _keep_part(self, name: str, why: str) -> None:
+        """Keep what was recorded before a run ended early, if it had begun."""
+        if self.target.status().tick > 0:
+            self.target.acquire_stop()
+            self.target.acquire_load(f"{name}, ended early: {why}").save(self.folder / f"{name}_ended.npz")
 
 
 def _stop(target: Target) -> None:

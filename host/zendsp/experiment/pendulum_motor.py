@@ -31,7 +31,7 @@ def electrical(lab: Lab, volts: tuple[float, ...] = (7.0, 8.5, 10.0, 12.0, 14.0,
     points = []
     with lab.bench(MACHINE, result.name, drive="voltage", brake=0.0) as bench:
         for v in volts:
-            rec = bench.record(f"{v:+.1f}V", "pendulum_current.c", ["q", "i", "v"], seconds=4.0, voltage_mode=True, volts=v)
+            rec = bench.record(f"{v:+.1f}V", "pendulum_current.c", ["q", "i", "v"], seconds=4.0, command="voltage", voltage_mode=True, volts=v)
             points.append(steady_means(rec))
         result.recordings, result.target = bench.recordings, bench.where
         speed, current, voltage = np.array(points).T
