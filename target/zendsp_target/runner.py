@@ -28,7 +28,11 @@ _WITHIN = {
 
 def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
     ffi, lib = layout()
-    control.magic, control.version, control.bytes = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, ffi.sizeof("control")
+    control.magic, control.version, control.bytes = (
+        lib.LAYOUT_MAGIC,
+        lib.LAYOUT_VERSION,
+        ffi.sizeof("control"),
+    )
     control.rate_hz = settings.rate_hz
     control.period_ns = round(1e9 / settings.rate_hz)
     control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST
@@ -113,7 +117,9 @@ class RunnerProcess:
             if time.monotonic() > deadline:
                 where = _WITHIN.get(int(self.control.within), "while it was being loaded")
                 self.kill()
-                raise RunnerDied(f"the program did not return within {self.settings.load_s:g} s {where}; it was ended")
+                raise RunnerDied(
+                    f"the program did not return within {self.settings.load_s:g} s {where}; it was ended"
+                )
             time.sleep(0.0005)
         if lib.monitor_load32(phase) == lib.PHASE_READY:
             return
@@ -164,12 +170,19 @@ class RunnerProcess:
         hung : bool
             The watchdog ended it.
         """
-        code = self._process.poll()
+        code = self._status()
         tick = int(self.control.tick)
         crashed = int(self.control.crash_signal)
         within = int(self.control.crash_within) if crashed else int(self.control.within)
         where = _WITHIN.get(within, "in the runtime") + self._line()
         last = f"last sample {tick - 1}" if tick > 0 else "before the first sample"
+        if (
+            hung and within not in _WITHIN
+        ):  # not in anybody's code: it waited for its next sample and was not woken
+            return (
+                f"the loop got no CPU for {self.settings.hang_s:g} s (another real-time program on the same CPU?): "
+                f"ended by the watchdog; {last}"
+            )
         if hung:
             return f"no return within {self.settings.hang_s:g} s {where}: ended by the watchdog; {last}"
         if code is not None and code < 0:
@@ -177,8 +190,15 @@ class RunnerProcess:
             return f"{name} {where}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
 
+    def _status(self) -> int | None:
+        """Exit status of a process that has ended; `poll` alone answers None while another thread is asking."""
+        try:
+            return self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            return None
+
     def _line(self) -> str:
-        """" at pd.c:42" for a crash within the program, "" where that cannot be told."""
+        """ " at pd.c:42" for a crash within the program, "" where that cannot be told."""
         address = int(self.control.crash_address)
         tool = shutil.which("addr2line")
         if not address or tool is None:
