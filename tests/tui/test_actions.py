@@ -6,15 +6,24 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from rich.style import Style
+from textual.app import App, ComposeResult
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
 from zendsp.tui.panels.source import SourceView
+from zendsp.tui.panels.table import Column, LiveTable
+from zendsp.tui.playing import Setup
 from zendsp.tui.port import Port
+from zendsp.tui.preflight import preflight
 from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.screens.console_program import whole
+from zendsp.tui.screens.console_scope import real
+from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.statusbar import mean_and_max
 
 
 def _nobody(name: str) -> Port:
@@ -81,10 +90,12 @@ async def test_stop_works_under_every_dialog(app: ZendspApp, tmp_path: Path, mon
                 await app.push_screen(dialog)
             await pilot.pause()
             await pilot.press("f9", "ctrl+@")
+            await pilot.click(offset=(95, 1))
             await pilot.pause()
-            assert pressed == [over, over]
+            assert pressed == [over, over, over], "by key, and by a click on the red field"
             pressed.clear()
             if dialog is not None:
+                assert dialog.query_one(".box").region.y >= 3, "the status bar stays in sight"
                 await pilot.press("escape")
                 await pilot.pause()
         over = "palette"
@@ -158,3 +169,51 @@ async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:
         scope = app.screen.query_one(Scope)
         scope.render_line(0)
         assert scope._pens[0].color is not None and scope._pens[0].color.name.lower() == "#0067b6"
+
+
+async def test_what_is_not_seen_cannot_take_the_focus(app: ZendspApp) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.pause()
+        seen = {w.id for w in app.screen.focus_chain}
+        assert "variables" in seen and not {i for i in seen if (i or "").startswith("step-")}, "no hidden Power button under Enter"
+        await pilot.press("E")
+        await pilot.pause()
+        assert app.focused is app.screen.query_one("#events-box")
+        await pilot.press("E")
+        await pilot.pause()
+        assert app.focused is app.screen.query_one("#variables"), "the arrows work again"
+
+
+def test_times_of_execution_carry_the_unit_that_is_meant() -> None:
+    assert mean_and_max(1130.0, 27_400.0) == "1.13/27.4 µs"
+    assert mean_and_max(473.0, 2.4e6) == "0.473 µs/2.40 ms"
+    assert mean_and_max(1.2e6, 2.4e6) == "1.20/2.40 ms"
+
+
+async def test_a_number_that_is_cut_says_so() -> None:
+    class One(App[None]):
+        def compose(self) -> ComposeResult:
+            yield LiveTable((Column("value", 8, right=True),))
+
+    async with One().run_test() as pilot:
+        table = pilot.app.query_one(LiveTable)
+        table.set_rows([("e", (("-0.00576 0.00887", Style()),))])
+        await pilot.pause()
+        assert table.render_line(1).text.strip() == "-0.0057…"
+
+
+def test_whole_numbers_and_reals_are_refused_in_words() -> None:
+    with pytest.raises(ValueError, match="'s' is not a whole number"):
+        whole("s")
+    with pytest.raises(ValueError, match="'1 V' is not a number"):
+        real("1 V")
+
+
+def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
+    def advice(drive: str, explicit: bool) -> str:
+        found = preflight(Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False)
+        return next(c.advice for c in found if c.text == "drives enabled")
+
+    assert advice("off", True).endswith("power (o), home (h), enable (e)")
+    assert advice("homed", False).endswith("power (o), home (h), enable (e)"), "automatic: the sequence begins with power"
+    assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"

@@ -33,7 +33,13 @@ def preflight(
     s = snapshot
     found = [Condition("link to a target", s.link == "up", "Ctrl+O connects")]
     machine = machine_of(s)
-    found.append(Condition(f"machine known{f': {s.machine}' if machine else ''}", machine is not None, "its limits are not known here"))
+    found.append(
+        Condition(
+            f"machine known{f': {s.machine}' if machine else ''}",
+            machine is not None,
+            "its limits are not known here",
+        )
+    )
     loaded = s.state not in ("", "empty", "crashed")
     found.append(Condition("program loaded", loaded, "build one on Console (F2, b)"))
     player = find_player(s.variables)
@@ -49,14 +55,33 @@ def preflight(
         found.append(_fits(references, machine))
         if player is not None:
             found.append(_playable(s, references, machine, setup, player))
-    found.append(Condition("no trip, no STOP", s.trip is None and s.drive not in ("stopped", "tripped"), "acknowledge with Ctrl+K"))
-    found.append(Condition("drives enabled", s.drive in ("enabled", "running"), "on Console: power (o), home (h), enable (e)"))
-    found.append(Condition("you may command", s.mine or not s.commander, f"{s.commander} commands; Ctrl+R takes over"))
+    found.append(
+        Condition(
+            "no trip, no STOP",
+            s.trip is None and s.drive not in ("stopped", "tripped"),
+            "acknowledge with Ctrl+K",
+        )
+    )
+    found.append(
+        Condition("drives enabled", s.drive in ("enabled", "running"), f"on Console (F2): {_steps(s)}")
+    )
+    found.append(
+        Condition("you may command", s.mine or not s.commander, f"{s.commander} commands; Ctrl+R takes over")
+    )
     known = {v.name for v in s.variables}
     missing = [c for c in setup.channels if c.split("[")[0] not in known]
-    found.append(Condition("channels exist", not missing, f"the program has no {', '.join(missing)}: choose again (a)"))
+    found.append(
+        Condition("channels exist", not missing, f"the program has no {', '.join(missing)}: choose again (a)")
+    )
     found.append(Condition("no run in progress", not busy, "abort it with b"))
     return found
+
+
+def _steps(s: Snapshot) -> str:
+    """Return the keys that are still to be pressed until the drives are enabled; o would switch off what is on."""
+    steps = ["power (o)", "home (h)", "enable (e)"]
+    done = {"ready": 1, "homed": 2}.get(s.drive, 0) if s.explicit else 0
+    return ", ".join(steps[done:])
 
 
 def _names(files: Sequence[Path]) -> str:
@@ -66,14 +91,20 @@ def _names(files: Sequence[Path]) -> str:
 def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
     for reference in references:
         if reference.joints != machine.joints:
-            return Condition("within the limits", False, f"planned for {reference.joints} joints, the machine has {machine.joints}")
+            return Condition(
+                "within the limits",
+                False,
+                f"planned for {reference.joints} joints, the machine has {machine.joints}",
+            )
         broken = machine.find_violations(reference)
         if broken:
             return Condition("within the limits", False, str(broken[0]))
     return Condition("within the limits of the machine", True)
 
 
-def _playable(s: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup, player: Player) -> Condition:
+def _playable(
+    s: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup, player: Player
+) -> Condition:
     here = present_position(s, machine.joints)
     if here is None:
         return Condition("position known", False, "no encoder readings come from the target")

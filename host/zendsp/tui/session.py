@@ -258,7 +258,7 @@ class Session:
             port = self._port
             try:
                 if port is None:
-                    raise LinkError(f"{label}: there is no link to a target; connect with Ctrl+O")
+                    raise LinkError("there is no link to a target; connect with Ctrl+O")
                 future.set_result(job(port))
             except ZendspError as error:
                 self.events.add(f"{label}: {error}", "error")

@@ -31,6 +31,12 @@ def microseconds(ns: float) -> str:
     return f"{us:.3g} µs"
 
 
+def mean_and_max(mean_ns: float, max_ns: float) -> str:
+    """Return both times of execution, with the unit once where it is the same: ``1.13/27.4 µs``, ``0.473 µs/2.40 ms``."""
+    mean, most = microseconds(mean_ns), microseconds(max_ns)
+    return f"{mean.removesuffix(most[-3:])}/{most}"
+
+
 def latency(seconds: float) -> str:
     """Return the link's round trip, or a dash where it is unknown."""
     return f"{seconds * 1e3:.1f} ms" if seconds == seconds else "—"
@@ -167,8 +173,7 @@ class StatusBar(Widget):
             line.append(f"{value}  ", bad if alarm else Style())
 
         line.append(f"{s.rate_hz:g} Hz{' fast' if s.clock == 'fast' else ''}  ")
-        mean, most = microseconds(s.exec_mean_ns), microseconds(s.exec_max_ns)
-        item("exec", f"{mean.removesuffix(' µs')}/{most} {100.0 * s.share:.1f}%", s.share > 0.8)
+        item("exec", f"{mean_and_max(s.exec_mean_ns, s.exec_max_ns)} {100.0 * s.share:.1f}%", s.share > 0.8)
         item("over", str(s.overruns), s.overruns > 0)
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))

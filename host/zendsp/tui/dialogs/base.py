@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import TypeVar
 
+from textual import events
 from textual.binding import Binding
 from textual.screen import ModalScreen
+
+from zendsp.tui.statusbar import StopButton
 
 Result = TypeVar("Result")
 
@@ -15,7 +18,8 @@ class Dialog(ModalScreen[Result | None]):
 
     DEFAULT_CSS = """
     Dialog { align: center middle; background: $background 30%; }
-    Dialog > .box { width: 76; max-width: 96%; height: auto; max-height: 92%; background: $surface;
+    /* the margin: what the status bar says stays in sight */
+    Dialog > .box { width: 76; max-width: 96%; height: auto; max-height: 100%; margin: 3 0 1 0; background: $surface;
                     border: round $primary; border-title-color: $accent; border-title-style: bold; padding: 0 1; }
     Dialog .buttons { height: 1; width: 100%; align-horizontal: right; margin-top: 1; }
     Dialog .buttons Button { margin-left: 2; }
@@ -27,6 +31,13 @@ class Dialog(ModalScreen[Result | None]):
         """Keep in sight that STOP works here too."""
         for box in self.query(".box"):
             box.border_subtitle = box.border_subtitle or "F9 STOP"
+
+    def on_click(self, event: events.Click) -> None:
+        """A click on the red field stops, although the field belongs to the screen below."""
+        below = [button for screen in self.app.screen_stack[:-1] for button in screen.query(StopButton)]
+        if any(button.region.contains(event.screen_x, event.screen_y) for button in below):
+            event.stop()
+            self.app.call_later(self.app.run_action, "stop")
 
     def action_cancel(self) -> None:
         """Close and do nothing."""

@@ -22,7 +22,7 @@ class SourceView(Dialog[bool]):
     """An editor; the result is True if the user asked to build."""
 
     DEFAULT_CSS = """
-    SourceView > .box { width: 96%; height: 92%; max-height: 92%; }
+    SourceView > .box { width: 96%; height: 100%; }
     SourceView TextArea { height: 1fr; border: none; padding: 0; }
     SourceView OptionList { height: auto; max-height: 6; border: none; padding: 0; background: $surface; }
     """
@@ -41,7 +41,9 @@ class SourceView(Dialog[bool]):
         with Vertical(classes="box") as box:
             box.border_title = str(self._path)
             box.border_subtitle = "^b saves and builds  f8 next remark  F9 STOP"
-            yield TextArea(self._path.read_text(), show_line_numbers=True, tab_behavior="indent", soft_wrap=False)
+            yield TextArea(
+                self._path.read_text(), show_line_numbers=True, tab_behavior="indent", soft_wrap=False
+            )
             yield OptionList(*[Option(self._line(r)) for r in self._remarks], markup=False, compact=True)
             yield Static("", classes="hint", id="said", markup=False)
             with Horizontal(classes="buttons"):
@@ -51,7 +53,13 @@ class SourceView(Dialog[bool]):
 
     def _line(self, r: Remark) -> Text:
         c = self.app.theme_variables
-        colour = c["error"] if r.severity == "error" else c["warning"] if r.severity == "warning" else c["foreground"]
+        colour = (
+            c["error"]
+            if r.severity == "error"
+            else c["warning"]
+            if r.severity == "warning"
+            else c["foreground"]
+        )
         text = Text(f"{r.file}:{r.line}:{r.column} ", Style(bold=True))
         return text.append(f"{r.severity}: {r.message}", Style(color=colour))
 
@@ -59,6 +67,7 @@ class SourceView(Dialog[bool]):
         self.query_one(OptionList).display = bool(self._remarks)
         self.query_one(TextArea).focus()
         self.action_next_remark()
+        self.call_after_refresh(self._see)  # once the editor knows its size
 
     def action_next_remark(self) -> None:
         """Go to the next remark in this file."""
@@ -69,8 +78,16 @@ class SourceView(Dialog[bool]):
 
     def _go(self, r: Remark) -> None:
         area = self.query_one(TextArea)
-        area.move_cursor((max(r.line - 1, 0), max(r.column - 1, 0)), center=True)
+        area.move_cursor((max(r.line - 1, 0), max(r.column - 1, 0)))
         area.focus()
+        self._see()
+
+    def _see(self) -> None:
+        """Centre the line of the cursor; its beginning stays in sight where the column allows it."""
+        area = self.query_one(TextArea)
+        area.scroll_cursor_visible(center=True)
+        if area.cursor_location[1] < area.scrollable_content_region.width - area.gutter_width:
+            area.scroll_to(x=0, animate=False)
 
     @property
     def cursor_line(self) -> int:

@@ -155,7 +155,9 @@ class LiveTable(ScrollView, can_focus=True):
         back = Style(bgcolor=self.background_colors[1].rich_color)
         row = y - 1 + self.scroll_offset.y
         if y == 0:
-            cells: tuple[Cell, ...] = tuple((c.title, Style(bold=True, dim=True, underline=True)) for c in self._columns)
+            cells: tuple[Cell, ...] = tuple(
+                (c.title, Style(bold=True, dim=True, underline=True)) for c in self._columns
+            )
         elif row < len(self._cells):
             cells = self._cells[row]
         else:
@@ -169,6 +171,13 @@ class LiveTable(ScrollView, can_focus=True):
             back = Style(bgcolor=colour)
         parts = []
         for (text, style), wide, column in zip(cells, self._widths, self._columns, strict=True):
-            shown = text[:wide].rjust(wide) if column.right else text[:wide].ljust(wide)
+            short = (
+                text if len(text) <= wide else text[: wide - 1] + "…"
+            )  # a number cut in silence would be another number
+            shown = short.rjust(wide) if column.right else short.ljust(wide)
             parts.append(Segment(shown + " ", back + style))
-        return Strip(parts).adjust_cell_length(max(x + width, sum(self._widths) + len(self._widths)), back).crop(x, x + width)
+        return (
+            Strip(parts)
+            .adjust_cell_length(max(x + width, sum(self._widths) + len(self._widths)), back)
+            .crop(x, x + width)
+        )

@@ -19,7 +19,7 @@ from zendsp.tui.snapshot import Snapshot, Variable
 COLUMNS = (
     Column("", 2),
     Column("name", most=22),
-    Column("value", 14, right=True),
+    Column("value", 17, right=True),
     Column("unit", most=10),
     Column("limits", most=16),
     Column("initial", most=12),
@@ -68,14 +68,18 @@ class VariablesPanel(Vertical):
 
     def show(self, snapshot: Snapshot, staged: Mapping[str, Any], plotted: Sequence[str]) -> None:
         """Bring the table up to date; only rows that differ are painted."""
-        wanted = [v for v in snapshot.variables if self._words in f"{v.name} {v.unit} {v.description}".lower()]
+        wanted = [
+            v for v in snapshot.variables if self._words in f"{v.name} {v.unit} {v.description}".lower()
+        ]
         theme = self.app.current_theme
         colours = trace_colours(theme).traces
         accent = self.app.theme_variables["accent"]
         fresh: dict[str, tuple[object, ...]] = {}
         for v in wanted:
             value = staged.get(v.name, snapshot.values.get(v.name))
-            curves = tuple(k for k, name in enumerate(plotted) if name == v.name or name.startswith(f"{v.name}["))
+            curves = tuple(
+                k for k, name in enumerate(plotted) if name == v.name or name.startswith(f"{v.name}[")
+            )
             changed = v.kind == "parameter" and value is not None and differs(value, v.initial)
             mark = "→" if v.name in staged else "*" if changed else " "
             fresh[v.name] = (v, show_value(value, 2), mark, curves, theme.name)

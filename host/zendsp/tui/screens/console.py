@@ -62,7 +62,10 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
         if snapshot.program != self._program and snapshot.variables:
             self._program = snapshot.program
             self._new_program(plotted)
-        if self.scope.history is not self.lab.session.history and self.lab.session.channels == self.scope.channels:
+        if (
+            self.scope.history is not self.lab.session.history
+            and self.lab.session.channels == self.scope.channels
+        ):
             self.scope.show_channels(self.scope.channels, self.lab.session.history)
 
     def _new_program(self, plotted: list[str]) -> None:
@@ -91,3 +94,7 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
     def action_events(self) -> None:
         """Show events in the place of variables on a small terminal."""
         self.toggle_class("-events")
+        # what is hidden loses the focus; give it to what is seen, so that the arrows go on working
+        self.call_after_refresh(
+            self.query_one(EventsPanel).focus if self.has_class("-events") else self.variables.table.focus
+        )

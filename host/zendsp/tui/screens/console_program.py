@@ -25,7 +25,10 @@ def positive(text: str) -> float:
 
 def whole(text: str) -> int:
     """Return a whole number from 1 or refuse."""
-    value = int(text)
+    try:
+        value = int(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is not a whole number") from None
     if value < 1:
         raise ValueError(f"{value} must be 1 or more")
     return value
@@ -86,7 +89,9 @@ class ProgramActions(LabScreen):
             self.say(f"no C file in {self.lab.workspace.root} or one folder below", "warning")
             return
         options = [Option(str(p), p.name, str(p.parent)) for p in files]
-        self.app.push_screen(Choose("Source", options), lambda keys: self._take_source(Path(keys[0])) if keys else None)
+        self.app.push_screen(
+            Choose("Source", options), lambda keys: self._take_source(Path(keys[0])) if keys else None
+        )
 
     def _take_source(self, path: Path) -> None:
         self.lab.source = path
@@ -115,13 +120,20 @@ class ProgramActions(LabScreen):
             self.lab.session.events.add(f"{r.file}:{r.line}:{r.column}: {r.severity}: {r.message}", level)
         errors = sum(r.severity == "error" for r in build.remarks)
         if build.ok:
-            warnings = f", {len(build.remarks)} remarks (g)" if build.remarks else ""
-            self.say(f"built in {build.seconds:.2f} s{' (cached)' if build.cached else ''} and downloaded{warnings}", "good")
+            warnings = (
+                f", {len(build.remarks)} remark{'' if len(build.remarks) == 1 else 's'} (g)"
+                if build.remarks
+                else ""
+            )
+            self.say(
+                f"built in {build.seconds:.2f} s{' (cached)' if build.cached else ''} and downloaded{warnings}",
+                "good",
+            )
             self.built()
         else:
             first = next((r for r in build.remarks if r.severity == "error"), None)
             where = f": {first.file}:{first.line}: {first.message}" if first else ""
-            self.say(f"{errors} errors{where}; g opens the source there", "error")
+            self.say(f"{errors} error{'' if errors == 1 else 's'}{where}; g opens the source there", "error")
 
     def built(self) -> None:
         """Do what follows a successful build."""

@@ -16,7 +16,10 @@ from zendsp.tui.screens.base import LabScreen
 
 def real(text: str) -> float:
     """Return a finite number or refuse."""
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is not a number") from None
     if value != value or abs(value) == float("inf"):
         raise ValueError("must be finite")
     return value
