@@ -19,9 +19,9 @@ from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form, Message
 from zendsp.tui.link_port import open_port
 from zendsp.tui.playing import Player, Setup, make_playlist, smooth_move
-from zendsp.tui.runs import compare, discard_run, list_runs, rename_run, store_run
+from zendsp.tui.runs import SIMULATED, compare, discard_run, list_runs, rename_run, store_run
 from zendsp.tui.scope import Scope
-from zendsp.tui.screens.analysis import ProcessView
+from zendsp.tui.screens.analysis import ProcessView, simulation_of
 from zendsp.tui.screens.execute import ExecuteScreen
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -222,6 +222,23 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
         await pilot.press("enter")
         await until(pilot, lambda: len(screen.runs) == 1, "gone from the list")
         assert len(list((folder / "runs" / ".trash").iterdir())) == 1, "but not deleted"
+
+
+def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Path) -> None:
+    circle = folder / "references" / "circle.mat"
+    taken = replace(_recording(300.0), parameters={"Kp1": 300.0, "hold": False, "Kp": [1.0, 2.0], "use_table": True, "row_rate": 1000})
+    run = store_run(folder / "runs", "circle", taken, references=[circle], sources={"pd.c": "int a;"})
+    words, keep = simulation_of(run, folder / "runs")
+    pairs = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
+    assert pairs == ["Kp1=300.0", "hold=false", "Kp=[1.0, 2.0]"], "what the reference sets by itself is left to it"
+    assert words[words.index("--channels") + 1] == "q,e" and words[-2:] == ["--reference", str(run.folder / "reference.mat")]
+    t = np.arange(900) * 1e-3
+    simulated = Recording.from_columns({"q": t, "e": 0.0 * t}, 1e-3, parameters={"approach_time": 0.2}, machine="imi_planar")
+    simulated.save(Path(words[words.index("--out") + 1]))
+    assert "circle simulated" in keep()
+    newest = list_runs(folder / "runs")[0]
+    assert newest.outcome == SIMULATED and len(newest.recording()) == len(taken)
+    assert newest.recording()["q"][0] == pytest.approx(0.2), "from the first row of the reference on, as in the run"
 
 
 def _recording(gain: float) -> Recording:

@@ -1,7 +1,11 @@
-"""Progress for commands of more than a second: one live line on a terminal, nothing in a pipe."""
+"""Progress for commands of more than a second: one live line on a terminal, nothing in a pipe.
+
+``ZENDSP_PROGRESS=lines`` asks for a line on stderr at each stage instead: for a log, or a window that shows what a process says.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +25,9 @@ def stages(*, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     callable
         Takes the sentence of the stage that begins.
     """
+    if not quiet and os.environ.get("ZENDSP_PROGRESS") == "lines":
+        yield lambda text: print(text, file=sys.stderr, flush=True)
+        return
     if quiet or not sys.stderr.isatty():
         yield lambda _text: None
         return

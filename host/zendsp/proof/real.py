@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from zendsp.physics.shipped import model_folder as model_folder
 from zendsp.proof.answer import Answer, ContractError, read_report
 from zendsp.proof.convert import Recordings, altered, convert
 from zendsp.proof.score import COMMAND
@@ -94,22 +95,6 @@ class Seen:
     @property
     def good(self) -> bool:
         return not self.absent and not self.answer.trouble and all(ok for _, ok in self.kept)
-
-
-def model_folder() -> Path:
-    """Folder of the given models: within the installed package, else ``examples/models`` of the source tree.
-
-    Raises
-    ------
-    FileNotFoundError
-        This is neither an installed wheel nor the source tree.
-    """
-    here = Path(__file__).resolve()
-    places = (here.parents[1] / "examples" / "models", here.parents[3] / "examples" / "models")
-    for folder in places:
-        if folder.exists():
-            return folder
-    raise FileNotFoundError(f"no example models in {' or '.join(map(str, places))}: install zendsp again")
 
 
 def diagnose(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:

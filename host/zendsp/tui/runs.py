@@ -24,6 +24,7 @@ from zendsp.recording import Recording
 from zendsp.tui.workspace import file_name
 
 DATA, CARD = "recording.mat", "run.json"
+SIMULATED = "simulated"  # outcome of a run that no machine has made
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Run:
     rows: int = 0
     seconds: float = 0.0
     lost: int = 0
-    outcome: str = "complete"  # "complete" | "aborted" | the words of a trip
+    outcome: str = "complete"  # "complete" | "aborted" | SIMULATED | the words of a trip
     errors: Mapping[str, float] = field(default_factory=dict)  # rms of each error signal
 
     def recording(self) -> Recording:

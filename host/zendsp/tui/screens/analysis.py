@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from textual import on
 from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Button, RichLog, Static
 
+from zendsp.errors import ZendspError
+from zendsp.physics.shipped import model_folder
+from zendsp.recording import Recording
 from zendsp.tui.dialogs import Field, Form
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.runs import DATA, Run, list_runs
+from zendsp.tui.runs import DATA, SIMULATED, Run, list_runs, store_run
 from zendsp.tui.screens.base import LabScreen
 
 CALL = "import sys; from zendsp.cli import main; main()"
@@ -26,14 +33,18 @@ class ProcessView(Dialog[bool]):
     """Runs a command of zendsp in a process of its own and shows what it says; closing ends it."""
 
     DEFAULT_CSS = """
-    ProcessView > .box { width: 96%; height: 92%; max-height: 92%; }
+    ProcessView > .box { width: 96%; height: 100%; }
     ProcessView RichLog { height: 1fr; background: $surface; }
     """
 
-    def __init__(self, title: str, arguments: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self, title: str, arguments: Sequence[str], folder: Path, finish: Callable[[], str] | None = None
+    ) -> None:
         super().__init__()
         self._title, self._arguments, self._folder = title, list(arguments), folder
+        self._finish = finish  # what is done with the result; returns a sentence about it
         self._process: asyncio.subprocess.Process | None = None
+        self._began = time.monotonic()
         self.status: int | None = None
 
     def compose(self) -> ComposeResult:
@@ -47,20 +58,30 @@ class ProcessView(Dialog[bool]):
 
     def on_mount(self) -> None:
         self.run_worker(self._run(), exclusive=True)
+        self.set_interval(1.0, self._show_time)
+
+    def _show_time(self) -> None:
+        if self.status is None:
+            self.query_one(".box").border_title = f"{self._title} · {time.monotonic() - self._began:.0f} s"
 
     async def _run(self) -> None:
         log = self.query_one(RichLog)
         self._folder.mkdir(parents=True, exist_ok=True)
+        width = str(max(self.size.width - 12, 60))
         self._process = await asyncio.create_subprocess_exec(
             sys.executable, "-c", CALL, *self._arguments,
-            cwd=self._folder, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT, env={**os.environ, "COLUMNS": str(max(self.size.width - 12, 60)), "NO_COLOR": "1"},
-            start_new_session=True,
+            cwd=self._folder, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
+            env={**os.environ, "COLUMNS": width, "NO_COLOR": "1", "ZENDSP_PROGRESS": "lines"}, start_new_session=True,
         )  # fmt: skip
         assert self._process.stdout is not None
         async for line in self._process.stdout:
             log.write(line.decode(errors="replace").rstrip("\n"))
         self.status = await self._process.wait()
+        if self.status == 0 and self._finish is not None:
+            try:
+                log.write(self._finish())
+            except (ZendspError, OSError) as error:
+                log.write(str(error))
         log.write("— done —" if self.status == 0 else f"— ended with status {self.status} —")
 
     def on_unmount(self) -> None:
@@ -81,17 +102,22 @@ class AnalysisActions(LabScreen):
 
     def meant_run(self) -> Run | None:
         """Return the run that the user means."""
-        runs = list_runs(self.lab.workspace.runs)
-        return runs[0] if runs else None
+        return next((r for r in list_runs(self.lab.workspace.runs) if r.outcome != SIMULATED), None)
 
     def action_diagnose(self) -> None:
         """Ask for the model, then diagnose the run."""
         run = self.meant_run()
         if run is None:
-            self.say("no run to diagnose yet: record one (r on Console), or play a reference on Execute", "warning")
+            self.say(
+                "no run to diagnose yet: record one (r on Console), or play a reference on Execute", "warning"
+            )
             return
         out = run.folder / "diagnosis"
-        self._with_model("Diagnose", run, lambda model: ["diagnose", str(run.folder / DATA), "--model", model, "--out", str(out)])
+        self._with_model(
+            "Diagnose",
+            run,
+            lambda model: ["diagnose", str(run.folder / DATA), "--model", model, "--out", str(out)],
+        )
 
     def action_simulate(self) -> None:
         """Ask for the model, then simulate the run: its source, its reference."""
@@ -103,23 +129,93 @@ class AnalysisActions(LabScreen):
         if not sources:
             self.say(f"{run.name} carries no source: it cannot be simulated", "warning")
             return
-        reference = run.folder / "reference.mat"
-        rest = ["--reference", str(reference)] if reference.is_file() else []
-        self._with_model("Simulate", run, lambda model: ["simulate", str(sources[0]), "--model", model, *rest])
+        if len(run.references) > 1:
+            self.say(
+                f"{run.name} played {len(run.references)} references; one that played one can be simulated",
+                "warning",
+            )
+            return
+        try:
+            rest, finish = simulation_of(run, self.lab.workspace.runs)
+        except (ZendspError, OSError) as error:
+            self.say(f"{run.name}: {error}", "error")
+            return
+        self._with_model(
+            "Simulate", run, lambda model: ["simulate", str(sources[0]), "--model", model, *rest], finish
+        )
 
-    def _with_model(self, title: str, run: Run, command: Callable[[str], list[str]]) -> None:
-        """Ask for the model file, the last one given or one named like the machine, and start the worker."""
-        near = [p for pattern in ("*.toml", "models/*.toml", "examples/models/*.toml") for p in sorted(self.lab.workspace.root.glob(pattern))]
-        fitting = [p for p in near if p.stem == run.machine] + near
+    def _with_model(
+        self,
+        title: str,
+        run: Run,
+        command: Callable[[str], list[str]],
+        finish: Callable[[], str] | None = None,
+    ) -> None:
+        """Ask for the model file (the last one given, one here named like the machine, or the shipped one) and start the worker."""
+        near = [
+            p
+            for pattern in ("*.toml", "models/*.toml", "examples/models/*.toml")
+            for p in sorted(self.lab.workspace.root.glob(pattern))
+        ]
+        shipped = _shipped(run.machine)
+        fitting = [p for p in near if p.stem == run.machine] + ([shipped] if shipped else []) + near
         default = self.lab.model or (str(fitting[0]) if fitting else "")
         fields = [Field("model", "Model file", default, check=_existing, hint="TOML, see docs")]
 
         def go(answer: Mapping[str, str] | None) -> None:
             if answer:
                 self.lab.model = answer["model"]
-                self.app.push_screen(ProcessView(f"{title} {run.name}", command(answer["model"]), run.folder))
+                self.app.push_screen(
+                    ProcessView(f"{title} {run.name}", command(answer["model"]), run.folder, finish)
+                )
 
-        self.app.push_screen(Form(f"{title} {run.name}", fields, "The model of the machine whose missing physics is of interest.", title), go)
+        self.app.push_screen(
+            Form(
+                f"{title} {run.name}",
+                fields,
+                "The model of the machine whose missing physics is of interest.",
+                title,
+            ),
+            go,
+        )
+
+
+def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
+    """Return what makes ``zendsp simulate`` repeat a run, and what keeps the result as a run beside it.
+
+    The same parameters, the same reference, the same channels; what comes before the reference is left out, as in the run.
+    """
+    taken = run.recording()
+    reference = run.folder / "reference.mat"
+    played = reference.is_file()
+    values = {k: v for k, v in taken.parameters.items() if not played or k not in ("use_table", "row_rate")}
+    out = run.folder / "simulation.mat"
+    words = ["--channels", ",".join(dict.fromkeys(c.split("[")[0] for c in taken.columns)), "--out", str(out)]
+    for name, value in values.items():
+        words += ["--set", f"{name}={json.dumps(np.asarray(value).tolist())}"]
+    words += ["--reference", str(reference)] if played else ["--seconds", f"{max(run.seconds, 0.01):.6g}"]
+
+    def keep() -> str:
+        made = Recording.load(out)
+        approach = float(made.parameters.get("approach_time", 0.0)) if played else 0.0
+        first = min(round(approach / made.sample_time), len(made))
+        same = slice(first, first + max(round(run.seconds / made.sample_time), 1))
+        made = replace(made, t=made.t[same], data=made.data[same], start_tick=made.start_tick + first)
+        kept = store_run(
+            runs, f"{run.name} simulated", made, references=[reference] if played else [], outcome=SIMULATED
+        )
+        return f"kept as the run “{kept.name}”: space on Execute lays it over {run.name}, d compares"
+
+    return words, keep
+
+
+def _shipped(machine: str) -> Path | None:
+    """Return the model that comes with zendsp for a machine, if there is one."""
+    try:
+        path = model_folder() / f"{machine}.toml"
+    except FileNotFoundError:
+        return None
+    return path if path.is_file() else None
 
 
 def _existing(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.style import Style
 from rich.text import Text
-from textual import on
+from textual import events, on
 from textual.widgets import DataTable
 from textual.widgets.data_table import CellDoesNotExist
 
@@ -37,6 +37,12 @@ class RunActions(AnalysisActions):
     def runs_table(self) -> DataTable[Text]:
         """The list."""
         return self.query_one("#runs", DataTable)
+
+    @on(events.ScreenResume)
+    def _look_again(self) -> None:
+        """A recording on Console, or a simulation in a dialog, has perhaps left a run."""
+        if self.is_mounted and [r.folder for r in list_runs(self.lab.workspace.runs)] != [r.folder for r in self.runs]:
+            self.fill_runs()
 
     def fill_runs(self, mark: Path | None = None) -> None:
         """Read the list from disk; ``mark`` is put under the cursor."""
