@@ -98,14 +98,19 @@ class Drives:
 
     def conditions(self, status: Status) -> tuple[Condition, ...]:
         """Return everything that enabling needs."""
-        alive = _loaded(status) and _finite(status.io.get("enc"))
+        loaded = _loaded(status)
+        alive = loaded and _finite(status.io.get("enc"))
         trip = status.trip
+
+        def once_loaded(advice: str) -> str:
+            return advice if loaded else "known once a program is loaded"
+
         return (
             Condition("power", self._powered or not self._explicit, "switch the drives' power on"),
-            Condition("program", _loaded(status), f"no code is loaded (the program is {status.state}): download a program"),
-            Condition("homed", status.homed and _loaded(status), "the position is unknown: home the machine"),
-            Condition("limits", self._limits_set(), "torque, speed and position limits must be finite: set them"),
-            Condition("sensors", alive, "no position comes from the machine: check its sensors, load the program again"),
+            Condition("program", loaded, f"no code is loaded (the program is {status.state}): download a program"),
+            Condition("homed", status.homed and loaded, once_loaded("the position is unknown: home the machine")),
+            Condition("limits", self._limits_set(), once_loaded("torque, speed and position limits must be finite: set them")),
+            Condition("sensors", alive, once_loaded("no position comes from the machine: check its sensors, load the program again")),
             Condition("no trip", trip is None, f"{trip.text or trip.reason}: acknowledge it" if trip is not None else ""),
         )
 

@@ -102,7 +102,7 @@ async def test_a_refused_enable_names_each_condition(lab: ZendspApp, target: Tar
         await pilot.press("e")
         await until(pilot, lambda: "enabling is refused" in _events(lab), "refused")
         text = _events(lab)
-        assert "program: no code is loaded" in text and "homed: the position is unknown" in text
+        assert "program: no code is loaded" in text and "homed: known once a program is loaded" in text
         assert target.drive_status().state in ("ready", "off")
 
 
