@@ -83,6 +83,7 @@ static inline void concealed_prepare(concealed *c, concealed_effect *e) {
         f->stribeck = e->p[1];
         break;
     case PRESLIDING:
+        f->damping *= sqrt(e->p[0] / f->stiffness); /* the damping ratio of the bristles stays */
         f->stiffness = e->p[0];
         break;
     case INERTIA:
@@ -103,13 +104,15 @@ static inline void concealed_prepare(concealed *c, concealed_effect *e) {
 }
 
 /* The same friction that a simple model has: viscous and Coulomb, equal in both directions, no breakaway, and bristles so stiff that
- * the joint gives way by less than an encoder count before it slides. */
+ * no reversal shows them. Less than an encoder count of give is not enough for that: while the bristles turn over, the friction's impulse
+ * is missing, and it moves the joint for as long as its speed lasts. With 200 times the stiffness that was two counts of imi_planar
+ * at each reversal, which is physics that a diagnosis finds; with 2000 times it is less than one. */
 static inline void concealed_plain(plant_friction *f) {
     f->viscous_pos = f->viscous_neg = 0.5 * (f->viscous_pos + f->viscous_neg);
     f->coulomb_pos = f->coulomb_neg = 0.5 * (f->coulomb_pos + f->coulomb_neg);
     f->breakaway_pos = f->breakaway_neg = f->coulomb_pos;
-    f->stiffness *= 200.0;
-    f->damping *= 7.0; /* half the damping ratio: enough to come to rest, little beside the level at a reversal */
+    f->stiffness *= 2000.0;
+    f->damping *= 22.0; /* half the damping ratio: enough to come to rest, little beside the level at a reversal */
 }
 
 /* Call at the end of open(), when the plant is complete. Config keys: effect1, effect2, … and
