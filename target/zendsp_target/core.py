@@ -8,6 +8,7 @@ from typing import Any
 
 from zendsp_isr.build import build_machine, build_runner
 from zendsp_protocol.errors import Refused
+from zendsp_target import safety
 from zendsp_target.api import CompileResult
 from zendsp_target.compile_service import compile_program, program_path
 from zendsp_target.concealed import load_concealed
@@ -16,6 +17,13 @@ from zendsp_target.session import Session
 from zendsp_target.settings import Settings, split_options
 from zendsp_target.shm import SharedFolder
 from zendsp_target.updates import ChangeLog
+
+
+def require_no_trip(session: Session) -> None:
+    """Refuse what must wait until a STOP or trip is acknowledged."""
+    trip = safety.trip_of(session.control, session.machine)
+    if trip is not None:
+        raise Refused(f"{trip.text}: acknowledge it first")
 
 
 class Core:
@@ -57,13 +65,15 @@ class Core:
         Raises
         ------
         Refused
-            No such program, or it cannot run.
+            No such program, or it cannot run; or a STOP or trip that is not acknowledged: a fresh runner would forget it.
         RunnerDied
             Its UserInit crashed or did not return.
         """
         path = program_path(key)
         with self._lock:
             self._require_open()
+            if self._session is not None and self._session.alive():
+                require_no_trip(self._session)
             self.unload()
             if self._drive_wish != "auto":
                 self._drive_wish = "off"  # a fresh runner begins with its drives off, and is switched on deliberately

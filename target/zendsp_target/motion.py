@@ -8,16 +8,9 @@ from typing import Any
 from zendsp_protocol.errors import Refused
 from zendsp_target import safety
 from zendsp_target.api import Limits, MachineInfo
-from zendsp_target.core import Core
+from zendsp_target.core import Core, require_no_trip
 from zendsp_target.layout import layout
 from zendsp_target.runner import ffi_address
-from zendsp_target.session import Session
-
-
-def _require_no_trip(session: Session) -> None:
-    trip = safety.trip_of(session.control, session.machine)
-    if trip is not None:
-        raise Refused(f"{trip.text}: acknowledge it first")
 
 
 class Motion(Core):
@@ -39,7 +32,7 @@ class Motion(Core):
         _, lib = layout()
         with self._lock:
             session = self._living()
-            _require_no_trip(session)
+            require_no_trip(session)
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs already: pause it first")
             if ticks is not None and ticks < 1:
@@ -140,7 +133,7 @@ class Motion(Core):
         _, lib = layout()
         with self._lock:
             session = self._living()
-            _require_no_trip(session)
+            require_no_trip(session)
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs: pause it before homing")
             lib.monitor_store64(ffi_address(session.control, "run_until"), 0)
