@@ -78,6 +78,20 @@ def test_complete_model_raises_no_alarm(size: float, high: float, counts: int, t
     assert d.verdict == "complete" and d.findings == () and d.regions == ()
 
 
+def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(tmp_path: Path) -> None:
+    fine = 2 * np.pi / 2**17
+    machine = reality.Machine(ripple=0.003, order=57, kp=8.0, kd=0.3, resolution=fine)
+    files = []
+    for name, seed, zero in (("train", 1, 0.0), ("heldout", 2, 4000 * fine)):
+        run = reality.simulate(machine, reality.multisine(8.0, RATE, seed, size=2.0), RATE)
+        files.append(reality.save(tmp_path / f"{name}.csv", {**run, "q": run["q"] + zero, "r": run["r"] + zero}))
+    d = diagnose(files[0], reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, resolution=fine), files[1])
+    assert {f.effect for f in d.findings} == {"coulomb", "ripple"}
+    ripple = next(f for f in d.findings if f.effect == "ripple")
+    assert ripple.parameters["order"].value == pytest.approx(57, abs=0.3)
+    assert ripple.parameters["amplitude"].value == pytest.approx(0.003, rel=0.1)
+
+
 def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:
     d = run(Case(reality.Machine(wave=0.05), [VISCOUS, COULOMB], {}), tmp_path)
     assert d.verdict == "unexplained" and d.findings == ()

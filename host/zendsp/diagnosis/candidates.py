@@ -18,7 +18,9 @@ from zendsp.physics.model import Model, Term
 DRY = ("coulomb", "coulomb_asymmetry", "stribeck", "load_friction", "position_friction")
 
 
-def screened(data: Data, model: Model, joint: int, *, jobs: int = 1) -> list[tuple[float, Candidate]]:
+def screened(
+    data: Data, model: Model, joint: int, *, jobs: int = 1, only: frozenset[str] = frozenset()
+) -> list[tuple[float, Candidate]]:
     """Candidates with the share of the cost that each promises to remove, best first.
 
     Screened with a slower observer than that of the data: it sees what a fast one follows.
@@ -33,6 +35,8 @@ def screened(data: Data, model: Model, joint: int, *, jobs: int = 1) -> list[tup
         1-based.
     jobs : int
         Threads.
+    only : frozenset of str
+        Names of the effects to try; empty: all.
 
     Returns
     -------
@@ -43,7 +47,7 @@ def screened(data: Data, model: Model, joint: int, *, jobs: int = 1) -> list[tup
     best: dict[object, tuple[float, Candidate]] = {}
     around = data.at_bandwidth(joint, max(8.0, here / 4) if here > 8.0 else here)
     result = fit(around, model, handles, joints=(joint,), iterations=3, jobs=jobs)
-    for candidate in Screen(around, result, joint, (joint,)).candidates():
+    for candidate in Screen(around, result, joint, (joint,)).candidates(only):
         if _absorbed(candidate.effect, model, joint):
             continue
         share = candidate.gain / max(result.cost, 1e-300)
@@ -66,13 +70,17 @@ def _absorbed(effect: str, model: Model, joint: int) -> bool:
     return False
 
 
-def simulated(data: Data, model: Model, joint: int) -> list[list[Candidate]]:
+def simulated(
+    data: Data, model: Model, joint: int, only: frozenset[str] = frozenset()
+) -> list[list[Candidate]]:
     """Hypotheses with states of their own, each with its start values."""
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     present = {t.effect for t in model.at(joint)}
     out = []
     for effect in library().values():
         if not effect.starts or effect.name in ("lag", "delay") or effect.name in present:
+            continue
+        if only and effect.name not in only:
             continue
         if effect.family == "transmission" and present & {"elasticity", "backlash"}:
             continue

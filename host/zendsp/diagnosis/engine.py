@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from zendsp.diagnosis.assemble import assemble
+from zendsp.diagnosis.assemble import Assembled, assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.evidence import compare, torque_share, unmodelled_torque
 from zendsp.diagnosis.findings import file_model, kernel_model
+from zendsp.diagnosis.fine import fine_ripples, fixed
 from zendsp.diagnosis.naming import name_findings
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.propose import propose
@@ -20,7 +22,7 @@ from zendsp.diagnosis.reading import Signals, read_signals, split
 from zendsp.diagnosis.result import Diagnosis, FitTable
 from zendsp.diagnosis.score import Scored
 from zendsp.diagnosis.search import JointSearch, Rival, Searcher, calibrate_joint
-from zendsp.diagnosis.verdict import judge
+from zendsp.diagnosis.verdict import Outcome, judge
 from zendsp.diagnosis.where import intervals, mismatch, regions
 from zendsp.diagnosis.windows import model_error, noise_floor
 from zendsp.errors import RecordingError
@@ -125,11 +127,20 @@ def diagnose(
     notes += check_motion(Data((*train.records, *test.records), train.bandwidth), given, names)
     notes += check_excitation(train)
     tell("calibrating the given model")
-    searches = _search(train, test, given, jobs, tell)
-    tell("fitting the improved model")
-    whole = assemble(train, test, given, searches, jobs)
-    outcome = judge(train, test, given, searches, whole, jobs)
-    findings, rejected = name_findings(train, test, given, searches, whole, outcome, jobs, tell)
+    searches, whole, outcome = _explain(train, test, given, given, jobs, tell)
+    tell("looking for what passes fast")
+    fine = [
+        ripple
+        for search, joint in zip(searches, outcome.joints, strict=True)
+        if joint.kind not in ("unexplained", "disturbance")
+        for ripple in fine_ripples(train, test, search, given.joint_kind(search.joint), jobs)
+    ]
+    beneath = given  # what the search builds upon
+    if fine:  # a ripple that nobody models lends itself to effects that are not there: search again upon it
+        beneath = given.with_terms((*given.terms, *(fixed(ripple.term) for ripple in fine)))
+        searches, whole, outcome = _explain(train, test, given, beneath, jobs, tell)
+    findings, rejected = name_findings(train, test, beneath, searches, whole, outcome, jobs, tell)
+    findings += tuple(ripple.finding for ripple in fine)
     verdict = "missing" if findings else outcome.verdict if outcome.verdict != "missing" else "complete"
     improved = whole.improved if findings else whole.calibrated
     lacking = {j: mismatch(train, whole.calibrated, j) for j in range(1, given.joints + 1)}
@@ -185,6 +196,19 @@ def _read(
     train, test = split(signals)
     notes.append("no held-out recording given: the last third of each recording is held out")
     return train, test, notes
+
+
+def _explain(
+    train: Data, test: Data, given: Model, beneath: Model, jobs: int, tell: Progress
+) -> tuple[list[JointSearch], Assembled, Outcome]:
+    """Search every joint and put the machine together; ``beneath`` is the given model, with what is known of it by now."""
+    searches = _search(train, test, beneath, jobs, tell)
+    tell("fitting the improved model")
+    whole = assemble(train, test, beneath, searches, jobs)
+    outcome = judge(train, test, beneath, searches, whole, jobs)
+    added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
+    known = tuple(t for t in whole.calibrated.terms if t not in added)
+    return searches, replace(whole, calibrated=whole.calibrated.with_terms(known)), outcome
 
 
 def _search(train: Data, test: Data, given: Model, jobs: int, tell: Progress) -> list[JointSearch]:

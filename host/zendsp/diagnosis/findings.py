@@ -110,6 +110,13 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
     """The effect's own sentence with its numbers."""
     words: dict[str, str] = {n: number(e) for n, e in values.items()}
     words["joint"] = str(term.joint)
+    if "order" in values:
+        order = values["order"]
+        if not order.unit.endswith("/m"):
+            words["repeats"] = f"{number(order)} times a turn"
+        else:
+            period = 2 * math.pi / order.value
+            words["repeats"] = f"every {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
     if term.effect == "coupling":
         words["from_joint"] = str(int(term.value("from_joint")))
         words["law"] = LAWS[int(term.value("law"))]

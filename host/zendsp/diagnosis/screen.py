@@ -178,12 +178,14 @@ class Screen:
         theta = -np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
         return float(-2 * theta @ moment - theta @ gram @ theta), theta / norm
 
-    def candidates(self) -> list[Candidate]:
-        """Each effect of the library at its best grid point, best first."""
+    def candidates(self, only: frozenset[str] = frozenset()) -> list[Candidate]:
+        """Each effect of the library (or only the named ones) at its best grid point, best first."""
         found: list[Candidate] = []
         present = {t.effect for t in self.model.at(self.joint)}
         for effect in library().values():
             if effect.starts and effect.name not in ("lag", "delay"):
+                continue
+            if only and effect.name not in only:
                 continue
             if effect.name in present and not effect.repeatable:
                 continue

@@ -178,14 +178,13 @@ class Searcher:
 
     def _round(self, current: Scored, only: frozenset[str] = frozenset()) -> list[Rival]:
         self.progress(f"joint {self.joint}: screening the library")
-        options = screened(current.data, current.model, self.joint, jobs=self.jobs)
-        listed = [[c] for share, c in options if share > PROMISING][:SHORTLIST]
+        options = screened(current.data, current.model, self.joint, jobs=self.jobs, only=only)
+        listed = [[c] for share, c in options if only or share > PROMISING][
+            : len(options) if only else SHORTLIST
+        ]
         if len(listed) < 3:
             listed = [[c] for _, c in options[:3]]
-        listed += simulated(current.data, current.model, self.joint)
-        if only:
-            listed = [[c] for _, c in options if c.effect in only]
-            listed += [g for g in simulated(current.data, current.model, self.joint) if g[0].effect in only]
+        listed += simulated(current.data, current.model, self.joint, only)
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
@@ -193,7 +192,8 @@ class Searcher:
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
             full = list(pool.map(lambda r: self._full(r), finalists))
-        return self.order(current, sorted([*full, *quick[len(finalists) :]], key=lambda r: r.value))
+        rivals = [r for r in (*full, *quick[len(finalists) :]) if not _vanishes(r)]
+        return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Order hypotheses by what they gain.
@@ -416,6 +416,15 @@ def is_white(scored: Scored, joint: int) -> bool:
         count += len(r)
     sums = np.concatenate(means) / math.sqrt(max(total / max(count, 1), 1e-300))
     return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < 4.5
+
+
+def _vanishes(rival: Rival) -> bool:
+    """Whether a gap was fitted that cannot be told from none: then it is a spring, which stands for itself."""
+    fitted = rival.scored.fit
+    for handle, std in zip(fitted.handles, fitted.std, strict=True):
+        if handle.place == "term" and handle.key == "gap":
+            return bool(fitted.model.terms[handle.index].value("gap") < 2.0 * std)
+    return False
 
 
 def _freedom(rival: Rival) -> float:

@@ -14,7 +14,7 @@ EFFECT = Effect(
     ),
     c="return p[1] * sin(p[0] * s->q + p[2]);",
     sentence=(
-        "A torque ripple of {amplitude} repeats {order} times per unit of travel (2π) on joint {joint}."
+        "A torque ripple of {amplitude} acts on joint {joint}, {repeats}."
     ),
     experiment=("A slow constant-speed pass over the whole range."),
     equation="A sin(n q + φ)",

@@ -1,0 +1,127 @@
+"""Ripple that passes too fast for the observers of the search.
+
+A screw turn of 2.5 mm passes at 40 Hz when the carriage moves at 0.1 m/s: far above the band in which hypotheses are fitted, and beneath
+friction a hundred times larger. A fast observer follows what is slow, whatever it is, and leaves the ripple; at that speed friction laws
+hardly differ, so nothing else is asked of it. The position's zero need not return from one recording to the next (homing), so the
+held-out recordings may choose the phase anew, and only the phase.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zendsp.diagnosis.evidence import compare, torque_share
+from zendsp.diagnosis.findings import estimates, sentence
+from zendsp.diagnosis.result import Finding
+from zendsp.diagnosis.score import FASTEST, Scored, deviance, informative
+from zendsp.diagnosis.screen import Candidate, Screen, with_candidate
+from zendsp.diagnosis.search import JointSearch, price
+from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles
+from zendsp.physics.model import Model, Term
+
+BAND = 400.0  # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples are not
+SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
+GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
+Z = 4.0
+MOST = 2
+
+
+@dataclass(frozen=True)
+class FineRipple:
+    """A ripple above the band of the search: its term and what is reported of it."""
+
+    term: Term
+    finding: Finding
+
+
+def fine_ripples(train: Data, test: Data, search: JointSearch, kind: str, jobs: int) -> list[FineRipple]:
+    """Ripples that only a fast observer sees.
+
+    Parameters
+    ----------
+    train, test : Data
+    search : JointSearch
+        Finished.
+    kind : str
+        "rotary" or "linear", for the units.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    list of FineRipple
+        Empty where the sample time allows no faster observer, or nothing passes on the held-out recordings.
+    """
+    joint, record = search.joint, train.records[0][search.joint - 1]
+    band = min(BAND, 0.4 / record.sample_time)
+    if band < 2 * FASTEST:
+        return []
+    data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
+    current = _fitted(data, search.final.model, joint, 4, jobs)
+    found: list[FineRipple] = []
+    while len(found) < MOST:
+        screen = Screen(data, current.fit, joint, (joint,))
+        best = screen.candidates(frozenset({"ripple"}))
+        if not best or best[0].gain < SHARE * screen.cost or not _fast(best[0], record.scale.speed):
+            break
+        after = _fitted(data, with_candidate(current.model, best[0]), joint, 8, jobs)
+        index = len(after.model.terms) - 1
+        cost = price(best[0].terms, informative(data, joint))
+        if current.deviance - after.deviance < cost + GAIN:
+            break
+        evidence = compare(current, _rephased(after, held, joint, index, jobs), test, joint)
+        if evidence.gain < GAIN or evidence.z < Z:
+            break
+        found.append(_reported(search, current, after, kind))
+        current = after
+    return found
+
+
+def fixed(term: Term) -> Term:
+    """The term with every parameter held: slower observers know less of it than the fast one that found it."""
+    return Term(term.effect, term.joint, {n: replace(q, free=False) for n, q in term.parameters.items()})
+
+
+def _fast(candidate: Candidate, speed: float) -> bool:
+    return candidate.terms[0].value("order") * speed > FASTEST
+
+
+def _fitted(data: Data, model: Model, joint: int, iterations: int, jobs: int) -> Scored:
+    handles = joint_handles(data, model, joint)
+    result = fit(data, model, handles, joints=(joint,), iterations=iterations, jobs=jobs)
+    return Scored(result, data, deviance(data, result.model, (joint,)), (joint,))
+
+
+def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> Scored:
+    """The fitted ripple with the phase that suits the held-out recordings: the best of the circle, then refined."""
+    term = after.model.terms[index]
+    best: tuple[float, Fit] | None = None
+    for phase in np.linspace(-math.pi, math.pi, 8, endpoint=False):
+        values = {**term.parameters, "phase": replace(term.parameters["phase"], value=float(phase))}
+        turned = Term(term.effect, term.joint, values)
+        model = after.model.with_terms((*after.model.terms[:index], turned, *after.model.terms[index + 1 :]))
+        result = fit(held, model, (Handle("term", index, "phase"),), joints=(joint,), iterations=2, jobs=jobs)
+        if best is None or result.cost < best[0]:
+            best = result.cost, result
+    assert best is not None
+    return replace(after, fit=best[1])
+
+
+def _reported(search: JointSearch, before: Scored, after: Scored, kind: str) -> FineRipple:
+    term = after.model.terms[-1]
+    values = estimates(after.fit, term, kind, "")
+    noted = {
+        name: replace(q, std=values[name].std) if name in values else q for name, q in term.parameters.items()
+    }
+    term = Term(term.effect, term.joint, noted)
+    own = torque_share(before, after, search.joint, before.data.bandwidth[search.joint - 1]) ** 2
+    whole = torque_share(search.base, search.final, search.joint) ** 2 if search.steps else 0.0
+    text = (
+        sentence(term, values)
+        + " It passes faster than the other effects; its phase holds for the position zero of these recordings."
+    )
+    finding = Finding("ripple", search.joint, values, 0.9, own / max(own + whole, 1e-300), (), (), text)
+    return FineRipple(term, finding)
