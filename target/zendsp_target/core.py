@@ -10,13 +10,13 @@ from zendsp_isr.build import build_machine, build_runner
 from zendsp_protocol.errors import Refused
 from zendsp_target import safety
 from zendsp_target.api import CompileResult
+from zendsp_target.change_log import ChangeLog
 from zendsp_target.compile_service import compile_program, program_path
 from zendsp_target.concealed import load_concealed
 from zendsp_target.layout import layout
 from zendsp_target.session import Session
 from zendsp_target.settings import Settings, split_options
 from zendsp_target.shm import SharedFolder
-from zendsp_target.updates import ChangeLog
 
 
 def require_no_trip(session: Session) -> None:

@@ -60,7 +60,7 @@ class Place:
         object.__setattr__(self, "plain", scalar and info.type == "double" and info.kind == "parameter")
 
 
-def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes, offset: int) -> Value:
+def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes | bytearray, offset: int) -> Value:
     """Decode a value at an offset: a Python number, or a copy of an array.
 
     Parameters

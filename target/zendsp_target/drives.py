@@ -142,12 +142,12 @@ class Drives:
 
     def check_right(self, by: str) -> None:
         """Refuse unless ``by`` may command."""
-        with self._lock:
-            if self._commander and self._commander != by:
-                raise Refused(
-                    f"{self._commander} has the exclusive right to command this target; take it over deliberately "
-                    "(zendsp drive take --force), or use STOP, which always works"
-                )
+        commander = self._commander
+        if commander and commander != by:
+            raise Refused(
+                f"{commander} has the exclusive right to command this target; take it over deliberately "
+                "(zendsp drive take --force), or use STOP, which always works"
+            )
 
     def take(self, by: str, force: bool) -> str:
         """Give the right to command to ``by``."""
@@ -309,6 +309,11 @@ class Drives:
         handlers["drive_status"] = lambda args, by: self.status()
 
     def _guarded(self, name: str, handler: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
+        def change(args: Any, by: str) -> Any:
+            if self._commander:
+                self.check_right(by)
+            return handler(args, by)
+
         def run(args: Any, by: str) -> Any:
             self.check_right(by)
             if name == "start":
@@ -328,7 +333,7 @@ class Drives:
                     self._off()  # a fresh runner knows nothing of what was enabled before
             return result
 
-        return run
+        return change if name in ("write", "update", "table_commit") else run
 
     def _check_start(self) -> None:
         with self._lock:

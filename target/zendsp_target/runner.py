@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import time
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,8 @@ class RunnerProcess:
     """
 
     def __init__(self, settings: Settings, program: Path, folder: Path, number: int) -> None:
-        ffi, _ = layout()
+        ffi, lib = layout()
+        self._ended = lib.monitor_ended
         self.settings = settings
         self.control_file = SharedFile(folder / f"control-{number}", ffi.sizeof("control"))
         self.control: Any = self.control_file.pointer("control")[0]
@@ -91,6 +93,10 @@ class RunnerProcess:
         except BaseException:
             self.control_file.unlink()
             raise
+        self.handle = os.pidfd_open(self.pid) if hasattr(os, "pidfd_open") else -1
+        if self.handle >= 0:
+            # not before the last that may ask: a number that is given anew would stand for another file
+            weakref.finalize(self, os.close, self.handle)
         try:
             self._wait_ready()
             self.data_file = SharedFile(data_path)
@@ -130,7 +136,9 @@ class RunnerProcess:
 
     def alive(self) -> bool:
         """Whether the process still runs."""
-        return self._process.poll() is None
+        if self.handle < 0:
+            return self._process.poll() is None
+        return not self._ended(self.handle)
 
     def wait_death(self, timeout_s: float) -> bool:
         """Sleep until the process ends.
@@ -144,22 +152,15 @@ class RunnerProcess:
         bool
             True when it has ended.
         """
-        if not hasattr(os, "pidfd_open"):
+        if self.handle < 0:
             try:
                 self._process.wait(timeout_s)
             except subprocess.TimeoutExpired:
                 return False
             return True
-        try:
-            handle = os.pidfd_open(self.pid)
-        except ProcessLookupError:
-            return True
-        try:
-            poll = select.poll()
-            poll.register(handle, select.POLLIN)
-            ended = bool(poll.poll(timeout_s * 1000.0))
-        finally:
-            os.close(handle)
+        poll = select.poll()
+        poll.register(self.handle, select.POLLIN)
+        ended = bool(poll.poll(timeout_s * 1000.0))
         return ended and self._process.poll() is not None
 
     def death(self, hung: bool = False) -> str:

@@ -126,7 +126,7 @@ class Runtime(Motion):
         VariableError
             One line for each variable that is wrong; nothing was applied.
         """
-        return self._living().updates.write(values, author, at_tick)
+        return self._loaded().write(values, author, at_tick)
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`."""

@@ -10,13 +10,15 @@ import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import Value
+from zendsp_target.change_log import ChangeLog
 from zendsp_target.dictionary import Dictionary, Place, decode
 from zendsp_target.layout import layout
+from zendsp_target.plans import ReadPlan, keep
 from zendsp_target.runner import RunnerProcess, ffi_address, ffi_pointer
 from zendsp_target.safety import machine_of
 from zendsp_target.settings import Settings
 from zendsp_target.supervise import Supervisor
-from zendsp_target.updates import ChangeLog, Updates
+from zendsp_target.updates import Updates
 
 _ANSWER_S = 5.0  # the paused loop answers within a millisecond; a loaded machine may take longer
 
@@ -52,13 +54,14 @@ class Session:
         memory = np.frombuffer(data.map, dtype=np.uint8)
         start = int(self.control.initial_offset)
         self.dictionary = Dictionary(self.control, memory[start : start + int(self.control.snapshot_bytes)].copy())
-        self.updates = Updates(self.control, data, self.dictionary, log, self.process.alive)
+        self.updates = Updates(self.control, data, self.dictionary, log, self.process.alive, self.process.handle)
         self._memory = memory
         # kept here, since user code with a wild pointer may overwrite what is shared: nothing there shall steer a copy
         self.machine = machine_of(self.control)
         self._newest = ffi_address(self.control, "newest")
         self._slots = data.pointer("unsigned char", int(self.control.snapshot_offset))
         self._stride, self._bytes = int(self.control.snapshot_stride), int(self.control.snapshot_bytes)
+        self._read_plans: dict[tuple[str, ...], ReadPlan] = {}
         self._supervisor = Supervisor(self.process, self.updates.harvest, self._died)
 
     def _died(self, sentence: str) -> None:
@@ -117,7 +120,7 @@ class Session:
         values = np.empty(self._bytes, dtype=np.uint8)
         tick = ffi.new("uint64_t *")
         target = ffi.cast("unsigned char *", ffi.from_buffer(values))
-        self.until(lambda: bool(lib.monitor_snapshot(self._newest, self._slots, self._stride, self._bytes, target, tick)), "reading")
+        self.until(lambda: bool(lib.monitor_snapshot(self._newest, self._slots, self._stride, 0, self._bytes, target, tick)), "reading")
         return int(tick[0]), values
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
@@ -128,6 +131,10 @@ class Session:
         VariableError
             One line for each unknown name.
         """
+        key = tuple(names)
+        plan = self._read_plans.get(key)
+        if plan is not None and (read := plan.read(self._newest, self._slots, self._stride)) is not None:
+            return read
         places: dict[str, Place] = {}
         problems: list[str] = []
         for name in names:
@@ -139,6 +146,8 @@ class Session:
             raise VariableError("\n".join(problems))
         tick, values = self.snapshot()
         small = {name: place for name, place in places.items() if place.entry.info.kind != "table"}
+        if plan is None and small and len(small) == len(places):
+            keep(self._read_plans, key, ReadPlan(places.items()))
         found = decode(small, values)
         for name, place in places.items():
             if name not in small:
@@ -151,6 +160,14 @@ class Session:
         rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
         start = entry.banks[word >> 32 & 1]
         return self._memory[start : start + rows * columns * 8].view("<f8").reshape(rows, columns).copy()
+
+    def write(self, values: Mapping[str, object], author: str, at_tick: int | None) -> int:
+        """Commit an update; see `Updates.write`. A runner that is gone is reported with how it died."""
+        try:
+            return self.updates.write(values, author, at_tick)
+        except RunnerDied:
+            self.require_alive()
+            raise
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""

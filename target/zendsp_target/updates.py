@@ -9,89 +9,38 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections import deque
+from array import array
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from itertools import islice
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
-from zendsp_target.api import Change, Value
-from zendsp_target.dictionary import SCALARS, Dictionary, Place, value_of
+from zendsp_target.change_log import ChangeLog, Flight
+from zendsp_target.dictionary import Dictionary, Place
 from zendsp_target.layout import layout
+from zendsp_target.plans import ENTRY, WritePlan, keep
 from zendsp_target.shm import SharedFile
 from zendsp_target.values import encode, encode_table
 
-_ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
-_DOUBLE = SCALARS["double"]
-_LARGEST = float(np.finfo(np.float64).max)
+_HEAD = struct.Struct("<IQQ")  # batch: entries, sequence, at_tick
+_HEAD_AT = 4  # behind its state
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
-_MAX_LOG = 100_000  # lines kept; older ones are dropped
+_SHORT_NS = 100_000  # periods up to this one are waited for awake: falling asleep and waking take as long
+_TOGETHER = 16  # updates that were applied are taken back in company, or by whoever waits for one, or twenty times a second
 _MAX_ACKS = 4096
+_LAST_TICK = 2**64 - 1
+_GONE = "the runner is gone, so nothing can be written: load the program again"
+_NUMBERS = frozenset((float, int, bool))
+_WORDED_AT_ONCE = 128  # lines of the log at each harvest: a fraction of a millisecond
 
 
 class _Piece(NamedTuple):
     name: str
     place: Place
     data: bytes
-
-
-@dataclass(frozen=True)
-class _Flight:
-    """A batch that was committed and not yet harvested."""
-
-    slot: int
-    pieces: tuple[_Piece, ...]
-    author: str
-    host_time: float
-    bytes: int
-
-
-class ChangeLog:
-    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a target.
-
-    A batch is kept as bytes when it comes back and put into words later: whoever waits for the acknowledgement does not wait for
-    that.
-    """
-
-    def __init__(self) -> None:
-        self._lines: deque[Change] = deque(maxlen=_MAX_LOG)
-        self._raw: deque[tuple[_Flight, int, bytes]] = deque()
-        self._dropped = 0
-        self._lock = threading.Lock()
-
-    def append(self, flight: _Flight, tick: int, old: bytes) -> None:
-        """Add a batch that took effect at a sample, with the old values in the form of a batch."""
-        self._raw.append((flight, tick, old))
-
-    def settle(self) -> None:
-        """Put what has come in into words."""
-        with self._lock:
-            while self._raw:
-                flight, tick, old = self._raw.popleft()
-                for change in _changes(flight, tick, old):
-                    self._dropped += len(self._lines) == _MAX_LOG
-                    self._lines.append(change)
-
-    def since(self, number: int) -> tuple[Change, ...]:
-        """Lines from number `number` on (0: all that are kept)."""
-        self.settle()
-        with self._lock:
-            return tuple(islice(self._lines, max(0, number - self._dropped), None))
-
-
-def _changes(flight: _Flight, tick: int, old: bytes) -> list[Change]:
-    found: list[Change] = []
-    at = 0
-    for piece in flight.pieces:
-        at += _ENTRY.size
-        before, after = _shown(piece.place, old, at), _shown(piece.place, piece.data, 0)
-        found.append(Change(tick, flight.host_time, piece.name, before, after, flight.author))
-        at += len(piece.data) + -len(piece.data) % 8
-    return found
 
 
 class Updates:
@@ -105,21 +54,32 @@ class Updates:
     log : ChangeLog
     alive : callable
         Whether the runner still runs.
+    handle : int
+        The runner's pidfd, which tells the same within the commit; -1 where the kernel has none.
     """
 
     def __init__(
-        self, control: Any, data: SharedFile, dictionary: Dictionary, log: ChangeLog, alive: Callable[[], bool]
+        self, control: Any, data: SharedFile, dictionary: Dictionary, log: ChangeLog, alive: Callable[[], bool], handle: int = -1
     ) -> None:
         ffi, lib = layout()
-        self._ffi, self._lib, self._control, self._data = ffi, lib, control, data
+        self._lib, self._control, self._data = lib, control, data
+        self._pointer = ffi.addressof(control)
         self._memory = np.frombuffer(data.map, dtype=np.uint8)
         # kept here: user code with a wild pointer may overwrite what is shared
-        self._offset, self._stride = int(control.batch_offset), int(control.batch_stride)
+        offset, stride = int(control.batch_offset), int(control.batch_stride)
+        self._starts = [offset + slot * stride for slot in range(lib.LAYOUT_BATCHES)]
+        self._batches = [data.pointer("batch", start) for start in self._starts]
+        self._states = [ffi.addressof(batch[0], "state") for batch in self._batches]
+        self._entries_at: int = ffi.sizeof("batch")
+        self._room = stride - self._entries_at
+        period = int(control.period_ns)
+        self._awake = 2 * period if period <= _SHORT_NS else 0
         self._view = memoryview(data.map)
-        self._dictionary, self._log, self._alive = dictionary, log, alive
+        self._dictionary, self._log, self._alive, self._handle = dictionary, log, alive, handle
         self._lock = threading.RLock()
+        self._plans: dict[tuple[str, ...], WritePlan] = {}
         self._free = list(range(lib.LAYOUT_BATCHES))[::-1]
-        self._flights: dict[int, _Flight] = {}
+        self._flights: dict[int, Flight] = {}
         self._applied: dict[int, int] = {}
         self._sequence = 0
         self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
@@ -150,18 +110,57 @@ class Updates:
         Refused
             Nothing to write, or too many updates wait.
         """
+        if at_tick is not None and not 0 <= at_tick <= _LAST_TICK:
+            raise Refused(f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next")
+        names = tuple(values)
+        plan = self._plans.get(names)
+        if plan is not None and not settings and (sequence := self._write_planned(plan, values, author, at_tick)):
+            return sequence
         if not values:
             raise Refused("an update needs at least one variable")
         pieces, tables = self._checked(values, settings)
+        if plan is None and not tables and all(piece.place.plain for piece in pieces):
+            plan = WritePlan((piece.name, piece.place) for piece in pieces)
+            if plan.size <= self._room:
+                keep(self._plans, names, plan)
         with self._lock:
+            if tables:
+                self._harvest()  # the last download of a table may be in effect by now
             slot = self._take_slot()
             try:
                 for name, place, rows in tables:
                     pieces.append(self._fill_bank(name, place, rows))
-                return self._commit(slot, pieces, author, at_tick)
+                body = self._body(pieces)
+                start = self._starts[slot]
+                _HEAD.pack_into(self._view, start + _HEAD_AT, len(pieces), self._sequence + 1, at_tick or 0)
+                first = start + self._entries_at
+                self._view[first : first + len(body)] = body
             except BaseException:
                 self._free.append(slot)
                 raise
+            places = tuple((piece.name, piece.place) for piece in pieces)
+            flight = Flight(slot, places, len(body), lambda: body, author, time.time())
+            done = self._lib.monitor_commit(self._pointer, self._batches[slot], slot, self._handle)
+            return self._committed(flight, done == 1)
+
+    def _write_planned(self, plan: WritePlan, values: Mapping[str, object], author: str, at_tick: int | None) -> int:
+        """The sequence number, or 0 where something is wrong: then the long way says what."""
+        numbers: tuple[Any, ...] = tuple(values.values())
+        if not _NUMBERS.issuperset(map(type, numbers)):
+            return 0
+        try:
+            given = array("d", numbers)
+        except OverflowError:
+            return 0
+        with self._lock:
+            slot = self._take_slot()
+            flight = Flight(slot, plan.places, plan.size, partial(plan.entries, given), author, time.time())
+            batch, sequence = self._batches[slot], self._sequence + 1
+            done = plan.commit(self._pointer, batch, slot, self._handle, sequence, at_tick or 0, given)
+            if done < 0:
+                self._free.append(slot)
+                return 0
+            return self._committed(flight, done == 1)
 
     def _checked(
         self, values: Mapping[str, object], settings: bool
@@ -172,9 +171,6 @@ class Updates:
         for name, value in values.items():
             try:
                 place = self._dictionary.place(name)
-                if place.plain and type(value) is float and not settings and _inside(place, value):
-                    pieces.append(_Piece(name, place, _DOUBLE.pack(value)))
-                    continue
                 if (place.entry.info.kind == "setting") != settings:
                     raise VariableError(f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun")
                 if place.entry.info.kind == "table":
@@ -188,9 +184,10 @@ class Updates:
         return pieces, tables
 
     def _take_slot(self) -> int:
-        self._harvest()
-        if not self._alive():
-            raise RunnerDied("the runner is gone, so nothing can be written: load the program again")
+        if self._handle < 0 and not self._alive():
+            raise RunnerDied(_GONE)
+        if len(self._flights) >= _TOGETHER or not self._free:
+            self._harvest()
         if not self._free:
             raise Refused(f"{self._lib.LAYOUT_BATCHES} updates wait already: wait until some of them are applied")
         return self._free.pop()
@@ -198,7 +195,7 @@ class Updates:
     def _fill_bank(self, name: str, place: Place, rows: npt.NDArray[np.float64]) -> _Piece:
         """Write a table into the bank that the loop does not read; the batch then only names the bank."""
         index = place.entry.index
-        if any(piece.place.entry.index == index for flight in self._flights.values() for piece in flight.pieces):
+        if any(place.entry.index == index for flight in self._flights.values() for _, place in flight.places):
             raise Refused(f"{name}: its last download is not in effect yet; wait for it, then write again")
         current = self._bank.get(index, int(self._control.variable[index].table) >> 32 & 1)
         bank = 1 - current if int(self._control.variable[index].table) or index in self._bank else 0
@@ -207,24 +204,24 @@ class Updates:
         self._bank[index] = bank
         return _Piece(name, place, np.array([bank, rows.shape[0]], dtype="<i4").tobytes())
 
-    def _commit(self, slot: int, pieces: list[_Piece], author: str, at_tick: int | None) -> int:
-        control = self._control
-        start = self._offset + slot * self._stride
+    def _body(self, pieces: list[_Piece]) -> bytes:
+        """Entries of a batch."""
         body = bytearray()
         for piece in pieces:
             size = len(piece.data)
-            body += _ENTRY.pack(piece.place.entry.index, piece.place.offset, size, 0)
+            body += ENTRY.pack(piece.place.entry.index, piece.place.offset, size, 0)
             body += piece.data if size % 8 == 0 else piece.data + bytes(-size % 8)
-        room = self._stride - self._ffi.sizeof("batch")
-        if len(body) > room:
-            raise Refused(f"the update takes {len(body)} bytes, {room} fit: write whole arrays in place of their elements")
-        batch = self._data.pointer("batch", start)
+        if len(body) > self._room:
+            raise Refused(f"the update takes {len(body)} bytes, {self._room} fit: write whole arrays in place of their elements")
+        return bytes(body)
+
+    def _committed(self, flight: Flight, done: bool) -> int:
+        """Enter a batch that the loop has now; or that it cannot have, its runner being gone."""
+        if not done:
+            self._free.append(flight.slot)
+            raise RunnerDied(_GONE)
         self._sequence += 1
-        batch.entries, batch.sequence, batch.at_tick = len(pieces), self._sequence, at_tick or 0
-        first = start + self._ffi.sizeof("batch")
-        self._view[first : first + len(body)] = body
-        self._flights[self._sequence] = _Flight(slot, tuple(pieces), author, time.time(), len(body))
-        self._lib.monitor_commit(self._ffi.addressof(control), batch, slot)
+        self._flights[self._sequence] = flight
         return self._sequence
 
     # ---- acknowledge ------------------------------------------------------------------------------------------------------
@@ -252,55 +249,44 @@ class Updates:
             Not within the timeout, or no such update.
         """
         end = time.monotonic() + timeout
+        left = max(0.0, timeout)
         while True:
+            flight = self._flights.get(sequence)
+            if flight is not None:
+                slice_ns = min(_SLICE_NS, int(left * 1e9))
+                self._lib.monitor_wait_applied(self._batches[flight.slot], slice_ns, self._awake)
             with self._lock:
                 self._harvest()
                 if sequence in self._applied:
                     return self._applied[sequence]
-                flight = self._flights.get(sequence)
-            if flight is None:
+                waits = sequence in self._flights
+            if not waits:
                 raise Refused(f"update {sequence}: unknown, or acknowledged too long ago")
             if not self._alive():
                 raise RunnerDied(f"the runner ended before update {sequence} took effect")
             left = end - time.monotonic()
             if left <= 0.0:
                 raise Refused(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
-            start = self._offset + flight.slot * self._stride
-            self._lib.monitor_wait_applied(self._data.pointer("batch", start), min(_SLICE_NS, int(left * 1e9)))
 
     def harvest(self) -> None:
         """Take back the batches that were applied, and write the log."""
         with self._lock:
             self._harvest()
-        self._log.settle()
+        self._log.settle(_WORDED_AT_ONCE)
 
     def _harvest(self) -> None:
-        for sequence in list(self._flights):
-            flight = self._flights[sequence]
-            start = self._offset + flight.slot * self._stride
-            batch = self._data.pointer("batch", start)
-            if self._lib.monitor_load32(self._ffi.addressof(batch[0], "state")) != self._lib.BATCH_APPLIED:
+        load, applied = self._lib.monitor_load32, self._lib.BATCH_APPLIED
+        for sequence, flight in list(self._flights.items()):
+            slot = flight.slot
+            if load(self._states[slot]) != applied:
                 continue
+            batch = self._batches[slot]
             tick = int(batch.applied)
-            body = start + self._ffi.sizeof("batch")
-            self._log.append(flight, tick, bytes(self._view[body : body + flight.bytes]))
+            body = self._starts[slot] + self._entries_at
+            self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
             batch.state = self._lib.BATCH_FREE
             del self._flights[sequence]
-            self._free.append(flight.slot)
+            self._free.append(slot)
             self._applied[sequence] = tick
             if len(self._applied) > _MAX_ACKS:
                 del self._applied[next(iter(self._applied))]
-
-
-def _inside(place: Place, value: float) -> bool:
-    """Plainly right: finite and within limits. All else goes the long way, which finds the words for what is wrong."""
-    info = place.entry.info
-    return info.minimum <= value <= info.maximum and -_LARGEST <= value <= _LARGEST
-
-
-def _shown(place: Place, data: memoryview | bytes, offset: int) -> Value:
-    """A value for the log; a table is logged by its number of rows."""
-    if place.entry.info.kind == "table":
-        rows: int = SCALARS["int32"].unpack_from(data, offset + 4)[0]
-        return rows
-    return value_of(place.entry, place.scalar, data, offset)

@@ -69,8 +69,8 @@ class VariableVerbs:
 
     def _write(self, args: verbs.Write, by: str) -> int:
         given: dict[str, Any] = args.values  # type: ignore[assignment]
-        odd = [name for name, value in given.items() if type(value) not in PLAIN]
-        if odd:
+        if not PLAIN.issuperset(map(type, given.values())):
+            odd = [name for name, value in given.items() if type(value) not in PLAIN]
             try:
                 given = {**given, **{name: values.from_wire(given[name]) for name in odd}}
             except ValueError as error:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
+import time
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
+import pytest
 
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import AcquireConfig
+from zendsp_target.change_log import ChangeLog, Flight
+from zendsp_target.plans import ENTRY
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
@@ -210,3 +217,97 @@ def test_elements_and_types_are_written_as_declared(make_runtime: Make) -> None:
     assert (found["d[1]"], found["f"], found["i"]) == (-2.0, 0.5, 42)
     assert np.array_equal(np.asarray(found["b"]), [False, True])
     assert isinstance(found["i"], int)
+
+
+LIMITED = """
+#include "isr.h"
+static double a = 1.0, b = 2.0;
+static double list[3];
+static int32_t n;
+void UserInit(void) {
+    PARAMETER(a, 1.0, "V", -10.0, 10.0, ""); PARAMETER(b, 2.0, "", NO_MIN, NO_MAX, "");
+    SIGNAL(list, "", ""); SIGNAL(n, "", "");
+}
+void UserISR_INT2(void) { n++; list[1] = a; }
+"""
+
+
+def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_first(make_runtime: Make) -> None:
+    runtime = make_runtime(LIMITED)
+    wrong: list[dict[str, object]] = [
+        {"a": 10.5, "b": 0.0}, {"a": float("nan"), "b": 0.0}, {"a": 0.0, "b": float("inf")}, {"a": "1", "b": 0.0}, {"a": [1.0, 2.0], "b": 0.0},
+    ]  # fmt: skip
+
+    def refusals() -> list[str]:
+        said = []
+        for values in wrong:
+            with pytest.raises(VariableError) as refusal:
+                runtime.write(values, "me")  # type: ignore[arg-type]
+            said.append(str(refusal.value))
+        return said
+
+    first = refusals()
+    for k in range(3):
+        runtime.wait_applied(runtime.write({"a": float(k), "b": -float(k)}, "me"), 10.0)
+        assert refusals() == first
+    runtime.wait_applied(runtime.write({"a": 7, "b": True}, "you"), 10.0)
+    assert runtime.read(["b", "a"])[1] == {"b": 1.0, "a": 7.0}
+    shown = [(c.name, c.old, c.new, c.author) for c in runtime.log()]
+    pairs = [(1.0, 2.0), (0.0, -0.0), (1.0, -1.0), (2.0, -2.0)]
+    expected = [
+        line for (a, b), (a2, b2) in pairwise(pairs) for line in (("a", a, a2, "me"), ("b", b, b2, "me"))
+    ]
+    assert shown == [*expected, ("a", 2.0, 7.0, "you"), ("b", -2.0, 1.0, "you")]
+    with pytest.raises(Refused, match="at_tick -1"):
+        runtime.write({"a": 1.0, "b": 1.0}, "me", at_tick=-1)
+
+
+def test_a_reading_of_the_same_names_is_fresh_and_in_the_order_asked_for(make_runtime: Make) -> None:
+    runtime = make_runtime(LIMITED)
+    for k in range(1, 4):
+        runtime.wait_applied(runtime.write({"a": float(k)}, "me"), 10.0)
+        runtime.start(ticks=1)
+        runtime.wait_paused()
+        tick, found = runtime.read(["n", "list", "a", "list[1]"])
+        assert list(found) == ["n", "list", "a", "list[1]"]
+        assert (tick, found["n"], found["a"], found["list[1]"]) == (k - 1, k, k, k)
+        assert np.array_equal(np.asarray(found["list"]), [0.0, k, 0.0])
+
+
+def test_an_update_for_a_runner_that_is_gone_says_how_it_died(make_runtime: Make) -> None:
+    runtime = make_runtime(LIMITED)
+    for _ in range(2):
+        runtime.wait_applied(runtime.write({"a": 1.0}, "me"), 10.0)
+    os.kill(runtime.runner_pid(), signal.SIGKILL)
+    end = time.monotonic() + 10.0
+    while runtime.runner_pid():
+        assert time.monotonic() < end
+    with pytest.raises(RunnerDied, match="SIGKILL"):
+        runtime.write({"a": 2.0}, "me")
+
+
+def test_the_log_keeps_its_newest_lines_and_their_numbers(
+    monkeypatch: pytest.MonkeyPatch, make_runtime: Make
+) -> None:
+    monkeypatch.setattr("zendsp_target.change_log._MAX_LOG", 10)
+    runtime = make_runtime(LIMITED)
+    session = runtime._session
+    assert session is not None
+    place = session.dictionary.place("a")
+    log = ChangeLog()
+
+    def batch(number: int) -> bytes:
+        return ENTRY.pack(place.entry.index, 0, 8, 0) + np.float64(number).tobytes()
+
+    def come(first: int, last: int) -> None:
+        for k in range(first, last):
+            log.append(Flight(0, (("a", place),), 24, lambda k=k: batch(k), "me", 0.0), k, batch(k - 1))  # type: ignore[misc]
+
+    come(0, 4)
+    log.settle(2)
+    assert [c.new for c in log.since(1)] == [1.0, 2.0, 3.0]
+    come(4, 40)
+    log.settle(1)
+    assert [(c.tick, c.old, c.new) for c in log.since(0)] == [(k, k - 1.0, k) for k in range(30, 40)]
+    assert [c.new for c in log.since(38)] == [38.0, 39.0]
+    assert log.since(40) == ()

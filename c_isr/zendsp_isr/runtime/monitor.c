@@ -1,15 +1,17 @@
 /* monitor.c: what the monitor does on shared memory that needs ordering: Python has no acquire and release. Loaded by cffi. */
 #define _GNU_SOURCE
+#include <poll.h>      /* poll, on a pidfd */
 #include <string.h>    /* memcpy */
 #include <sys/prctl.h> /* PR_SET_TIMERSLACK */
-#include <time.h>      /* clock_gettime, nanosleep */
+#include <time.h>      /* nanosleep */
 
 #include "layout.h"
+#include "timing.h" /* now_ns */
 
-/* Copy the newest sample whole, `bytes` of values. Returns 1 and its tick, or 0 when the loop kept overwriting it (never seen). Place
- * and size come from the monitor's own memory: what user code may have scribbled over must not steer a copy. */
-int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride, uint64_t bytes, unsigned char *values,
-                     uint64_t *tick) {
+/* Copy `bytes` of values from byte `from` on, all of the newest sample. Returns 1 and its tick, or 0 when the loop kept overwriting it
+ * (never seen). Place and size come from the monitor's own memory: what user code may have scribbled over must not steer a copy. */
+int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride, uint64_t from, uint64_t bytes,
+                     unsigned char *values, uint64_t *tick) {
     for (int attempt = 0; attempt < 1000; attempt++) {
         const uint64_t newest = __atomic_load_n(newest_word, __ATOMIC_ACQUIRE);
         if (newest == 0)
@@ -20,7 +22,7 @@ int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, ui
         if (__atomic_load_n(&slot->sequence, __ATOMIC_ACQUIRE) != 2 * n + 2)
             continue;
         *tick = slot->tick;
-        memcpy(values, place + sizeof *slot, bytes);
+        memcpy(values, place + sizeof *slot + from, bytes);
         __atomic_thread_fence(__ATOMIC_ACQUIRE);
         if (__atomic_load_n(&slot->sequence, __ATOMIC_RELAXED) == 2 * n + 2)
             return 1;
@@ -28,11 +30,40 @@ int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, ui
     return 0;
 }
 
-/* Make a filled batch visible to the loop: from here on it is applied whole, before here not at all. */
-void monitor_commit(control *c, batch *b, uint32_t index) {
+/* Whether the process of a pidfd has ended. */
+int monitor_ended(int pidfd) {
+    struct pollfd process = {.fd = pidfd, .events = POLLIN};
+    return poll(&process, 1, 0) > 0;
+}
+
+/* Make a filled batch visible to the loop: from here on it is applied whole, before here not at all. Returns 0 and does nothing when
+ * the runner (its pidfd, or -1 where the kernel has none) has ended. */
+int monitor_commit(control *c, batch *b, uint32_t index, int pidfd) {
+    if (pidfd >= 0 && monitor_ended(pidfd))
+        return 0;
     __atomic_store_n(&b->state, BATCH_COMMITTED, __ATOMIC_RELAXED);
     c->ring[c->ring_head % LAYOUT_BATCHES] = index;
     __atomic_store_n(&c->ring_head, c->ring_head + 1, __ATOMIC_RELEASE);
+    return 1;
+}
+
+/* Fill and commit an update of doubles: `entry` says where each of `values` goes, `limits` holds its least and greatest. Returns 1;
+ * 0 as monitor_commit; -1, nothing done, when a value is outside its limits or not a number. */
+int monitor_write(control *c, batch *b, uint32_t index, int pidfd, const batch_entry *entry, const double *limits, uint32_t entries,
+                  uint64_t sequence, uint64_t at_tick, const double *values) {
+    for (uint32_t i = 0; i < entries; i++)
+        if (!(values[i] >= limits[2 * i] && values[i] <= limits[2 * i + 1]))
+            return -1;
+    unsigned char *to = (unsigned char *)(b + 1);
+    for (uint32_t i = 0; i < entries; i++) {
+        memcpy(to, entry + i, sizeof *entry);
+        memcpy(to + sizeof *entry, values + i, sizeof *values);
+        to += sizeof *entry + sizeof *values;
+    }
+    b->entries = entries;
+    b->sequence = sequence;
+    b->at_tick = at_tick;
+    return monitor_commit(c, b, index, pidfd);
 }
 
 uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
@@ -47,19 +78,22 @@ void monitor_run(control *c, uint32_t run) {
     }
 }
 
-/* Wait, mostly asleep, until a batch has been applied; returns 1 when it has, 0 after timeout_ns. */
-int monitor_wait_applied(const batch *b, uint64_t timeout_ns) {
+/* Wait until a batch has been applied: awake for awake_ns, since falling asleep and waking take as long as a short sample, then mostly
+ * asleep. Returns 1 when it has, 0 after timeout_ns. */
+int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns) {
     const struct timespec nap = {.tv_sec = 0, .tv_nsec = 20000};
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    const uint64_t end = (uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec + timeout_ns;
-    prctl(PR_SET_TIMERSLACK, 1ul); /* of this thread: naps of 20 us, not of 70 */
+    const uint64_t begin = now_ns();
+    int asleep = 0;
     for (;;) {
         if (__atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED)
             return 1;
-        clock_gettime(CLOCK_MONOTONIC, &t);
-        if ((uint64_t)t.tv_sec * 1000000000u + (uint64_t)t.tv_nsec >= end)
+        const uint64_t passed = now_ns() - begin;
+        if (passed >= timeout_ns)
             return 0;
+        if (passed < awake_ns)
+            continue;
+        if (!asleep++)
+            prctl(PR_SET_TIMERSLACK, 1ul); /* of this thread: naps of 20 us, not of 70 */
         nanosleep(&nap, 0);
     }
 }

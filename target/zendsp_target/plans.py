@@ -1,0 +1,144 @@
+"""Work made ready for names that come again and again: a host that tunes or watches asks for the same ones thousands of times.
+
+A plan holds what does not change while a program is loaded: where each value stands, its limits, the bytes around it. What a plan
+cannot do plainly right goes the long way (``values``, ``dictionary``), which finds the words for what is wrong.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from array import array
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from zendsp_target.api import Value
+from zendsp_target.dictionary import SCALARS, Place, value_of
+from zendsp_target.layout import layout
+
+ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
+_DOUBLE = SCALARS["double"].size
+_TICK = struct.Struct("<Q")
+_LARGEST = float(np.finfo(np.float64).max)
+_KEPT = 64  # plans of each kind; a host that asks for ever new names starts over
+
+Plan = TypeVar("Plan")
+
+
+def keep(plans: dict[tuple[str, ...], Plan], names: tuple[str, ...], plan: Plan) -> Plan:
+    """Remember a plan, and not too many."""
+    if len(plans) >= _KEPT:
+        plans.clear()
+    plans[names] = plan
+    return plan
+
+
+class WritePlan:
+    """An update of double parameters only, always the same ones.
+
+    Parameters
+    ----------
+    places : iterable of (name, Place)
+        All of them plain.
+    """
+
+    def __init__(self, places: Iterable[tuple[str, Place]]) -> None:
+        self.places = tuple(places)
+        infos = [place.entry.info for _, place in self.places]
+        where = b"".join(ENTRY.pack(place.entry.index, place.offset, _DOUBLE, 0) for _, place in self.places)
+        self.size = len(where) + _DOUBLE * len(self.places)  # of the batch's entries, bytes
+        ffi, lib = layout()
+        self._where = ffi.from_buffer("batch_entry[]", where)
+        self._limits = ffi.new(
+            "double[]", [x for i in infos for x in (max(i.minimum, -_LARGEST), min(i.maximum, _LARGEST))]
+        )
+        self._write, self._from_buffer = lib.monitor_write, ffi.from_buffer
+
+    def commit(
+        self,
+        control: Any,
+        batch: Any,
+        slot: int,
+        handle: int,
+        sequence: int,
+        at_tick: int,
+        values: array[float],
+    ) -> int:
+        """Fill and commit a batch; what it returns stands at ``monitor_write``."""
+        given = self._from_buffer("double[]", values)
+        done: int = self._write(
+            control,
+            batch,
+            slot,
+            handle,
+            self._where,
+            self._limits,
+            len(self.places),
+            sequence,
+            at_tick,
+            given,
+        )
+        return done
+
+    def entries(self, values: array[float]) -> bytes:
+        """The batch's entries, for the log."""
+        each = zip(self.places, values, strict=True)
+        return b"".join(
+            ENTRY.pack(place.entry.index, place.offset, _DOUBLE, 0) + SCALARS["double"].pack(v)
+            for (_, place), v in each
+        )
+
+
+class ReadPlan:
+    """A reading of variables that are no tables, always the same ones.
+
+    Parameters
+    ----------
+    places : iterable of (name, Place)
+    """
+
+    def __init__(self, places: Iterable[tuple[str, Place]]) -> None:
+        found = tuple((name, place, place.entry.offset + place.offset) for name, place in places)
+        ends = [
+            at + (place.entry.dtype.itemsize if place.scalar else place.entry.size) for _, place, at in found
+        ]
+        self.first = min(at for _, _, at in found)
+        self.size = max(ends) - self.first
+        start = _TICK.size - self.first
+        self._fields = tuple(
+            (
+                name,
+                SCALARS[place.entry.info.type].unpack_from if place.scalar else None,
+                place.entry,
+                start + at,
+            )
+            for name, place, at in found
+        )
+        ffi, self._lib = layout()
+        self._memory = bytearray(_TICK.size + self.size)
+        buffer = ffi.from_buffer(self._memory)
+        self._tick, self._values = ffi.cast("uint64_t *", buffer), buffer + _TICK.size
+        self._lock = threading.Lock()
+
+    def read(self, newest: Any, slots: Any, stride: int) -> tuple[int, dict[str, Value]] | None:
+        """Read the newest sample: its tick, and the values; None while there is none.
+
+        Parameters
+        ----------
+        newest, slots : cffi pointers
+        stride : int
+            Bytes from one snapshot to the next.
+        """
+        memory = self._memory
+        with self._lock:
+            if not self._lib.monitor_snapshot(
+                newest, slots, stride, self.first, self.size, self._values, self._tick
+            ):
+                return None
+            found: dict[str, Value] = {
+                name: unpack(memory, at)[0] if unpack is not None else value_of(entry, False, memory, at)
+                for name, unpack, entry, at in self._fields
+            }
+            return _TICK.unpack_from(memory)[0], found
