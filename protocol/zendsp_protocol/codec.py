@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
+from functools import cache, reduce
+from operator import or_
+from typing import Any, Generic, TypeVar
 
 import msgspec
 
@@ -15,6 +16,9 @@ from zendsp_protocol.verbs import VERBS, Arguments, Verb
 from zendsp_protocol.version import PROTOCOL, mismatch
 
 _encoder = msgspec.msgpack.Encoder(enc_hook=enc_hook)
+
+
+Result = TypeVar("Result")
 
 
 class Request(msgspec.Struct, frozen=True):
@@ -53,6 +57,27 @@ class _RawReply(msgspec.Struct, frozen=True):
     error: ErrorBody | None = None
 
 
+class _Success(msgspec.Struct, Generic[Result], frozen=True):
+    """A reply that says yes, with its result in the form that its verb has."""
+
+    v: int
+    ok: bool
+    result: Result
+    error: None = None
+
+
+def _envelope(verb: Verb) -> type[msgspec.Struct]:
+    """Make the envelope of one verb's requests, told from the others by its field ``verb``."""
+    fields: list[tuple[str, Any] | tuple[str, Any, Any]] = [
+        ("v", int),
+        ("args", verb.arguments),
+        ("by", str, "unknown"),
+    ]
+    return msgspec.defstruct(f"Request_{verb.name}", fields, tag_field="verb", tag=verb.name, frozen=True)
+
+
+_envelopes = {_envelope(verb): verb for verb in VERBS.values()}
+_any_request_decoder: msgspec.msgpack.Decoder[Any] = msgspec.msgpack.Decoder(reduce(or_, _envelopes))
 _request_decoder = msgspec.msgpack.Decoder(_RawRequest)
 _reply_decoder = msgspec.msgpack.Decoder(_RawReply)
 _version_decoder = msgspec.msgpack.Decoder(_AnyVersion)
@@ -97,6 +122,17 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
     LinkError
         Malformed, unknown, or sent to the wrong lane; the message says which.
     """
+    try:  # nearly always, and in one go
+        whole = _any_request_decoder.decode(data)
+        verb = _envelopes[type(whole)]
+        if whole.v == PROTOCOL and verb.lane == lane:
+            return verb, whole.args, whole.by
+    except (msgspec.MsgspecError, ValueError):
+        pass  # what follows finds the words
+    return _decode_piecewise(data, lane)
+
+
+def _decode_piecewise(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
     try:
         request = _request_decoder.decode(data)
     except (msgspec.MsgspecError, ValueError) as error:
@@ -133,29 +169,62 @@ def encode_error(error: BaseException, details: dict[str, Any] | None = None) ->
     )
 
 
-def decode_reply(data: bytes, kind: Any) -> Any:
-    """Decode a reply into its result, or raise the error that it carries.
+class ReplyReader:
+    """Decodes the replies of one verb.
 
-    Raises
-    ------
-    VersionMismatch
-        The target speaks another version.
-    ZendspError
-        Whatever the target says, as the class it names.
+    Parameters
+    ----------
+    kind : type
+        Of its result.
     """
-    try:
-        reply = _reply_decoder.decode(data)
-    except (msgspec.MsgspecError, ValueError) as error:
-        _check_version(data, "host")
-        raise LinkError(f"malformed reply: {error}") from error
-    if reply.error is not None:
-        raise make_error(reply.error)
-    if reply.v != PROTOCOL:
-        raise VersionMismatch(mismatch(reply.v, "host"))
-    try:
-        return _decoder(kind).decode(reply.result)
-    except (msgspec.MsgspecError, ValueError) as error:
-        raise LinkError(f"malformed result: {error}") from error
+
+    def __init__(self, kind: Any) -> None:
+        self._kind = kind
+        self._success = msgspec.msgpack.Decoder(_Success[kind])
+
+    def read(self, data: bytes) -> Any:
+        """Decode a reply into its result, or raise the error that it carries.
+
+        Raises
+        ------
+        VersionMismatch
+            The target speaks another version.
+        ZendspError
+            Whatever the target says, as the class it names.
+        """
+        try:  # nearly always, and in one go
+            reply = self._success.decode(data)
+            if reply.ok and reply.v == PROTOCOL:
+                return reply.result
+        except (msgspec.MsgspecError, ValueError):
+            pass  # what follows finds the words
+        return self._explain(data)
+
+    def _explain(self, data: bytes) -> Any:
+        try:
+            reply = _reply_decoder.decode(data)
+        except (msgspec.MsgspecError, ValueError) as error:
+            _check_version(data, "host")
+            raise LinkError(f"malformed reply: {error}") from error
+        if reply.error is not None:
+            raise make_error(reply.error)
+        if reply.v != PROTOCOL:
+            raise VersionMismatch(mismatch(reply.v, "host"))
+        try:
+            return _decoder(self._kind).decode(reply.result)
+        except (msgspec.MsgspecError, ValueError) as error:
+            raise LinkError(f"malformed result: {error}") from error
+
+
+@cache
+def reply_reader(kind: Any) -> ReplyReader:
+    """Return the reader of replies with results of one kind."""
+    return ReplyReader(kind)
+
+
+def decode_reply(data: bytes, kind: Any) -> Any:
+    """Decode a reply into its result, or raise the error that it carries; see :meth:`ReplyReader.read`."""
+    return reply_reader(kind).read(data)
 
 
 def check_version(version: object) -> None:

@@ -110,12 +110,12 @@ class Server:
         self._reply(query, reply)
 
     def _run(self, verb: verbs.Verb, args: Any, by: str, query: zenoh.Query) -> Any:
+        handler = self.service.handlers.get(verb.name)
+        if handler is not None:
+            return handler(args, by)
         if verb.name == "acquire_read":
             return send_rows(self.service.runtime, RECORDER, args, query)
-        handler = self.service.handlers.get(verb.name)
-        if handler is None:
-            raise LinkError(f"this target does not know the verb {verb.name!r}")
-        return handler(args, by)
+        raise LinkError(f"this target does not know the verb {verb.name!r}")
 
     def _finish(self, query: zenoh.Query, rest: Callable[[], Any]) -> None:
         try:

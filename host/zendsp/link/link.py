@@ -11,7 +11,7 @@ import re
 import threading
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import zenoh
 
@@ -22,6 +22,7 @@ from zendsp_protocol.verbs import VERBS, Verb
 
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
+_Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
 STEP_S = 0.2  # for the news of a death to arrive
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
 
@@ -53,6 +54,7 @@ class Link:
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
+        self._ready: dict[str, _Ready] = {}
         self._waiting: set[zenoh.CancellationToken] = set()
         self.closed = False
         self._session = open_session(endpoints, credentials, timeout)
@@ -104,17 +106,17 @@ class Link:
         ZendspError
             Whatever the target says.
         """
-        row = self._row(verb)
+        row, querier, reader = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
         try:
-            querier = self._queriers.get(row.lane)
             if querier is not None and timeout is None:
                 reply = querier.get(payload=payload).recv()
             else:
                 reply = self._patient(row, payload, timeout or row.timeout)
         except zenoh.ZError as error:
             raise self.silence(verb, row.timeout) from error
-        return self._result(reply, row)
+        sample = reply.ok
+        return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
 
     def stream(
         self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None], timeout: float | None = None
@@ -135,8 +137,10 @@ class Link:
         payload = codec.encode_request(verb, arguments, self.author)
         for reply in self._replies(row, payload, timeout or row.timeout, zenoh.Priority.DATA_LOW):
             sample = reply.ok
-            if sample is None or sample.attachment is None:
-                self._result(reply, row)
+            if sample is None:
+                self._refused(reply, row)
+            if sample.attachment is None:
+                codec.decode_reply(sample.payload.to_bytes(), row.result)
                 return
             on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
         raise self.silence(verb, row.timeout)
@@ -157,6 +161,7 @@ class Link:
         """End the session; the target goes on."""
         if not self.closed:
             self.closed = True
+            self._ready.clear()
             _open_links.discard(self)
             self._session.close()  # type: ignore[no-untyped-call]
 
@@ -167,6 +172,13 @@ class Link:
         if row is None:
             raise Refused(f"no such request {verb!r}; there are {', '.join(VERBS)}")
         return row
+
+    def _make_ready(self, verb: str) -> _Ready:
+        """Look up once what each request of a verb needs: its row, its lane, and the reader of its replies."""
+        row = self._row(verb)
+        ready = row, self._queriers.get(row.lane), codec.reply_reader(row.result)
+        self._ready[verb] = ready
+        return ready
 
     def _querier(self, lane: str) -> zenoh.Querier:
         stop = lane == "stop"
@@ -206,13 +218,10 @@ class Link:
         finally:
             self._waiting.discard(giving_up)
 
-    def _result(self, reply: zenoh.Reply, row: Verb) -> Any:
-        sample = reply.ok
-        if sample is None:
-            failed = reply.err
-            text = failed.payload.to_string() if failed is not None else "no reason"
-            raise NoAnswer(f"{row.name!r} was not answered by {self.target!r}: {text}")
-        return codec.decode_reply(sample.payload.to_bytes(), row.result)
+    def _refused(self, reply: zenoh.Reply, row: Verb) -> NoReturn:
+        failed = reply.err
+        text = failed.payload.to_string() if failed is not None else "no reason"
+        raise NoAnswer(f"{row.name!r} was not answered by {self.target!r}: {text}")
 
     def _still_there(self) -> bool:
         """Ask the link once more: the news of a death may be a moment behind the end of its last request."""

@@ -15,6 +15,9 @@ from zendsp_protocol.chunks import folded_crc, gaps
 
 FloatArray = npt.NDArray[np.float64]
 REQUEST_BYTES = 64 << 20  # rows asked for at once: what is lost at most when the link breaks
+CHUNK_BYTES = (
+    2 << 20
+)  # of one part: each has its own price at either end (measured against 1 MiB: 5 to 8 % quicker; 4 MiB leave the caches)
 MOST_IDLE = 3  # requests in a row without a single row, until it is given up
 
 
@@ -70,7 +73,7 @@ class Transfers(Requests):
         while missing := gaps(rows.pieces, first, count):
             before = rows.count
             start, length = missing[0]
-            arguments = {"first": start, "count": min(length, each)}
+            arguments = {"first": start, "count": min(length, each), "chunk": CHUNK_BYTES}
             try:
                 self.link.stream("acquire_read", arguments, rows.take)
             except LinkError:

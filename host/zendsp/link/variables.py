@@ -11,6 +11,8 @@ from zendsp.link.requests import Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Packed, Value, from_wire, to_wire
 
+_FLOATS = frozenset((float,))
+
 
 @dataclass(frozen=True)
 class Reading:
@@ -58,12 +60,15 @@ class Variables(Requests):
         """
         if isinstance(names, str):
             names = [names]
-        found: m.Reading = self.request("read", names=list(names))
-        return Reading(found.tick, {name: from_wire(value) for name, value in found.values.items()})
+        found: m.Reading = self.link.request("read", {"names": list(names)})
+        values = {
+            name: value if type(value) is float else from_wire(value) for name, value in found.values.items()
+        }
+        return Reading(found.tick, values)
 
     def write(self, **values: Any) -> int:
         """Write variables asynchronously; the reply does not wait for the sample. Returns the sequence number."""
-        written: m.Written = self.request("write", values=_wire(values))
+        written: m.Written = self.link.request("write", {"values": _wire(values)})
         return written.sequence
 
     def stage(self, **values: Any) -> dict[str, Any]:
@@ -98,14 +103,14 @@ class Variables(Requests):
         VariableError
             One line per variable that is wrong; nothing was applied, what was staged stays staged.
         """
-        batch = {**self._staged, **values}
+        batch = {**self._staged, **values} if self._staged else values
         if not batch:
             raise VariableError("nothing to update: stage values first, or give them as arguments")
         if at_tick is None:
-            applied: m.Applied = self.request("update", values=_wire(batch))
+            applied: m.Applied = self.link.request("update", {"values": _wire(batch)})
             tick = applied.tick
         else:
-            self.request("write", values=_wire(batch), at_tick=at_tick)
+            self.link.request("write", {"values": _wire(batch), "at_tick": at_tick})
             tick = at_tick
         self._staged.clear()
         return tick
@@ -135,11 +140,12 @@ def plain(value: Any) -> Any:
     return from_wire(value).tolist() if isinstance(value, Packed) else value  # type: ignore[union-attr]
 
 
-def _wire(values: Mapping[str, Any]) -> dict[str, Any]:
+def _wire(values: dict[str, Any]) -> dict[str, Any]:
+    """Values as they go over the wire; nearly always they are ready as they are."""
+    if _FLOATS.issuperset(map(type, values.values())):
+        return values
     ready, wrong = dict(values), []
     for name, value in values.items():
-        if type(value) is float:  # nearly all of them, and ready as they are
-            continue
         try:
             ready[name] = to_wire(value)
         except TypeError as error:
