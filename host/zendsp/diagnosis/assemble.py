@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from zendsp.diagnosis.hypothesis import JointSearch
 from zendsp.diagnosis.score import Scored
-from zendsp.diagnosis.search import JointSearch
 from zendsp.physics.fit import Data, Fit, fit, free_handles
 from zendsp.physics.model import Model, Quantity, Term
 

@@ -15,13 +15,14 @@ from zendsp.diagnosis.checks import check_excitation, check_motion, check_signal
 from zendsp.diagnosis.evidence import compare, torque_share, unmodelled_torque
 from zendsp.diagnosis.findings import file_model, kernel_model
 from zendsp.diagnosis.fine import fine_ripples, fixed
+from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.naming import name_findings
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.propose import propose
 from zendsp.diagnosis.reading import Signals, read_signals, split
 from zendsp.diagnosis.result import Diagnosis, FitTable
 from zendsp.diagnosis.score import Scored
-from zendsp.diagnosis.search import JointSearch, Rival, Searcher, calibrate_joint
+from zendsp.diagnosis.search import Searcher, calibrate_joint
 from zendsp.diagnosis.verdict import Outcome, judge
 from zendsp.diagnosis.where import intervals, mismatch, regions
 from zendsp.diagnosis.windows import model_error, noise_floor

@@ -15,10 +15,10 @@ import numpy as np
 
 from zendsp.diagnosis.evidence import compare, torque_share
 from zendsp.diagnosis.findings import estimates, sentence
+from zendsp.diagnosis.hypothesis import JointSearch, price
 from zendsp.diagnosis.result import Finding
 from zendsp.diagnosis.score import FASTEST, Scored, deviance, informative
 from zendsp.diagnosis.screen import Candidate, Screen, with_candidate
-from zendsp.diagnosis.search import JointSearch, price
 from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles
 from zendsp.physics.model import Model, Term
 

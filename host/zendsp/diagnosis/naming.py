@@ -10,9 +10,10 @@ from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.confidence import confidence
 from zendsp.diagnosis.evidence import compare, torque_share
 from zendsp.diagnosis.findings import estimates, new_terms, sentence
+from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.score import Scored, fit_scored
-from zendsp.diagnosis.search import JointSearch, Rival, Searcher
+from zendsp.diagnosis.search import Searcher
 from zendsp.diagnosis.shift import shifted
 from zendsp.diagnosis.verdict import JointOutcome, Outcome
 from zendsp.physics.effects import get_effect

@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
 from zendsp.diagnosis.result import Finding, Next
 from zendsp.diagnosis.score import deviance
-from zendsp.diagnosis.search import JointSearch, Rival
 from zendsp.diagnosis.verdict import Outcome
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles

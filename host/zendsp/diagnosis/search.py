@@ -8,15 +8,17 @@ term and every term of the given model has to justify itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from zendsp.diagnosis.candidates import screened, simulated
+from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, Rival, Step, price
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
-from zendsp.diagnosis.screen import Candidate, make_term, with_candidate
+from zendsp.diagnosis.screen import Candidate, with_candidate
+from zendsp.diagnosis.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import run
@@ -32,66 +34,6 @@ SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
 UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
-SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A hypothesis that was fitted: what it adds to the model before it, and how likely it made the recording."""
-
-    effect: str
-    joint: int
-    scored: Scored
-    price: float  # deviance that its free parameters and the size of the search cost
-    terms: tuple[Term, ...]
-    replaces: tuple[str, ...]
-    rank: float = math.nan  # gain by which hypotheses are ordered, see Searcher.order
-
-    @property
-    def value(self) -> float:
-        """Deviance with the price, the lower the better."""
-        return self.scored.deviance + self.price
-
-
-@dataclass(frozen=True)
-class Step:
-    """One accepted effect, with the hypotheses that stood beside it."""
-
-    chosen: Rival
-    rivals: tuple[Rival, ...]
-    before: Scored
-
-
-@dataclass
-class JointSearch:
-    """What the search found at one joint."""
-
-    joint: int
-    base: Scored
-    steps: list[Step] = field(default_factory=list)
-    best: Scored | None = None
-    dropped: tuple[str, ...] = ()
-    tried: list[Rival] = field(default_factory=list)
-
-    @property
-    def final(self) -> Scored:
-        """The best model."""
-        return self.best or self.base
-
-
-def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float:
-    """What the free parameters of some terms cost in deviance: BIC, and a grid searched counts as a parameter more."""
-    count = 0.0
-    for term in terms:
-        effect = get_effect(term.effect)
-        count += (
-            sum(1 for p in effect.parameters if p.fitted)
-            + (1 if effect.grid or effect.starts else 0)
-            - 0.01 * (effect.name in ("coulomb", "torque_offset"))
-        )
-        if effect.name in replacing:
-            count -= 1
-    return count * math.log(max(n, 10))
 
 
 def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
@@ -145,10 +87,10 @@ class Searcher:
                 break
             current = rivals[0].scored
             if not waiting:
-                current = self._split_asymmetry(found, current)
+                current = split_asymmetry(found, current, self.jobs)
         if found.steps:
             found.best = current if not waiting else found.steps[-1].chosen.scored
-            found.best, found.dropped = self.simplify(found)
+            found.best, found.dropped = simplify(found, self.n, self.jobs)
         return found
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
@@ -298,105 +240,6 @@ class Searcher:
                 )
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
 
-    def _split_asymmetry(self, found: JointSearch, current: Scored) -> Scored:
-        """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither, they stand for themselves."""
-        had = {t.effect for t in found.base.model.at(self.joint)}
-        term = next((t for t in current.model.at(self.joint) if t.effect == "coulomb_asymmetry"), None)
-        if (
-            term is None
-            or had & {"coulomb", "coulomb_asymmetry"}
-            or "torque_offset" in {t.effect for t in current.model.at(self.joint)}
-        ):
-            return current
-        up, down = term.value("level_pos"), term.value("level_neg")
-        parts = (
-            make_term(get_effect("coulomb"), self.joint, {"level": 0.5 * (up + down)}),
-            make_term(get_effect("torque_offset"), self.joint, {"level": 0.5 * (up - down)}),
-        )
-        model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
-        other = fit_scored(
-            current.data,
-            model,
-            joint_handles(current.data, model, self.joint),
-            (self.joint,),
-            jobs=self.jobs,
-            rounds=1,
-        )
-        return other if other.deviance < current.deviance + 10.0 else current
-
-    def _as_coulomb(self, best: Scored) -> Scored:
-        """Hysteresis that slides after a small part of the travel is Coulomb friction with a soft onset: name it so where that explains as much."""
-        term = next((t for t in best.model.at(self.joint) if t.effect == "hysteresis"), None)
-        record = best.data.records[0][self.joint - 1]
-        if term is None or term.value("force") > 0.02 * term.value("stiffness") * record.scale.position:
-            return best
-        others = tuple(t for t in best.model.terms if t is not term)
-        handles = joint_handles(best.data, best.model.with_terms(others), self.joint)
-        without = fit(best.data, best.model.with_terms(others), handles, joints=(self.joint,), jobs=self.jobs)
-        loss = deviance(best.data, without.model, (self.joint,)) - best.deviance
-        if any(t.effect == "coulomb" for t in others if t.joint == self.joint):
-            named = make_term(get_effect("presliding"), self.joint, {"stiffness": term.value("stiffness")})
-        else:
-            named = make_term(get_effect("coulomb"), self.joint, {"level": term.value("force")})
-        model = best.model.with_terms((*others, named))
-        other = fit_scored(
-            best.data,
-            model,
-            joint_handles(best.data, model, self.joint),
-            (self.joint,),
-            jobs=self.jobs,
-            rounds=1,
-        )
-        return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
-
-    def _as_payload(self, found: JointSearch, best: Scored) -> Scored:
-        """More inertia and a weaker actuator together are a payload, which adds inertia and gravity: name it so where that explains as much."""
-        had = {t.effect for t in found.base.model.at(self.joint)}
-        new = {t.effect: t for t in best.model.at(self.joint) if t.effect not in had}
-        gravity = best.model.mechanism.get("gravity", ())
-        if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
-            return best
-        weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
-        load = make_term(get_effect("gravity"), self.joint, {"torque": weight, "angle": 0.0})
-        model = best.model.with_terms((*(t for t in best.model.terms if t is not new["torque_gain"]), load))
-        other = fit_scored(
-            best.data,
-            model,
-            joint_handles(best.data, model, self.joint),
-            (self.joint,),
-            jobs=self.jobs,
-            rounds=2,
-        )
-        return other if other.deviance < best.deviance + 10.0 else best
-
-    def simplify(self, found: JointSearch) -> tuple[Scored, tuple[str, ...]]:
-        """Drop every term, given or found, that the recording does not need any more."""
-        best = self._as_payload(found, self._as_coulomb(found.final))
-        dropped: list[str] = []
-        added = {t.effect for s in found.steps for t in s.chosen.terms}
-        while True:
-            for i, term in enumerate(best.model.terms):
-                if term.joint != self.joint or _needed_by(best.model, term):
-                    continue
-                model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
-                trial = fit_scored(
-                    best.data,
-                    model,
-                    joint_handles(best.data, model, self.joint),
-                    (self.joint,),
-                    jobs=self.jobs,
-                    rounds=2,
-                )
-                if trial.deviance < best.deviance + price((term,), self.n):
-                    best = trial
-                    if term.effect not in added or term.effect in {
-                        t.effect for t in found.base.model.at(self.joint)
-                    }:
-                        dropped.append(term.effect)
-                    break
-            else:
-                return best, tuple(dropped)
-
 
 def is_white(scored: Scored, joint: int) -> bool:
     """Whether a slow observer's innovations leave nothing to explain: no more slow variation than white noise, and no block that stands out."""
@@ -449,10 +292,6 @@ def _general(rival: Rival, other: Rival) -> bool:
     return (
         other.effect in get_effect(rival.effect).replaces or rival.effect in get_effect(other.effect).replaces
     )
-
-
-def _needed_by(model: Model, term: Term) -> bool:
-    return any(term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term)
 
 
 def _set_number(model: Model, effect: str, joint: int, name: str, value: float) -> Model:

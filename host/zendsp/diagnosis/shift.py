@@ -12,9 +12,9 @@ from dataclasses import replace
 
 from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.evidence import compare
+from zendsp.diagnosis.hypothesis import JointSearch
 from zendsp.diagnosis.result import Estimate, Finding
 from zendsp.diagnosis.score import fit_scored
-from zendsp.diagnosis.search import JointSearch
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 

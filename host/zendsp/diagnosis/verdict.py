@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.hypothesis import JointSearch
 from zendsp.diagnosis.remainder import Remainder, remainder
 from zendsp.diagnosis.score import deviance, tune_bandwidth
-from zendsp.diagnosis.search import JointSearch
 from zendsp.diagnosis.where import intervals, missing_torque
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import run

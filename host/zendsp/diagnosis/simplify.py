@@ -1,0 +1,117 @@
+"""What a search found, in its simplest words: special cases by their own names, and nothing that the recording does not need."""
+
+from __future__ import annotations
+
+from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, price
+from zendsp.diagnosis.score import Scored, deviance, fit_scored
+from zendsp.diagnosis.screen import make_term
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import fit, joint_handles
+from zendsp.physics.model import Model, Term
+
+
+def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
+    """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither, they stand for themselves."""
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    term = next((t for t in current.model.at(found.joint) if t.effect == "coulomb_asymmetry"), None)
+    if (
+        term is None
+        or had & {"coulomb", "coulomb_asymmetry"}
+        or "torque_offset" in {t.effect for t in current.model.at(found.joint)}
+    ):
+        return current
+    up, down = term.value("level_pos"), term.value("level_neg")
+    parts = (
+        make_term(get_effect("coulomb"), found.joint, {"level": 0.5 * (up + down)}),
+        make_term(get_effect("torque_offset"), found.joint, {"level": 0.5 * (up - down)}),
+    )
+    model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
+    other = fit_scored(
+        current.data,
+        model,
+        joint_handles(current.data, model, found.joint),
+        (found.joint,),
+        jobs=jobs,
+        rounds=1,
+    )
+    return other if other.deviance < current.deviance + 10.0 else current
+
+
+def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
+    """Hysteresis that slides after a small part of the travel is Coulomb friction with a soft onset: name it so where that explains as much."""
+    term = next((t for t in best.model.at(joint) if t.effect == "hysteresis"), None)
+    record = best.data.records[0][joint - 1]
+    if term is None or term.value("force") > 0.02 * term.value("stiffness") * record.scale.position:
+        return best
+    others = tuple(t for t in best.model.terms if t is not term)
+    handles = joint_handles(best.data, best.model.with_terms(others), joint)
+    without = fit(best.data, best.model.with_terms(others), handles, joints=(joint,), jobs=jobs)
+    loss = deviance(best.data, without.model, (joint,)) - best.deviance
+    if any(t.effect == "coulomb" for t in others if t.joint == joint):
+        named = make_term(get_effect("presliding"), joint, {"stiffness": term.value("stiffness")})
+    else:
+        named = make_term(get_effect("coulomb"), joint, {"level": term.value("force")})
+    model = best.model.with_terms((*others, named))
+    other = fit_scored(
+        best.data,
+        model,
+        joint_handles(best.data, model, joint),
+        (joint,),
+        jobs=jobs,
+        rounds=1,
+    )
+    return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
+
+
+def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
+    """More inertia and a weaker actuator together are a payload, which adds inertia and gravity: name it so where that explains as much."""
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
+    gravity = best.model.mechanism.get("gravity", ())
+    if not {"torque_gain", "inertia"} <= set(new) or not any(q.value for q in gravity):
+        return best
+    weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
+    load = make_term(get_effect("gravity"), found.joint, {"torque": weight, "angle": 0.0})
+    model = best.model.with_terms((*(t for t in best.model.terms if t is not new["torque_gain"]), load))
+    other = fit_scored(
+        best.data,
+        model,
+        joint_handles(best.data, model, found.joint),
+        (found.joint,),
+        jobs=jobs,
+        rounds=2,
+    )
+    return other if other.deviance < best.deviance + 10.0 else best
+
+
+def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
+    """Drop every term, given or found, that the recording does not need any more."""
+    best = _as_payload(found, _as_coulomb(found.final, found.joint, jobs), jobs)
+    dropped: list[str] = []
+    added = {t.effect for s in found.steps for t in s.chosen.terms}
+    while True:
+        for i, term in enumerate(best.model.terms):
+            if term.joint != found.joint or _needed_by(best.model, term):
+                continue
+            model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
+            trial = fit_scored(
+                best.data,
+                model,
+                joint_handles(best.data, model, found.joint),
+                (found.joint,),
+                jobs=jobs,
+                rounds=2,
+            )
+            if trial.deviance < best.deviance + price((term,), n):
+                best = trial
+                if term.effect not in added or term.effect in {
+                    t.effect for t in found.base.model.at(found.joint)
+                }:
+                    dropped.append(term.effect)
+                break
+        else:
+            return best, tuple(dropped)
+
+
+def _needed_by(model: Model, term: Term) -> bool:
+    return any(term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term)
