@@ -153,6 +153,15 @@ def test_time_optimal_swing_is_faster_with_more_torque_and_slower_with_friction(
     assert durations[1] < durations[0] and durations[2] < durations[0]
 
 
+def test_time_optimal_swing_pushes_and_brakes_with_all_the_torque_that_is_allowed() -> None:
+    reference = make_swing(load_machine("pendulum"), objective="time", torque_limit=0.3)
+    assert reference.tau is not None
+    used = np.abs(reference.tau[:-1, 0])
+    # Bang-bang (Pontryagin), but for less than one held level of slack, which makes the switch softer.
+    assert np.mean(used > 0.95 * 0.3) > 0.8
+    assert reference.tau[5, 0] > 0.29 and reference.tau[-10, 0] < -0.29 and reference.duration < 0.44
+
+
 def test_an_impossible_swing_is_refused_with_what_to_change() -> None:
     with pytest.raises(ReferenceError_, match="allow more torque, more time or a nearer goal"):
         make_swing(load_machine("pendulum"), goal=3.0, duration=0.02, torque_limit=0.05, intervals=10)

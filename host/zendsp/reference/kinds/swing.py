@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ Objective = Literal["time", "energy"]
 DEGREE = 3  # Radau points an interval: stiff decay at standstill, where tanh(beta qd) is steep
 # Friction is smoothed at first and sharpened step by step, each solution the first guess of the next.
 SLOPES = (0.1, 0.3, 1.0)
+MORE_INTERVALS = 4  # than the least time asks for
 
 
 @dataclass(frozen=True)
@@ -134,12 +135,32 @@ def _sharpen(p: _Problem, duration: float | None, guess: dict[str, Array] | None
 
 def _solve(p: _Problem, objective: Objective, duration: float, dt: float) -> tuple[Array, float]:
     """Torque of each interval, N m, and its length, s: a whole number of samples."""
-    guess = None
-    if objective == "time":
-        guess = _sharpen(p, None, None, SLOPES)
-        duration = float(guess["total"])
-    hold = math.ceil(duration / (p.intervals * dt) - 1e-9) * dt
-    return _sharpen(p, hold * p.intervals, guess, SLOPES if guess is None else SLOPES[-1:])["u"], hold
+    if objective == "energy":
+        hold = math.ceil(duration / (p.intervals * dt) - 1e-9) * dt
+        return _sharpen(p, hold * p.intervals, None, SLOPES)["u"], hold
+    found = _sharpen(p, None, None, SLOPES)
+    least = float(found["total"])
+    hold = math.ceil(least / (p.intervals * dt) - 1e-9) * dt
+    # As many intervals as the least time needs: with all of them the swing would be longer by up to intervals * dt.
+    first = math.ceil(least / hold - 1e-9)
+    for n in range(first, first + MORE_INTERVALS):
+        try:
+            return _sharpen(replace(p, intervals=n), hold * n, _resampled(found, n), SLOPES[-1:])["u"], hold
+        except ReferenceError_:
+            continue  # the least time of held torques is a little longer
+    return _sharpen(p, hold * p.intervals, found, SLOPES[-1:])["u"], hold
+
+
+def _resampled(guess: dict[str, Array], intervals: int) -> dict[str, Array]:
+    """A solution as the first guess of another number of intervals."""
+    x, u = guess["x"], guess["u"]
+    old, new = np.linspace(0.0, 1.0, x.shape[1]), np.linspace(0.0, 1.0, intervals * DEGREE + 1)
+    middle = (np.arange(intervals) + 0.5) / intervals
+    return {
+        "x": np.stack([np.interp(new, old, row) for row in x]),
+        "u": np.interp(middle, (np.arange(len(u)) + 0.5) / len(u), u),
+        "total": guess["total"],
+    }
 
 
 def make_swing(
@@ -220,7 +241,7 @@ def make_swing(
         raise ReferenceError_(
             f"the swing found misses its goal by {miss:.3g} rad when simulated at {dt:g} s: raise intervals (now {intervals})"
         )
-    used = {"start": start, "goal": goal, "objective": objective, "duration": hold * intervals, "torque_limit": torque_limit,
+    used = {"start": start, "goal": goal, "objective": objective, "duration": hold * len(u), "torque_limit": torque_limit,
             "friction": n["theta3"], "intervals": intervals, "mode": mode, "miss": miss}  # fmt: skip
     return Reference(q, dt, qd, qdd, tau, kind="swing", parameters=used, machine=machine.name, mode=mode)
 
