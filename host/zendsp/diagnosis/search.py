@@ -261,13 +261,30 @@ def is_white(scored: Scored, joint: int) -> bool:
     return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < 4.5
 
 
+# what makes an effect with states of its own itself: without a gap backlash is a spring, with an endless stiffness a spring is none
+ESSENCE = {
+    "backlash": ("gap", "load_inertia"),
+    "elasticity": ("stiffness", "load_inertia"),
+    "presliding": ("stiffness",),
+    "hysteresis": ("force", "stiffness"),
+}
+
+
 def _vanishes(rival: Rival) -> bool:
-    """Whether a gap was fitted that cannot be told from none: then it is a spring, which stands for itself."""
+    """Whether a number that makes the effect what it is cannot be told from zero, or from endless."""
     fitted = rival.scored.fit
-    for handle, std in zip(fitted.handles, fitted.std, strict=True):
-        if handle.place == "term" and handle.key == "gap":
-            return bool(fitted.model.terms[handle.index].value("gap") < 2.0 * std)
-    return False
+    return any(
+        abs(fitted.model.terms[handle.index].value(handle.key)) < 2.0 * std
+        for handle, std in zip(fitted.handles, fitted.std, strict=True)
+        if handle.place == "term"
+        and handle.key in ESSENCE.get(rival.effect, ())
+        and _is_own(rival, handle.index)
+    )
+
+
+def _is_own(rival: Rival, index: int) -> bool:
+    term = rival.scored.model.terms[index]
+    return term.joint == rival.joint and term.effect == rival.effect
 
 
 def _freedom(rival: Rival) -> float:
