@@ -96,3 +96,10 @@ def test_a_target_runs_with_zenoh_numpy_msgspec_cffi_and_a_compiler_alone(argume
     finally:
         process.kill()
         process.communicate()
+
+
+def test_the_command_on_a_bare_target_says_how_to_start_it() -> None:
+    code = 'import sys; sys.modules["click"] = None; import zendsp.cli'
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "python -m zendsp_target" in done.stderr and "pip install zendsp" in done.stderr

@@ -6,7 +6,13 @@ import importlib
 import sys
 from typing import Any
 
-import click
+try:
+    import click
+except ModuleNotFoundError:  # a bare target has four packages; the entry point of the command is there all the same
+    raise SystemExit(
+        "zendsp: this is a bare target, without the packages of the host. It runs with 'python -m zendsp_target --help'; "
+        "'pip install zendsp' installs the rest"
+    ) from None
 
 from zendsp.errors import ZendspError
 
