@@ -141,6 +141,22 @@ def test_the_demo_tells_a_true_story_in_one_command(tmp_path: Path) -> None:
         assert (out / name).stat().st_size > 200
 
 
+def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
+    from types import SimpleNamespace
+    from typing import cast
+
+    from zendsp.demo.evidence import judge
+    from zendsp.diagnosis import Diagnosis, Estimate, Finding
+
+    given = nominal_model(get_stage("pendulum"), (651.9,), 0.001)  # viscous 0.005 N m s/rad
+    improved = given.with_terms(tuple(t for t in given.terms if t.effect != "viscous"))
+    numbers = {"coefficient_pos": Estimate(0.011, 1e-5, "N m s/rad")}
+    finding = Finding("viscous_asymmetry", 1, numbers, 0.9, 0.8, (), ("viscous",), "")
+    diagnosis = cast(Diagnosis, SimpleNamespace(findings=(finding,), given=given, improved=improved))
+    truth = {"effect": "viscous_asymmetry", "joint": 1, "parameters": {"coefficient_pos": {"value": 0.006, "unit": "N m s/rad"}}}
+    assert judge(diagnosis, [truth]).parameters == (("coefficient_pos", 0.011, 1e-5, pytest.approx(0.011), "N m s/rad"),)
+
+
 def test_a_machine_without_a_story_is_named() -> None:
     with pytest.raises(Refused, match=r"wam7.*imi_planar, pendulum"):
         get_stage("wam7")

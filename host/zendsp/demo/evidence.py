@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis import Diagnosis, Finding
+from zendsp.physics.model import Model
 from zendsp.recording import Recording
 
 Array = npt.NDArray[np.float64]
@@ -18,6 +19,9 @@ BOUNDARY_S = 0.5  # on both sides of the update: the filter and the loop settle
 SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
+# Effects that are of the same kind as a term of the given model: the machine has the sum of what it had and what it conceals, and only
+# the sum can be found. Effect: the term, and the parameter of it that adds.
+ADDED = {"viscous_asymmetry": ("viscous", "coefficient"), "coulomb_asymmetry": ("coulomb", "level")}
 
 
 def rms(values: Array) -> Array:
@@ -133,7 +137,7 @@ class Judged:
     extra : tuple of Finding
         That are no concealed effect.
     parameters : tuple
-        (name, found, std, true, unit) of those named exactly.
+        (name, found, std, true, unit) of those named exactly; where the effect adds to a term of the given model, the sums.
     """
 
     named: bool
@@ -161,8 +165,15 @@ def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
     extra = tuple(f for f in found if not any(matches(f, truth) for truth in effects))
     rows = []
     for finding, truth in pairs:
+        had, has = (_added(model, finding) for model in (diagnosis.given, diagnosis.improved))
         for name, told in truth["parameters"].items():
             estimate = finding.parameters.get(name)
             if estimate is not None and isinstance(told["value"], int | float):
-                rows.append((name, estimate.value, estimate.std, float(told["value"]), estimate.unit))
+                rows.append((name, estimate.value + has, estimate.std, float(told["value"]) + had, estimate.unit))
     return Judged(named and bool(found or not effects), named and len(pairs) == len(effects), extra, tuple(rows))
+
+
+def _added(model: Model, finding: Finding) -> float:
+    """What a model has itself of that to which a finding adds."""
+    term, parameter = ADDED.get(finding.effect, ("", ""))
+    return sum(t.value(parameter) for t in model.at(finding.joint) if t.effect == term)

@@ -55,8 +55,10 @@ def run_demo(
     with teller.step("starting the target"):
         target = local(machine, clock=clock, options=["--concealed", concealment(stage.pool, effect, seed)])
     with target:
-        told = tell_story(target, stage, out, teller, seed or 0)
+        told = tell_story(target, stage, out, teller)
     files = _write(told, out, teller)
+    teller.say(f"the same again: zendsp demo --machine {machine}{f' --effect {effect}' if effect else ''} --seed {_seed(told)}")
+    teller.say(f"{teller.seconds:.0f} s in all")
     outcome = _outcome(told, files, teller)
     (out / "story.json").write_text(json.dumps(outcome, indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8")
     return outcome
@@ -72,8 +74,12 @@ def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
     teller.chapter("It is a true story" if told.true else "The story is not true: " + "; ".join(told.failures))
     teller.say(f"report  {out / 'report.html'}")
     teller.say(f"picture {out / 'story.png'}")
-    teller.say(f"{teller.seconds:.0f} s in all")
     return [out / name for name in ("report.html", "story.png", "train.mat", "heldout.mat", "given_model.toml", "model.toml")]
+
+
+def _seed(told: Told) -> str:
+    """By which the target drew, revealed with the truth."""
+    return told.truth.source.removeprefix("seed:") if told.truth else "?"
 
 
 def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:

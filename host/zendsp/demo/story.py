@@ -54,7 +54,7 @@ class Told:
         return not self.failures
 
 
-def tell_story(target: Target, stage: Stage, out: Path, narrator: Narrator, seed: int = 0) -> Told:
+def tell_story(target: Target, stage: Stage, out: Path, narrator: Narrator) -> Told:
     """Tell the whole story on a target that conceals something.
 
     Parameters
@@ -65,15 +65,13 @@ def tell_story(target: Target, stage: Stage, out: Path, narrator: Narrator, seed
     out : Path
         Receives recordings, the given model, the report, and story.png.
     narrator : Narrator
-    seed : int
-        Of what the diagnosis draws.
 
     Returns
     -------
     Told
     """
     machine, recorded = _record(target, stage, out, narrator)
-    told = _diagnose(machine, recorded, out, narrator, seed)
+    told = _diagnose(machine, recorded, out, narrator)
     _compensate(machine, told, out, narrator)
     _reveal(machine, told, narrator)
     return told
@@ -111,13 +109,13 @@ def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tupl
     return machine, Recorded(seal, train, heldout, simulated, hidden)
 
 
-def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrator, seed: int) -> Told:
+def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrator) -> Told:
     narrator.chapter("3  The diagnosis")
 
     def look(recordings: list[Recording]) -> Diagnosis:
         with narrator.step("diagnosing"):
             return diagnose(
-                recordings, out / "given_model.toml", recorded.heldout, seed=seed, jobs=os.cpu_count() or 1, progress=narrator.progress
+                recordings, out / "given_model.toml", recorded.heldout, jobs=os.cpu_count() or 1, progress=narrator.progress
             )
 
     told = Told(recorded, look([recorded.train]))
