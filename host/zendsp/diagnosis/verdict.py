@@ -17,7 +17,8 @@ from zendsp.physics.joint import run
 from zendsp.physics.model import Model
 
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
-LARGE, MOST = 0.1, 0.5  # torque beside which findings that leave so much of the mismatch's energy explain nothing
+LARGE, MOST = 0.1, 0.5  # of the torque, of the mismatch's energy: findings that leave so much, and need a fast observer still, explain nothing
+UNSETTLED = 24.0  # rad/s
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
 SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained
 PEAK = 0.75  # share of the energy in a tenth of the time that speaks of a disturbance
@@ -93,14 +94,14 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
         if _curve_fit(search):
             return JointOutcome(j, "unexplained", before, before)  # nothing of it is claimed
-        if after.relative > LARGE and after.size**2 > MOST * before.size**2:
+        if bandwidth > UNSETTLED and after.relative > LARGE and after.size**2 > MOST * before.size**2:
             return JointOutcome(j, "unexplained", before, before)
         if after.state_share > STATE and stray > STRAY and after.relative > SMALL:
             return JointOutcome(j, "unexplained", before, after)
         return JointOutcome(j, "missing", before, after)
     if before.state_share > STATE and before.relative * np.sqrt(before.state_share) > SMALL:
         return JointOutcome(j, "unexplained", before, after)
-    if bandwidth >= 24.0 and before.time_peak > 0.55 and before.state_share < STATE:
+    if bandwidth >= UNSETTLED and before.time_peak > 0.55 and before.state_share < STATE:
         spans = _disturbance(search)
         if spans:
             return JointOutcome(j, "disturbance", before, after, spans)
