@@ -11,6 +11,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Button, Input
 
+from zendsp.cli.progress import stages
 from zendsp.errors import ReferenceError_
 from zendsp.link import Target, local
 from zendsp.recording import Recording
@@ -239,6 +240,15 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     newest = list_runs(folder / "runs")[0]
     assert newest.outcome == SIMULATED and len(newest.recording()) == len(taken)
     assert newest.recording()["q"][0] == pytest.approx(0.2), "from the first row of the reference on, as in the run"
+
+
+def test_a_process_that_is_watched_says_each_stage_as_a_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("ZENDSP_PROGRESS", "lines")
+    for quiet, seen in ((False, "fitting\nwriting\n"), (True, "")):
+        with stages(quiet=quiet) as tell:
+            tell("fitting")
+            tell("writing")
+        assert capsys.readouterr().err == seen
 
 
 def _recording(gain: float) -> Recording:
