@@ -136,7 +136,7 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
         axis.text(x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13, fontweight="bold", ha="center", transform=axis.transAxes)
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")
-    axis.set_title("Switched on in the running program", loc="left")
+    axis.set_title("Switched on in the running program" if told.compensated else "What was found is nothing that a torque can cancel", loc="left")
     axis.set_xlim(0.0, float(t[-1]))
 
 
