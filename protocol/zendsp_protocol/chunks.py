@@ -11,7 +11,7 @@ FOLD = 4096  # bytes
 CHUNK = 1 << 20  # bytes: measured best for request and reply on loopback, small enough not to hold up a STOP
 
 
-def crc(data: bytes | memoryview) -> int:
+def crc(data: bytes | bytearray | memoryview) -> int:
     """CRC-32 as in zlib, gzip and PNG."""
     return zlib.crc32(data)
 

@@ -235,7 +235,7 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
 
 
 def read(
-    stream: Stream, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+    stream: Stream, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
 ) -> npt.NDArray[np.float64]:
     """Copy rows.
 
@@ -248,6 +248,8 @@ def read(
         At most so many; fewer where fewer are written.
     into : ndarray, shape (count or more, channels), optional
         Memory to use again and again; fresh pages cost more than filling them.
+    fold : bytearray, 4096 bytes, optional
+        Takes up the bytes of the rows by exclusive or, for their checksum (see `zendsp_protocol.chunks.folded_crc`).
 
     Returns
     -------
@@ -271,7 +273,9 @@ def read(
     if rows.shape != (count, len(stream.channels)) or not rows.flags.c_contiguous:
         raise AcquisitionError(f"memory of shape {rows.shape} does not hold {count} rows of {len(stream.channels)} channels")
     source = stream.file.pointer("double", stream.offset)
-    gone = int(lib.monitor_rows(count_word, source, capacity, len(stream.channels), first, count, ffi.from_buffer("double[]", rows)))
+    taken = ffi.NULL if fold is None else ffi.from_buffer("uint64_t[]", fold)
+    to = ffi.from_buffer("double[]", rows)
+    gone = int(lib.monitor_rows(count_word, source, capacity, len(stream.channels), first, count, to, taken))
     # a stream at rest is not being written: its last row is whole
     if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (lib.STREAM_DONE, lib.STREAM_IDLE):
         gone = min(count, max(0, written - capacity - first))

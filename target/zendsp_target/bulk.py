@@ -7,7 +7,7 @@ import zenoh
 
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
-from zendsp_protocol.chunks import folded_crc, spans
+from zendsp_protocol.chunks import FOLD, crc, spans
 from zendsp_protocol.codec import encode
 from zendsp_protocol.errors import AcquisitionError
 from zendsp_protocol.version import PROTOCOL
@@ -34,13 +34,10 @@ def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: 
     memory = bytearray(rows_each * columns * 8)  # used for each chunk in turn: Zenoh copies what it is given
     into = np.frombuffer(memory, dtype=np.float64).reshape(rows_each, columns)
     for first, count in spans(args.first, args.count, rows_each):
-        rows = runtime.acquire_read(stream, first, count, into)
+        fold = bytearray(FOLD)
+        rows = runtime.acquire_read(stream, first, count, into, fold)
+        header = m.ChunkHeader(v=PROTOCOL, first=first, rows=len(rows), columns=columns, crc=crc(fold))
         whole = len(rows) * columns * 8 == len(memory)
-        _send(query, first, rows.shape, memory if whole else memory[: len(rows) * columns * 8])
+        # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
+        query.reply(query.key_expr, memory if whole else memory[: len(rows) * columns * 8], attachment=encode(header))
     return m.Empty()
-
-
-def _send(query: zenoh.Query, first: int, shape: tuple[int, ...], data: bytearray) -> None:
-    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=shape[0], columns=shape[1], crc=folded_crc(memoryview(data)))
-    # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
-    query.reply(query.key_expr, data, attachment=encode(header))

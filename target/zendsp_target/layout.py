@@ -24,7 +24,7 @@ void monitor_store64(uint64_t *word, uint64_t value);
 void monitor_run(control *c, uint32_t run);
 int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns);
 uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity, uint64_t channels, uint64_t first,
-                      uint64_t count, double *to);
+                      uint64_t count, double *to, uint64_t *fold);
 """
 
 

@@ -75,10 +75,10 @@ class Recorder:
         return acquisition.status(found, self._fed(session))
 
     def read(
-        self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+        self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
     ) -> npt.NDArray[np.float64]:
         """Rows of a stream, shape (rows, channels)."""
-        return acquisition.read(self._stream(number)[0], first, count, into)
+        return acquisition.read(self._stream(number)[0], first, count, into, fold)
 
     def _stream(self, number: int) -> tuple[acquisition.Stream, Session]:
         found = self._streams.get(number)

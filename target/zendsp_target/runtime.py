@@ -170,10 +170,10 @@ class Runtime(Motion):
         return self._recorder.status(stream)
 
     def acquire_read(
-        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
     ) -> npt.NDArray[np.float64]:
         """Rows of a stream, shape (rows, channels). See `acquisition.read`."""
-        return self._recorder.read(stream, first, count, into)
+        return self._recorder.read(stream, first, count, into, fold)
 
     # ---- status -------------------------------------------------------------------------------------------------------------
 

@@ -29,7 +29,7 @@ _HEAD = struct.Struct("<IQQ")  # batch: entries, sequence, at_tick
 _HEAD_AT = 4  # behind its state
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
 _SHORT_NS = 100_000  # periods up to this one are waited for awake: falling asleep and waking take as long
-_TOGETHER = 16  # updates that were applied are taken back in company, or by whoever waits for one, or twenty times a second
+_TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
 _MAX_ACKS = 4096
 _LAST_TICK = 2**64 - 1
 _GONE = "the runner is gone, so nothing can be written: load the program again"
@@ -256,10 +256,10 @@ class Updates:
                 slice_ns = min(_SLICE_NS, int(left * 1e9))
                 self._lib.monitor_wait_applied(self._batches[flight.slot], slice_ns, self._awake)
             with self._lock:
-                self._harvest()
-                if sequence in self._applied:
-                    return self._applied[sequence]
+                tick = self._tick_of(sequence)
                 waits = sequence in self._flights
+            if tick is not None:
+                return tick
             if not waits:
                 raise Refused(f"update {sequence}: unknown, or acknowledged too long ago")
             if not self._alive():
@@ -267,6 +267,15 @@ class Updates:
             left = end - time.monotonic()
             if left <= 0.0:
                 raise Refused(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
+
+    def _tick_of(self, sequence: int) -> int | None:
+        """The sample at which a batch took effect; it is left to be taken back by whoever has time."""
+        flight = self._flights.get(sequence)
+        if flight is None:
+            return self._applied.get(sequence)
+        if self._lib.monitor_load32(self._states[flight.slot]) != self._lib.BATCH_APPLIED:
+            return None
+        return int(self._batches[flight.slot].applied)
 
     def harvest(self) -> None:
         """Take back the batches that were applied, and write the log."""

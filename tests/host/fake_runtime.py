@@ -216,9 +216,17 @@ class FakeRuntime:
         )
 
     def acquire_read(
-        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None
+        self,
+        stream: int,
+        first: int,
+        count: int,
+        into: npt.NDArray[np.float64] | None = None,
+        fold: bytearray | None = None,
     ) -> npt.NDArray[np.float64]:
         rows = np.array(self.streams[stream]["rows"][first : first + count], dtype=np.float64)
+        if fold is not None:
+            for at, byte in enumerate(rows.tobytes()):
+                fold[at % len(fold)] ^= byte
         if into is None:
             return rows
         into[: len(rows)] = rows

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from zendsp_protocol.chunks import FOLD, crc, folded_crc
 from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
 from zendsp_target.api import AcquireConfig, Trigger
 from zendsp_target.runtime import Runtime, program_text
@@ -159,3 +160,15 @@ def test_a_ring_keeps_the_newest_rows_and_counts_what_a_reader_missed(runtime: R
     with pytest.raises(AcquisitionError, match="overwritten"):
         runtime.acquire_read(1, 0, 200)
     assert runtime.acquire_status(1).lost > 0
+
+
+def test_rows_are_folded_into_their_checksum_on_the_way_also_across_the_end_of_a_ring(runtime: Runtime) -> None:
+    runtime.acquire_configure(1, AcquireConfig(("tick", "t", "exec_us"), seconds=0.3, continuous=True))
+    runtime.acquire_start(1)
+    runtime.start(ticks=600)
+    runtime.wait_paused()
+    for first, count in ((300, 300), (300, 2), (301, 171), (370, 200)):  # the ring holds 364 rows: row 364 follows the last place
+        fold = bytearray(FOLD)
+        rows = runtime.acquire_read(1, first, count, fold=fold)
+        assert np.array_equal(rows[:, 0], np.arange(first, first + count))
+        assert crc(fold) == folded_crc(rows.tobytes())
