@@ -103,7 +103,7 @@ class Variables(Requests):
         VariableError
             One line per variable that is wrong; nothing was applied, what was staged stays staged.
         """
-        batch = {**self._staged, **values} if self._staged else values
+        batch = {**self._staged, **values} if self._staged and values else self._staged or values
         if not batch:
             raise VariableError("nothing to update: stage values first, or give them as arguments")
         if at_tick is None:
@@ -112,7 +112,7 @@ class Variables(Requests):
         else:
             self.link.request("write", {"values": _wire(batch), "at_tick": at_tick})
             tick = at_tick
-        self._staged.clear()
+        self._staged = {}
         return tick
 
     def variables(self) -> dict[str, m.VariableInfo]:
