@@ -261,13 +261,21 @@ def is_white(scored: Scored, joint: int) -> bool:
     return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < 4.5
 
 
-# what makes an effect with states of its own itself: without a gap backlash is a spring, with an endless stiffness a spring is none
+# what makes an effect itself: without a gap backlash is a spring, with an endless stiffness a spring is none; else its size
 ESSENCE = {
     "backlash": ("gap", "load_inertia"),
     "elasticity": ("stiffness", "load_inertia"),
     "presliding": ("stiffness",),
     "hysteresis": ("force", "stiffness"),
+    "delay": ("time",),
+    "lag": ("time_constant",),
+    "friction_drift": ("ratio",),
 }
+
+
+def _essence(effect: str) -> tuple[str, ...]:
+    entry = get_effect(effect)
+    return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 
 
 def _vanishes(rival: Rival) -> bool:
@@ -276,9 +284,7 @@ def _vanishes(rival: Rival) -> bool:
     return any(
         abs(fitted.model.terms[handle.index].value(handle.key)) < 2.0 * std
         for handle, std in zip(fitted.handles, fitted.std, strict=True)
-        if handle.place == "term"
-        and handle.key in ESSENCE.get(rival.effect, ())
-        and _is_own(rival, handle.index)
+        if handle.place == "term" and handle.key in _essence(rival.effect) and _is_own(rival, handle.index)
     )
 
 
