@@ -48,16 +48,17 @@ def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
     return whole
 
 
-def _multisine(machine: Machine, start: Any, amplitude: Any, period: float, f_max: float) -> Reference:
+def _multisine(machine: Machine, start: Any, amplitude: Any, period: float, f_max: float, fade: float = 0.5) -> Reference:
     return make_multisine(
-        machine, start=start, amplitude=amplitude, period=period, f_min=1.0 / period, f_max=f_max, periods=1, fade_time=0.5
+        machine, start=start, amplitude=amplitude, period=period, f_min=1.0 / period, f_max=f_max, periods=1, fade_time=fade
     )
 
 
 def _arm_train(machine: Machine) -> Reference:
     slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
-    return join(machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.4, 1.4], 6.0, 1.0)])
+    # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked like a spring, gravity and another ripple.
+    return join(machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)])
 
 
 def _arm_heldout(machine: Machine) -> Reference:
