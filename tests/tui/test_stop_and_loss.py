@@ -17,6 +17,7 @@ from textual.pilot import Pilot
 
 from zendsp.link import Target, connect
 from zendsp.recording import Recording
+from zendsp.reference import make_reference, save_reference
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Field, Form
@@ -106,7 +107,9 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
         await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute")
         screen = lab.screen
         assert isinstance(screen, ExecuteScreen)
-        lab.chosen = (folder / "references" / "circle.mat",)
+        slow = folder / "references" / "slow.mat"  # 40 s are two of this clock: long enough to be caught in the act on a busy computer
+        save_reference(make_reference("circle", "imi_planar", duration=40.0), slow)
+        lab.chosen = (slow,)
         await until(pilot, lambda: screen.references and screen.conditions and all(c.met for c in screen.conditions), "ready")
         await pilot.press("s")
         await until(pilot, lambda: screen.job is not None and screen.job.progress.phase == "play", "it plays")
