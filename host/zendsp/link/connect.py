@@ -71,17 +71,21 @@ def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, 
         from zendsp.link.find import discover
 
         names = [found.name for found in discover("*", endpoints) if found.endpoints[0] in endpoints]
-        if len(names) != 1:
-            raise LinkError(
-                f"name the target: at {', '.join(endpoints)} there is {', '.join(names) or 'none'}"
-            )
+        if not names:
+            raise LinkError(f"no target answers at {', '.join(endpoints)}: is it running, and may this host reach it?")
+        if len(names) > 1:
+            raise LinkError(f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}")
         return names[0], endpoints
     if endpoints and not (connect is None and name in entries):
         return name, endpoints
     running = ", ".join(entries) or "none"
     if not name:
-        if len(entries) != 1:
-            raise LinkError(f"name the target: on this machine there runs {running}")
+        if not entries:
+            raise LinkError(
+                "no target runs on this machine. Start one with 'zendsp target', or say where it is with connect= or ZENDSP_CONNECT"
+            )
+        if len(entries) > 1:
+            raise LinkError(f"name the target: on this machine there run {running}")
         name = next(iter(entries))
     if name not in entries:
         raise LinkError(
