@@ -156,6 +156,15 @@ def test_pd_holds_where_its_circle_is_and_goes_on_from_there() -> None:
     assert np.abs(np.diff(np.concatenate([held["r1"], after["r1"]]))).max() < 5e-3 and np.ptp(after["r1"]) > 0.05
 
 
+def test_pd_goes_from_its_circle_to_a_table_and_back_without_a_step() -> None:
+    with running("imi_planar", "pd.c") as runtime:
+        parts = [record(runtime, 2.0, "r1", "r2", "tau1", use_table=table) for table in (False, True, False)]
+    for name in ("r1", "r2"):
+        assert np.abs(np.diff(np.concatenate([part[name] for part in parts]))).max() < 5e-3, "an empty table is all zeros, and far off"
+    assert abs(parts[1]["r1"][-1]) < 1e-9 and np.ptp(parts[2]["r1"][-500:]) > 0.05, "it got there, and is on the circle again"
+    assert max(np.abs(part["tau1"]).max() for part in parts) < 245.0, "within the machine's torque"
+
+
 def test_changing_play_repeats_the_motion_from_where_the_machine_stands() -> None:
     reference = make_point_to_point(load_machine("imi_planar"), start=0.0, goal=[0.3, 0.0], duration=0.3)
     with running("imi_planar", "inverse_dynamics.c") as runtime:

@@ -22,7 +22,7 @@ static double rd1, rd2;
 static double start[N], last_q[N], last_r[N], t0;
 static double pace; /* of the reference's time: 1 runs, 0 stands */
 static uint32_t seen;
-static bool running;
+static bool running, tabled;
 
 void UserInit(void) {
     PARAMETER(Kp1, 2000.0, "N m/rad", 0.0, 20000.0, "proportional gain, joint 1");
@@ -77,7 +77,8 @@ static void reference(double t) {
     r2 = start[1] + blend * (target2 - start[1]);
 }
 
-/* The drives come on: begin from where the arm stands. A new table: lead over to it from the present reference, without a step. */
+/* The drives come on: begin from where the arm stands. A new table, or from circle to table and back: lead over to it from the
+ * present reference, without a step. */
 static void begin(void) {
     const bool fresh = !running || !DRIVE_ENABLED;
     if (fresh) {
@@ -87,11 +88,12 @@ static void begin(void) {
         running = true;
         pace = hold ? 0.0 : 1.0;
     }
-    if (fresh || (use_table && seen != ref.version)) {
+    if (fresh || use_table != tabled || (use_table && seen != ref.version)) {
         start[0] = r1;
         start[1] = r2;
         t0 = SAMPLE_TIME;
         seen = ref.version;
+        tabled = use_table;
     }
 }
 
