@@ -173,7 +173,8 @@ class StatusBar(Widget):
             line.append(f"{value}  ", bad if alarm else Style())
 
         line.append(f"{s.rate_hz:g} Hz{' fast' if s.clock == 'fast' else ''}  ")
-        item("exec", f"{mean_and_max(s.exec_mean_ns, s.exec_max_ns)} {100.0 * s.share:.1f}%", s.share > 0.8)
+        share = "" if s.clock == "fast" else f" {100.0 * s.share:.1f}%"  # the fast clock has no deadline to miss
+        item("exec", mean_and_max(s.exec_mean_ns, s.exec_max_ns) + share, bool(share) and s.share > 0.8)
         item("over", str(s.overruns), s.overruns > 0)
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))
