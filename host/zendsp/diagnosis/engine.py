@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from zendsp.diagnosis.reading import Signals, read_signals, split
 from zendsp.diagnosis.result import Diagnosis, FitTable
 from zendsp.diagnosis.score import Scored
 from zendsp.diagnosis.search import Searcher, calibrate_joint
-from zendsp.diagnosis.verdict import Outcome, judge
+from zendsp.diagnosis.verdict import Outcome, judge, settled
 from zendsp.diagnosis.where import intervals, mismatch, regions
 from zendsp.diagnosis.windows import model_error, noise_floor
 from zendsp.errors import RecordingError
@@ -213,13 +215,37 @@ def _explain(
 
 
 def _search(train: Data, test: Data, given: Model, jobs: int, tell: Progress) -> list[JointSearch]:
-    out = []
-    for joint in range(1, given.joints + 1):
-        tell(f"joint {joint}: calibrating the given model")
-        base = calibrate_joint(train, given, joint, jobs)
-        searcher = Searcher(train, joint, Acceptance(test), jobs, tell)
-        out.append(searcher.search(base))
+    joints = range(1, given.joints + 1)
+    if jobs == 1 or given.joints == 1:
+        return [_search_joint(train, test, given, joint, jobs, tell) for joint in joints]
+    # joints are independent: a process each, which inherits the recordings and the effects that a user has added
+    context = multiprocessing.get_context("fork")
+    with ProcessPoolExecutor(min(jobs, given.joints), context, _inherit, (train, test, given)) as pool:
+        out = []
+        for joint, search in zip(joints, pool.map(_search_inherited, joints), strict=True):
+            tell(f"joint {joint} of {given.joints}: searched")
+            out.append(search)
     return out
+
+
+def _search_joint(
+    train: Data, test: Data, given: Model, joint: int, jobs: int, tell: Progress
+) -> JointSearch:
+    tell(f"joint {joint}: calibrating the given model")
+    base = calibrate_joint(train, given, joint, jobs)
+    return settled(test, Searcher(train, joint, Acceptance(test), jobs, tell).search(base))
+
+
+_inherited: list[tuple[Data, Data, Model]] = []  # filled in the processes of _search only
+
+
+def _inherit(train: Data, test: Data, given: Model) -> None:
+    _inherited[:] = [(train, test, given)]
+
+
+def _search_inherited(joint: int) -> JointSearch:
+    train, test, given = _inherited[0]
+    return _search_joint(train, test, given, joint, 1, lambda _text: None)
 
 
 def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:

@@ -19,6 +19,9 @@ Array = npt.NDArray[np.float64]
 
 MIN_SAMPLES = 300
 TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
+# samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at least: the fastest observer has 10 Hz
+BUDGET = 150_000
+SLOWEST_RATE = 250.0  # Hz
 
 
 @dataclass(frozen=True)
@@ -277,7 +280,10 @@ def _resample(grid: Array, time: Array, values: Array, *, linear: bool) -> Array
 
 
 def _decimate(signals: Signals) -> Signals:
-    factor = int(1.0 / (signals.sample_time * TARGET_RATE) + 0.2)
+    seconds = len(signals.time) * signals.sample_time
+    affordable = BUDGET / (seconds * signals.position.shape[1])
+    rate = min(TARGET_RATE, max(SLOWEST_RATE, affordable))
+    factor = int(1.0 / (signals.sample_time * rate) + 0.2)
     if factor < 2:
         return signals
     n = (len(signals.time) // factor) * factor

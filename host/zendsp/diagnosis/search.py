@@ -30,9 +30,11 @@ PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
 RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
 FINALISTS = 4
+COMMON = ("viscous", "coulomb")
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
+LOOK_AHEAD = 0.1  # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for behind a first
 UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 
 
@@ -81,7 +83,7 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < 3 and current.deviance - chosen.value > 10 * WAIT:
+            elif len(waiting) < 3 and current.deviance - chosen.value > max(10 * WAIT, LOOK_AHEAD * self.n):
                 waiting.append(step)
             else:
                 break
@@ -95,13 +97,13 @@ class Searcher:
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
-        if is_white(rivals[0].scored, self.joint):
+        gain = current.deviance - rivals[0].value
+        if is_white(rivals[0].scored, self.joint) or gain < LOOK_AHEAD * self.n:
             return rivals
         second = self.round(rivals[0].scored)
         if not second or rivals[0].scored.deviance - second[0].value < WAIT:
             return rivals
         best, total = rivals[0], second[0].value + rivals[0].price
-        gain = current.deviance - rivals[0].value
         for first in rivals[1:4]:
             if current.deviance - first.value < 0.4 * gain or _general(first, rivals[0]):
                 continue
@@ -126,6 +128,9 @@ class Searcher:
         ]
         if len(listed) < 3:
             listed = [[c] for _, c in options[:3]]
+        if not only:  # the commonest physics is tried whatever the first order says of it
+            first = {c.effect for group in listed for c in group}
+            listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
         listed += simulated(current.data, current.model, self.joint, only)
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:

@@ -17,8 +17,10 @@ from zendsp.physics.joint import run
 from zendsp.physics.model import Model
 
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
-LARGE, MOST = 0.1, 0.5  # of the torque, of the mismatch's energy: findings that leave so much, and need a fast observer still, explain nothing
-UNSETTLED = 24.0  # rad/s
+LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete
+MOST = 0.5  # of the mismatch's energy: findings that leave so much explain nothing
+COUPLED = 0.05  # of the RMS torque: other joints' reversals, known only as well as measured, make bursts of this size
+UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
 SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained
 PEAK = 0.75  # share of the energy in a tenth of the time that speaks of a disturbance
@@ -94,18 +96,35 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
         if _curve_fit(search):
             return JointOutcome(j, "unexplained", before, before)  # nothing of it is claimed
-        if bandwidth > UNSETTLED and after.relative > LARGE and after.size**2 > MOST * before.size**2:
-            return JointOutcome(j, "unexplained", before, before)
         if after.state_share > STATE and stray > STRAY and after.relative > SMALL:
             return JointOutcome(j, "unexplained", before, after)
         return JointOutcome(j, "missing", before, after)
     if before.state_share > STATE and before.relative * np.sqrt(before.state_share) > SMALL:
         return JointOutcome(j, "unexplained", before, after)
-    if bandwidth >= UNSETTLED and before.time_peak > 0.55 and before.state_share < STATE:
+    if search.discarded and before.relative > LARGE:
+        return JointOutcome(j, "unexplained", before, after)
+    coupled = search.base.model.joints > 1 and before.relative < COUPLED
+    if bandwidth >= UNSETTLED and before.time_peak > 0.55 and before.state_share < STATE and not coupled:
         spans = _disturbance(search)
         if spans:
             return JointOutcome(j, "disturbance", before, after, spans)
     return JointOutcome(j, "complete", before, after)
+
+
+def settled(test: Data, search: JointSearch) -> JointSearch:
+    """The search, without its findings where they leave most of the mismatch and a fast observer is needed still.
+
+    Something else acts, which lends likelihood to whatever resembles it a little: other joints' motion that is known only as well as it
+    was measured, or physics that the library does not have.
+    """
+    j, final = search.joint, search.final
+    if not search.steps or final.data.bandwidth[j - 1] <= UNSETTLED:
+        return search
+    before = remainder(search.base.data, test, search.base.model, j)
+    after = remainder(final.data, test, final.model, j)
+    if after.size**2 <= MOST * before.size**2:
+        return search
+    return JointSearch(j, search.base, tried=search.tried, discarded=True)
 
 
 def _curve_fit(search: JointSearch) -> bool:
