@@ -297,7 +297,7 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
         target.status()
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
-    with pytest.raises(LinkError, match="no target runs on this machine. Start one with 'zendsp target'"):
+    with pytest.raises(LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"):
         connect()
     again = Monitor(runtime, Options("fake", "fake_machine"))
     again.close()
