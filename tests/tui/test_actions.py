@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
 from rich.style import Style
 from textual.app import App, ComposeResult
+from textual.pilot import Pilot
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -24,6 +26,8 @@ from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import mean_and_max
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 
 def _nobody(name: str) -> Port:
@@ -171,23 +175,22 @@ async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:
         assert scope._pens[0].color is not None and scope._pens[0].color.name.lower() == "#0067b6"
 
 
-async def test_what_is_not_seen_cannot_take_the_focus(app: ZendspApp) -> None:
+async def test_what_is_not_seen_cannot_take_the_focus(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.pause()
+        await until(pilot, lambda: app.focused is app.screen.query_one("#variables"), "the screen is ready")
         seen = {w.id for w in app.screen.focus_chain}
         assert "variables" in seen and not {i for i in seen if (i or "").startswith("step-")}, "no hidden Power button under Enter"
         await pilot.press("E")
-        await pilot.pause()
-        assert app.focused is app.screen.query_one("#events-box")
+        await until(pilot, lambda: app.focused is app.screen.query_one("#events-box"), "the arrows scroll the events")
         await pilot.press("E")
-        await pilot.pause()
-        assert app.focused is app.screen.query_one("#variables"), "the arrows work again"
+        await until(pilot, lambda: app.focused is app.screen.query_one("#variables"), "the arrows work again")
 
 
 def test_times_of_execution_carry_the_unit_that_is_meant() -> None:
     assert mean_and_max(1130.0, 27_400.0) == "1.13/27.4 µs"
     assert mean_and_max(473.0, 2.4e6) == "0.473 µs/2.40 ms"
     assert mean_and_max(1.2e6, 2.4e6) == "1.20/2.40 ms"
+    assert mean_and_max(591.0, 131.68e6) == "0.591 µs/132 ms"
 
 
 async def test_a_number_that_is_cut_says_so() -> None:

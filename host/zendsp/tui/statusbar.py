@@ -27,7 +27,8 @@ def microseconds(ns: float) -> str:
     """Return a time of execution with three digits: ``3.21 µs``, ``104 µs``, ``1.20 ms``."""
     us = ns * 1e-3
     if us >= 1000.0:
-        return f"{us * 1e-3:.2f} ms"
+        ms = us * 1e-3
+        return f"{ms:.{2 if ms < 10.0 else 1 if ms < 100.0 else 0}f} ms"
     return f"{us:.3g} µs"
 
 
