@@ -42,6 +42,9 @@ def command(name: str | None, out: Path, into: Path | None, report: Path | None,
         opened = open_target(target, connect)
         if name == "all":
             names = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
+            for each in [each for each in names if EXPERIMENTS[each].command != "torque"]:
+                names.remove(each)
+                click.echo(f"{each} is left out: it commands a {EXPERIMENTS[each].command}, and needs a target of its own", err=True)
     try:
         for each in names:
             try:

@@ -14,13 +14,14 @@ from zendsp.experiment.result import Result
 
 @dataclass(frozen=True)
 class Experiment:
-    """Name, machine, one line for people, where the function is, and whether its result has something that a model file holds."""
+    """Name, machine, one line for people, where the function is, whether its result has something that a model file holds, and what it commands."""
 
     name: str
     machine: str
     title: str
     function: str
     models: bool = False
+    command: str = "torque"  # or voltage
 
     def run(self, lab: Lab) -> Result:
         """Make it: recordings, figure and ``result.toml`` go to the lab's folder."""
@@ -41,7 +42,7 @@ EXPERIMENTS = {
         Experiment("imi-low-speed", "imi_planar", "Friction at low speed: triangular velocity under PD, averaged.", "imi_friction:low_speed"),
         Experiment("imi-fit", "imi_planar", "One friction curve of two polynomials through the three.", "imi_fit:fit", models=True),
         Experiment("imi-circle", "imi_planar", "Circle under inverse dynamics, compensated or not, machine and simulation.", "imi_circle:circle"),
-        Experiment("pendulum-electrical", "pendulum", "k_a and R_a of the motor by the straight line.", "pendulum_motor:electrical"),
+        Experiment("pendulum-electrical", "pendulum", "k_a and R_a of the motor by the straight line.", "pendulum_motor:electrical", command="voltage"),
         Experiment("pendulum-mechanical", "pendulum", "Inertia, gravity and friction from the open-loop torque law.", "pendulum_motor:mechanical", models=True),
         Experiment("pendulum-swing", "pendulum", "Optimal swing open and closed loop, and friction at the feedback level.", "pendulum_swing:swing"),
         Experiment("wam-friction", "wam7", "Friction maps of seven joints with confidence intervals.", "wam_friction:friction", models=True),
