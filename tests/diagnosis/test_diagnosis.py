@@ -112,8 +112,10 @@ def test_several_recordings_are_fitted_jointly(tmp_path: Path) -> None:
     model = reality.model_file(tmp_path / "model.toml", RATE, VISCOUS)
     one, three = diagnose(files[0], model), diagnose(files, model)
     assert [f.effect for f in three.findings] == ["coulomb"] == [f.effect for f in one.findings]
-    # three times the samples: the standard deviation falls by about the root of three
-    assert three.findings[0].parameters["level"].std < 0.8 * one.findings[0].parameters["level"].std
+    # three times the samples: the statistical standard deviation falls by about the root of three; that of the numerics stays
+    spread = [dict(zip((h.key for h in d.details["whole"].fits[1].handles), d.details["whole"].fits[1].std, strict=True))["level"] for d in (one, three)]
+    assert spread[1] < 0.8 * spread[0]
+    assert three.findings[0].parameters["level"].std < one.findings[0].parameters["level"].std
 
 
 def test_user_effect_is_named(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from zendsp.physics.fit import Fit
 from zendsp.physics.model import Model, Term
 
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
+COUPLED = ("inertia", "torque/speed2", "torque/speed", "torque")  # what their coefficients measure
 # Beside the statistical uncertainty stands that of the numerics (two steps a sample; halving the step moves parameters by 0.05–0.7 %,
 # docs/diagnosis.md, limits): NUMERIC of the value, or rad for angles. WIDEN covers what the sandwich leaves out.
 WIDEN, NUMERIC = 1.15, 0.005
@@ -52,7 +53,12 @@ def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, E
             value = math.remainder(value, 2 * math.pi)
         statistical = WIDEN * math.sqrt(max(variance, 0.0))
         numeric = NUMERIC * _whole(p.name, value) if statistical > 0 else 0.0
-        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(p.size, kind, command_unit))
+        size = (
+            COUPLED[int(term.value("law"))]
+            if term.effect == "coupling" and p.name == "coefficient"
+            else p.size
+        )
+        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit))
     return out
 
 
@@ -125,7 +131,9 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
             words["repeats"] = f"{number(order)} times a turn"
         else:
             period = 2 * math.pi / order.value
-            words["repeats"] = f"every {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
+            words["repeats"] = (
+                f"every {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
+            )
     if term.effect == "coupling":
         words["from_joint"] = str(int(term.value("from_joint")))
         words["law"] = LAWS[int(term.value("law"))]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from zendsp.diagnosis.score import Scored
 from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Fit
 from zendsp.physics.model import Term
 
 SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
@@ -71,3 +72,33 @@ def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float
         if effect.name in replacing:
             count -= 1
     return count * math.log(max(n, 10))
+
+
+# what makes an effect itself: without a gap backlash is a spring, with an endless stiffness a spring is none; else its size
+ESSENCE = {
+    "backlash": ("gap", "load_inertia"),
+    "elasticity": ("stiffness", "load_inertia"),
+    "presliding": ("stiffness",),
+    "hysteresis": ("force", "stiffness"),
+    "delay": ("time",),
+    "lag": ("time_constant",),
+    "friction_drift": ("ratio",),
+}
+
+
+def _essence(effect: str) -> tuple[str, ...]:
+    entry = get_effect(effect)
+    return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
+
+
+def vanishes(fitted: Fit, joint: int, effect: str) -> bool:
+    """Whether a number that makes an effect what it is cannot be told from zero, or from endless, in a fit."""
+    essence = _essence(effect)
+    return any(
+        abs(fitted.model.terms[handle.index].value(handle.key)) < 2.0 * std
+        for handle, std in zip(fitted.handles, fitted.std, strict=True)
+        if handle.place == "term"
+        and handle.key in essence
+        and fitted.model.terms[handle.index].effect == effect
+        and fitted.model.terms[handle.index].joint == joint
+    )

@@ -13,6 +13,7 @@ from zendsp.diagnosis.findings import estimates, new_terms, sentence
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.score import Scored, fit_scored
+from zendsp.diagnosis.screen import FRICTION
 from zendsp.diagnosis.search import Searcher
 from zendsp.diagnosis.shift import shifted
 from zendsp.diagnosis.verdict import JointOutcome, Outcome
@@ -166,8 +167,7 @@ def _finding(
     ):
         same.append("coulomb_asymmetry")  # Coulomb friction and an offset are asymmetric Coulomb friction
     held = compare(item.without, search.final, test, joint)
-    kept = {t.effect for t in search.final.model.at(joint)}
-    replaces = tuple(sorted({t.effect for t in given.at(joint)} - kept))
+    replaces = _replaced(given, search.final.model, term)
     sure = confidence(
         item.loss,
         held.z,
@@ -197,6 +197,16 @@ def _finding(
         }
     finding = Finding(term.effect, joint, values, sure, share, tuple(same), replaces, text, numbers)
     return finding, lost[:6]
+
+
+def _replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
+    """Effects of the given model that are gone, and that this term stands for: friction for friction, where there is any."""
+    joint = term.joint
+    gone = {t.effect for t in given.at(joint)} - {t.effect for t in final.at(joint)}
+    rubs = {t.effect for t in new_terms(given, final, joint)} & set(FRICTION)
+    if rubs and term.effect not in rubs:
+        gone -= set(FRICTION)
+    return tuple(sorted(gone))
 
 
 def _contains(rival: Rival, term: Term) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from zendsp.diagnosis.candidates import screened, simulated
-from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, Rival, Step, price
+from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, Rival, Step, price, vanishes
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
@@ -83,7 +83,7 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < 3 and current.deviance - chosen.value > max(10 * WAIT, LOOK_AHEAD * self.n):
+            elif len(waiting) < 3 and _gain(current, chosen) > max(10 * WAIT, LOOK_AHEAD * self.n):
                 waiting.append(step)
             else:
                 break
@@ -98,7 +98,7 @@ class Searcher:
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
         gain = current.deviance - rivals[0].value
-        if is_white(rivals[0].scored, self.joint) or gain < LOOK_AHEAD * self.n:
+        if is_white(rivals[0].scored, self.joint) or _gain(current, rivals[0]) < LOOK_AHEAD * self.n:
             return rivals
         second = self.round(rivals[0].scored)
         if not second or rivals[0].scored.deviance - second[0].value < WAIT:
@@ -139,7 +139,11 @@ class Searcher:
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
             full = list(pool.map(lambda r: self._full(r), finalists))
-        rivals = [r for r in (*full, *quick[len(finalists) :]) if not _vanishes(r)]
+        rivals = [
+            r
+            for r in (*full, *quick[len(finalists) :])
+            if not any(vanishes(r.scored.fit, r.joint, t.effect) for t in r.terms)
+        ]
         return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
@@ -266,36 +270,10 @@ def is_white(scored: Scored, joint: int) -> bool:
     return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < 4.5
 
 
-# what makes an effect itself: without a gap backlash is a spring, with an endless stiffness a spring is none; else its size
-ESSENCE = {
-    "backlash": ("gap", "load_inertia"),
-    "elasticity": ("stiffness", "load_inertia"),
-    "presliding": ("stiffness",),
-    "hysteresis": ("force", "stiffness"),
-    "delay": ("time",),
-    "lag": ("time_constant",),
-    "friction_drift": ("ratio",),
-}
-
-
-def _essence(effect: str) -> tuple[str, ...]:
-    entry = get_effect(effect)
-    return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
-
-
-def _vanishes(rival: Rival) -> bool:
-    """Whether a number that makes the effect what it is cannot be told from zero, or from endless."""
-    fitted = rival.scored.fit
-    return any(
-        abs(fitted.model.terms[handle.index].value(handle.key)) < 2.0 * std
-        for handle, std in zip(fitted.handles, fitted.std, strict=True)
-        if handle.place == "term" and handle.key in _essence(rival.effect) and _is_own(rival, handle.index)
-    )
-
-
-def _is_own(rival: Rival, index: int) -> bool:
-    term = rival.scored.model.terms[index]
-    return term.joint == rival.joint and term.effect == rival.effect
+def _gain(before: Scored, rival: Rival) -> float:
+    """Gain of a hypothesis under its own observer or under the slower one of ``Searcher.order``, whichever is larger."""
+    own = before.deviance - rival.value
+    return max(own, rival.rank) if math.isfinite(rival.rank) else own
 
 
 def _freedom(rival: Rival) -> float:

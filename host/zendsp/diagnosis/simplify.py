@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, price
+from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, price, vanishes
 from zendsp.diagnosis.score import Scored, deviance, fit_scored
 from zendsp.diagnosis.screen import make_term
 from zendsp.physics.effects import get_effect
@@ -102,7 +102,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
                 jobs=jobs,
                 rounds=2,
             )
-            if trial.deviance < best.deviance + price((term,), n):
+            idle = term.effect in added and vanishes(best.fit, found.joint, term.effect)
+            if idle or trial.deviance < best.deviance + price((term,), n):
                 best = trial
                 if term.effect not in added or term.effect in {
                     t.effect for t in found.base.model.at(found.joint)

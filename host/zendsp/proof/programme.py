@@ -12,7 +12,7 @@ from zendsp.proof.cases import plan, write_all
 # (machine, kind, how many, sizes); 0: every effect once at every size
 FULL: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
     ("rotary", "single", 0, (1.0, 0.3, 0.1)),
-    ("rotary", "complete", 50, (1.0,)),
+    ("rotary", "complete", 40, (1.0,)),
     ("rotary", "complete_slow", 20, (1.0,)),
     ("rotary", "nuisance", 20, (1.0,)),
     ("rotary", "pair", 18, (1.0,)),
@@ -20,7 +20,7 @@ FULL: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
     ("rotary", "replace", 12, (1.0, 0.3)),
     ("rotary", "behind", 12, (1.0,)),
     ("rotary", "part", 12, (1.0, 0.3)),
-    ("rotary", "hard", 0, (1.0, 0.3)),
+    ("rotary", "hard", 0, (0.3,)),
     ("rotary", "hard_complete", 20, (1.0,)),
     ("pendulum", "single", 0, (0.3,)),
     ("pendulum", "complete", 15, (1.0,)),
@@ -31,8 +31,8 @@ FULL: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
     ("planar2r", "single", 0, (0.3,)),
     ("planar2r", "complete", 15, (1.0,)),
     ("planar2r", "pair", 4, (1.0,)),
-    ("urdf", "single", 10, (0.3,)),
-    ("urdf", "complete", 5, (1.0,)),
+    ("urdf", "single", 7, (0.3,)),
+    ("urdf", "complete", 3, (1.0,)),
 )
 QUICK: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
     ("rotary", "single", 13, (1.0,)),
