@@ -226,6 +226,13 @@ def law_figure(d: Diagnosis, finding: Finding) -> Figure:
     return figure
 
 
+def _too_fine(d: Diagnosis, finding: Finding) -> bool:
+    """Whether a pattern repeats too often over the travel to be drawn, and faster than the torque in the figure is seen."""
+    order = finding.parameters.get("order")
+    travel = max(rec[finding.joint - 1].scale.position for rec in d.details["train"].records)
+    return order is not None and order.value * travel > 40 * 2 * np.pi
+
+
 def _law(record: JointRecord, improved: Model, without: Model, terms: tuple[Term, ...]) -> Array:
     floor = 0.01 * record.scale.speed
     if any(t.effect == "inertia" for t in terms):
@@ -307,7 +314,7 @@ def draw_all(d: Diagnosis, out: Path) -> list[tuple[str, str, Path]]:
             )
         )
     for k, f in enumerate(d.findings, 1):
-        if any(t.effect == f.effect for t in d.details["whole"].improved.at(f.joint)):
+        if any(t.effect == f.effect for t in d.details["whole"].improved.at(f.joint)) and not _too_fine(d, f):
             figures.append(
                 ("law", f.sentence, f"law_{k}_{f.effect}_joint{f.joint}.png", partial(law_figure, d, f))
             )
