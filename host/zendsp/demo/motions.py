@@ -107,14 +107,14 @@ def _pendulum_mechanism(machine: Machine) -> dict[str, Any]:
 
 # What a draw may choose: effects that show in this motion. Left out are those that the given model has itself (viscous, coulomb and
 # inertia: calibration finds them and nothing is missing), those with which the machine trips (saturation, cubic_stiffness),
-# friction_drift, which wants recordings longer than these, and lag and delay, which no torque cancels: the tracking error would stay.
+# friction_drift, which wants recordings longer than these, and lag and delay, which no torque cancels: the tracking error would stay. Not
+# for the pendulum: a dead zone, whose jumps of torque its current loop answers in a way that the given model knows nothing of.
 ARM_POOL = (
     "ripple", "position_friction", "coupling", "quadratic_drag", "stribeck", "coulomb_asymmetry", "viscous_asymmetry", "stiffness",
     "gravity", "torque_offset", "dead_zone",
 )  # fmt: skip
 PENDULUM_POOL = (
     "ripple", "position_friction", "quadratic_drag", "stribeck", "coulomb_asymmetry", "viscous_asymmetry", "stiffness", "torque_offset",
-    "dead_zone",
 )  # fmt: skip
 
 STAGES = {
