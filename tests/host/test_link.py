@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 import time
+import weakref
 
 import numpy as np
 import pytest
@@ -201,6 +203,17 @@ def test_live_streams_run_out_with_a_sentence_and_come_back(running: Target) -> 
     for view in [*views, shared]:
         view.close()
     running.live(["Kp1"]).close()
+
+
+def test_a_closed_live_view_is_freed_while_the_link_lasts(running: Target) -> None:
+    views = [running.live(["q"]) for _ in range(3)]
+    held = [weakref.ref(view) for view in views]
+    for view in views:
+        view.close()
+    del view
+    views.clear()
+    gc.collect()
+    assert [view() for view in held] == [None] * 3  # else each change of the curves would grow the memory
 
 
 def raw_session(target: Target) -> zenoh.Session:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import getpass
 import itertools
 import os
@@ -90,9 +91,14 @@ class Link:
         """Have ``callback`` called, in a thread of its own, whenever the target comes back after an outage."""
         self._returned.append(callback)
 
+    def forget(self, callback: Callable[[], None]) -> None:
+        """End what :meth:`on_return` asked for; what it was asked by can be freed then."""
+        with contextlib.suppress(ValueError):  # asked of another link, or forgotten already
+            self._returned.remove(callback)
+
     def take_over(self, old: Link) -> None:
         """Do for those who waited for the return of ``old`` what they asked for."""
-        for callback in old._returned:
+        for callback in list(old._returned):
             self.on_return(callback)
             callback()
 
@@ -241,7 +247,7 @@ class Link:
         self._lost.clear()
         self._alive.set()
         if again:
-            for callback in self._returned:
+            for callback in list(self._returned):
                 threading.Thread(target=callback, name="returned", daemon=True).start()
 
 

@@ -176,6 +176,7 @@ class LiveView:
         if self._closed:
             return
         self._closed = True
+        self._requests.link.forget(self._reopen)  # or the link would keep what this view holds
         with self._lock:
             self._lock.notify_all()
         if self._requests.link.closed:
