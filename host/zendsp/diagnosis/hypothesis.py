@@ -11,6 +11,7 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Fit
 from zendsp.physics.model import Term
 
+SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
 SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
 
 
@@ -95,7 +96,7 @@ def vanishes(fitted: Fit, joint: int, effect: str) -> bool:
     """Whether a number that makes an effect what it is cannot be told from zero, or from endless, in a fit."""
     essence = _essence(effect)
     return any(
-        abs(fitted.model.terms[handle.index].value(handle.key)) < 2.0 * std
+        abs(fitted.model.terms[handle.index].value(handle.key)) < SIGNIFICANT * std
         for handle, std in zip(fitted.handles, fitted.std, strict=True)
         if handle.place == "term"
         and handle.key in essence

@@ -20,6 +20,8 @@ Array = npt.NDArray[np.float64]
 
 WINDOW = 0.02  # s, applied twice: about 20 Hz
 AROUND = 1.12  # the calibration may move by this factor around the estimate
+SLIDING = 0.15  # of the RMS speed
+ENOUGH = 60  # rows, of two windows each
 SURE = 5.0  # t value from which the estimate is used
 
 OWN = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2")}
@@ -59,6 +61,8 @@ def _estimate(records: list[JointRecord], model: Model) -> tuple[float, float]:
         rows.append(a)
         targets.append(y)
     a, y = np.concatenate(rows), np.concatenate(targets)
+    if len(y) < ENOUGH:
+        return 0.0, 0.0
     scale = np.linalg.norm(a, axis=0)
     scale[scale == 0] = 1.0
     theta, *_ = np.linalg.lstsq(a / scale, y, rcond=1e-9)
@@ -107,4 +111,7 @@ def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
         if other + 1 != rec.joint and model.kind == "urdf":
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]
-    return np.stack([low(c) for c in columns], axis=1), low(torque - known)
+    # a joint that sticks bears any torque up to its friction: only what slides says anything of its inertia
+    still = max(3.0 * float(np.sqrt(np.median(rec.motion.variances[1]))), SLIDING * rec.scale.speed)
+    sliding = low((np.abs(qd) > still).astype(np.float64)) > 1.0 - 1e-9
+    return np.stack([low(c) for c in columns], axis=1)[sliding], low(torque - known)[sliding]
