@@ -12,14 +12,14 @@ from zendsp.diagnosis.hypothesis import JointSearch
 from zendsp.diagnosis.remainder import Remainder, remainder
 from zendsp.diagnosis.score import deviance, tune_bandwidth
 from zendsp.diagnosis.where import intervals, missing_torque
-from zendsp.diagnosis.windows import rms, window_error
+from zendsp.diagnosis.windows import noise_floor, rms, window_error
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import run
 from zendsp.physics.model import Model
 
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
 LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete
-MOST = 0.5  # of the energy of the held-out position error: findings that leave so much explain nothing
+MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
 COUPLED = 0.05  # of the RMS torque: other joints' reversals, known only as well as measured, make bursts of this size
 UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
@@ -113,7 +113,7 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
 
 
 def settled(test: Data, search: JointSearch) -> JointSearch:
-    """The search, without its findings where they leave most of the held-out error and a fast observer is needed still.
+    """The search, without its findings where they leave most of the mismatch, as a torque and as a position, and a fast observer is needed still.
 
     Something else acts, which lends likelihood to whatever resembles it a little: other joints' motion that is known only as well as it
     was measured, or physics that the library does not have.
@@ -121,8 +121,10 @@ def settled(test: Data, search: JointSearch) -> JointSearch:
     j, final = search.joint, search.final
     if not search.steps or final.data.bandwidth[j - 1] <= UNSETTLED:
         return search
-    before, after = rms(window_error(test, search.base.model, j)), rms(window_error(test, final.model, j))
-    if after**2 <= MOST * before**2:
+    floor = noise_floor(test, j) ** 2
+    error = [rms(window_error(test, m, j)) ** 2 - floor for m in (search.base.model, final.model)]
+    torque = [remainder(s.data, test, s.model, j).size ** 2 for s in (search.base, final)]
+    if error[1] <= MOST * error[0] or torque[1] <= MOST * torque[0]:
         return search
     return JointSearch(j, search.base, tried=search.tried, discarded=True)
 

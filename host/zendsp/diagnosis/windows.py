@@ -49,11 +49,11 @@ def model_error(data: Data, model: Model) -> float:
     return rms(np.concatenate([window_error(data, model, j) for j in range(1, data.joints + 1)]))
 
 
-def noise_floor(data: Data) -> float:
-    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS)."""
+def noise_floor(data: Data, joint: int = 0) -> float:
+    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS); of one joint, or of all (0)."""
     squares, count = 0.0, 0
     for rec in data.records:
-        for record in rec:
+        for record in rec[joint - 1 : joint] if joint else rec:
             m = record.measurement
             size = max(16, round(WINDOW / record.sample_time))
             left = 1.0 - 2.0 / size
