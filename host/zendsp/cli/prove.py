@@ -41,6 +41,12 @@ def data_folder(given: Path | None) -> Path:
     show_default=True,
     help="Seconds a diagnosis may take.",
 )
+@click.option(
+    "--sample",
+    type=click.IntRange(1),
+    default=None,
+    help="Only so many of the cases, drawn at random by the seed.",
+)
 @click.option("--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40.")
 @click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
 @click.option("--only", default="", help="With --real: one machine.")
@@ -70,6 +76,7 @@ def command(
     resume: bool,
     peers: bool,
     limit: float,
+    sample: int | None,
     real: bool,
     implant: bool,
     only: str,
@@ -103,7 +110,9 @@ def command(
     folder = out or Path(f"proof_{'quick_' if quick else ''}{seed}")
     if not resume:
         forget(folder)
-    words = f"zendsp prove{' --quick' if quick else ''} --seed {seed}"
+    words = (
+        f"zendsp prove{' --quick' if quick else ''} --seed {seed}{f' --sample {sample}' if sample else ''}"
+    )
     try:
         outcome = run_proof(
             folder,
@@ -113,6 +122,7 @@ def command(
             limit=limit,
             with_peers=peers,
             command=words,
+            sample=sample or 0,
             tell=lambda line: click.echo(line, err=True),
         )
     except (BrokenSeal, FileExistsError) as error:

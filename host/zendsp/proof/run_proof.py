@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,8 +47,11 @@ def run_proof(
     with_peers: bool,
     command: str,
     tell: Tell,
+    sample: int = 0,
 ) -> Outcome:
     """Run the whole proof under `folder`; an interrupted run goes on where it stopped.
+
+    With `sample`, only so many of the cases, drawn at random by the seed: all are made and sealed, the others are never asked.
 
     Raises
     ------
@@ -59,6 +63,8 @@ def run_proof(
     cases, truth, stamp = prepare(folder, seed, quick, jobs)
     folders = sorted(cases.iterdir())
     tell(f"{len(folders)} cases made; truth sealed: {stamp}")
+    if sample:
+        folders = sorted(random.Random(seed).sample(folders, min(sample, len(folders))))
     given: dict[str, Answer] = {}
     for name, answer in answers(folders, folder / "zendsp.json", jobs, limit, code=identity()):
         given[name] = answer
@@ -80,7 +86,7 @@ def run_proof(
                 )
             )
             tell(f"{method}: {len(tried[method])} cases")
-    opened = open_truth(truth, stamp)
+    opened = {name: entry for name, entry in open_truth(truth, stamp).items() if name in given}
     tell("truth opened: the seals hold")
     judged = [judge(opened[name], given[name]) for name in sorted(opened)]
     peers = {m: [judge(opened[name], table[name]) for name in sorted(opened)] for m, table in tried.items()}
