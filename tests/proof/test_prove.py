@@ -24,7 +24,7 @@ def say(verdict: str, *effects: str) -> Answer:
     return Answer(verdict, tuple(Finding(e, 1, confidence=0.9) for e in effects), seconds=1.0)
 
 
-def go(folder: Path) -> run_proof.Outcome:
+def go(folder: Path, sample: int = 0) -> run_proof.Outcome:
     return run_proof.run_proof(
         folder,
         seed=0,
@@ -34,6 +34,7 @@ def go(folder: Path) -> run_proof.Outcome:
         with_peers=False,
         command="zendsp prove --quick",
         tell=lambda _: None,
+        sample=sample,
     )
 
 
@@ -56,6 +57,12 @@ def test_run_counts_and_writes_the_page(tmp_path: Path, few: None, monkeypatch: 
     assert [j.alarm for j in outcome.judged] == [False, None] and outcome.judged[1].named is True
     page = outcome.page.read_text()
     assert outcome.stamp in page and "zendsp prove --quick" in page and "Nothing in this run." in page
+
+
+def test_a_sample_is_sealed_whole_and_asked_in_part(tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = answer_with(monkeypatch, {"case_0001": say("complete"), "case_0002": say("missing", "ripple")})
+    assert [j.case for j in go(tmp_path, 1).judged] == asked and len(asked) == 1
+    assert len(list((tmp_path / "truth").glob("case_*.json"))) == 2
 
 
 def test_failures_are_on_the_page(tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch) -> None:
