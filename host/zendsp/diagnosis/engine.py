@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.assemble import Assembled, assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
@@ -112,8 +113,20 @@ def diagnose(
     >>> d.verdict, [f.effect for f in d.findings]     # doctest: +SKIP
     ('missing', ['coulomb'])
     """
+    # matrices are small and many run at a time: more threads of the linear algebra only wait for each other
+    with threadpool_limits(limits=1):
+        return _diagnose(recordings, model, heldout, seed, jobs, progress or (lambda _text: None))
+
+
+def _diagnose(
+    recordings: Source | Sequence[Source],
+    model: Model | str | Path | dict[str, Any],
+    heldout: Source | Sequence[Source] | None,
+    seed: int,
+    jobs: int,
+    tell: Progress,
+) -> Diagnosis:
     begin = time.perf_counter()
-    tell = progress or (lambda _text: None)
     given_file = _as_model(model)
     given = kernel_model(given_file)
     if given.kind == "python":
