@@ -11,6 +11,7 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Fit
 from zendsp.physics.model import Term
 
+UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
 SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from zendsp.diagnosis.candidates import screened, simulated
-from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, Rival, Step, price, vanishes
+from zendsp.diagnosis.hypothesis import SUFFICIENT, UNSETTLED, JointSearch, Rival, Step, price, vanishes
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
@@ -35,7 +35,6 @@ SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
 LOOK_AHEAD = 0.1  # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for behind a first
-UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 
 
 def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:

@@ -6,8 +6,12 @@ from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, price, vanishes
 from zendsp.diagnosis.score import Scored, deviance, fit_scored
 from zendsp.diagnosis.screen import make_term
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import fit, joint_handles
+from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.model import Model, Term
+
+
+def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> Scored:
+    return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs, rounds=rounds)
 
 
 def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
@@ -26,14 +30,7 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
         make_term(get_effect("torque_offset"), found.joint, {"level": 0.5 * (up - down)}),
     )
     model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
-    other = fit_scored(
-        current.data,
-        model,
-        joint_handles(current.data, model, found.joint),
-        (found.joint,),
-        jobs=jobs,
-        rounds=1,
-    )
+    other = _refitted(current.data, model, found.joint, jobs, 1)
     return other if other.deviance < current.deviance + 10.0 else current
 
 
@@ -52,14 +49,7 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
     else:
         named = make_term(get_effect("coulomb"), joint, {"level": term.value("force")})
     model = best.model.with_terms((*others, named))
-    other = fit_scored(
-        best.data,
-        model,
-        joint_handles(best.data, model, joint),
-        (joint,),
-        jobs=jobs,
-        rounds=1,
-    )
+    other = _refitted(best.data, model, joint, jobs, 1)
     return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
 
 
@@ -73,14 +63,7 @@ def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
     weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
     load = make_term(get_effect("gravity"), found.joint, {"torque": weight, "angle": 0.0})
     model = best.model.with_terms((*(t for t in best.model.terms if t is not new["torque_gain"]), load))
-    other = fit_scored(
-        best.data,
-        model,
-        joint_handles(best.data, model, found.joint),
-        (found.joint,),
-        jobs=jobs,
-        rounds=2,
-    )
+    other = _refitted(best.data, model, found.joint, jobs, 2)
     return other if other.deviance < best.deviance + 10.0 else best
 
 
@@ -94,14 +77,7 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             if term.joint != found.joint or _needed_by(best.model, term):
                 continue
             model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
-            trial = fit_scored(
-                best.data,
-                model,
-                joint_handles(best.data, model, found.joint),
-                (found.joint,),
-                jobs=jobs,
-                rounds=2,
-            )
+            trial = _refitted(best.data, model, found.joint, jobs, 2)
             idle = term.effect in added and vanishes(best.fit, found.joint, term.effect)
             if idle or trial.deviance < best.deviance + price((term,), n):
                 best = trial

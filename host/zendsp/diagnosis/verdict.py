@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zendsp.diagnosis.assemble import Assembled
-from zendsp.diagnosis.hypothesis import JointSearch
+from zendsp.diagnosis.hypothesis import UNSETTLED, JointSearch
 from zendsp.diagnosis.remainder import Remainder, remainder
 from zendsp.diagnosis.score import deviance, tune_bandwidth
 from zendsp.diagnosis.where import intervals, missing_torque
@@ -21,7 +21,6 @@ STATE = 0.25  # share of the remaining torque that a function of state must pred
 LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete
 MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
 COUPLED = 0.05  # of the RMS torque: other joints' reversals, known only as well as measured, make bursts of this size
-UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
 SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained
 PEAK = 0.75  # share of the energy in a tenth of the time that speaks of a disturbance
