@@ -216,12 +216,14 @@ void loop(runner *r) {
             continue;
         }
         if (run == RUN_PAUSED) {
+            realtime_stay_awake(false);
             idle(r);
             deadline = 0;
             continue;
         }
         store32(&c->running, run);
         if (deadline == 0) {
+            realtime_stay_awake(true);
             began = now_ns();
             first_tick = c->tick;
             deadline = began + c->period_ns;

@@ -1,16 +1,19 @@
 /* realtime.c: ask the system for what a real-time thread needs, and say what was granted. */
 #define _GNU_SOURCE
 #include <errno.h>      /* errno */
+#include <fcntl.h>      /* open */
 #include <sched.h>      /* sched_setscheduler, CPU_SET */
 #include <stdarg.h>     /* va_list */
 #include <stdio.h>      /* vsnprintf */
 #include <string.h>     /* strerror, strlen */
 #include <sys/mman.h>   /* mlockall */
 #include <sys/prctl.h>  /* PR_SET_TIMERSLACK */
+#include <unistd.h>     /* write, close */
 
 #include "runner.h"
 
 static bool granted;
+static int awake = -1; /* the open request to keep the processors from sleeping deeply */
 
 bool realtime_granted(void) { return granted; }
 
@@ -59,6 +62,19 @@ static void touch_stack(void) {
         pages[i] = 0;
 }
 
+/* While it runs, the loop asks that no processor sleep so deeply that waking takes time; the kernel drops the request with the process. */
+void realtime_stay_awake(bool wanted) {
+    if (!wanted && awake >= 0) {
+        close(awake);
+        awake = -1;
+    } else if (wanted && granted && awake < 0) {
+        const int32_t none_us = 0;
+        awake = open("/dev/cpu_dma_latency", O_WRONLY | O_CLOEXEC);
+        if (awake >= 0 && write(awake, &none_us, sizeof none_us) != sizeof none_us)
+            realtime_stay_awake(false);
+    }
+}
+
 /* Called by the loop's thread, after the other threads have been started with normal scheduling. */
 void realtime_enter(runner *r) {
     control *c = r->control;
@@ -87,4 +103,8 @@ void realtime_enter(runner *r) {
     if (granted)
         own_cpu(c);
     say(c, prctl(PR_SET_TIMERSLACK, 1ul) == 0 ? ", timer slack 1 ns" : "");
+    realtime_stay_awake(true);
+    if (granted)
+        say(c, awake >= 0 ? ", processors kept from deep sleep while it runs" : ", processors may sleep (/dev/cpu_dma_latency: %s)", strerror(errno));
+    realtime_stay_awake(false);
 }

@@ -110,6 +110,7 @@ int dictionary_finish(runner *r); /* lays out and maps the data file; 0, or -1 w
 /* realtime.c */
 void realtime_enter(runner *r);
 bool realtime_granted(void);
+void realtime_stay_awake(bool wanted); /* between runs only: opens or closes a file */
 
 /* service.c */
 int service_start(runner *r);
