@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import zenoh
 
@@ -31,13 +33,39 @@ def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: 
         )
     columns = max(1, len(status.channels))
     rows_each = max(1, min(max(args.chunk, LOWEST), HIGHEST) // (8 * columns))
-    memory = bytearray(rows_each * columns * 8)  # used for each chunk in turn: Zenoh copies what it is given
-    into = np.frombuffer(memory, dtype=np.float64).reshape(rows_each, columns)
-    for first, count in spans(args.first, args.count, rows_each):
-        fold = bytearray(FOLD)
-        rows = runtime.acquire_read(stream, first, count, into, fold)
-        header = m.ChunkHeader(v=PROTOCOL, first=first, rows=len(rows), columns=columns, crc=crc(fold))
-        whole = len(rows) * columns * 8 == len(memory)
-        # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
-        query.reply(query.key_expr, memory if whole else memory[: len(rows) * columns * 8], attachment=encode(header))
+    # two in turn, since one is filled while the other is sent; Zenoh copies what it is given
+    buffers = [_Buffer(rows_each, columns) for _ in range(2)]
+
+    def fill(number: int, first: int, count: int) -> tuple[bytes, bytes | bytearray]:
+        return buffers[number % 2].fill(runtime, stream, first, count)
+
+    pieces = list(enumerate(spans(args.first, args.count, rows_each)))
+    with ThreadPoolExecutor(1, "rows") as ahead:
+        filled = [ahead.submit(fill, number, *span) for number, span in pieces[:1]]
+        for number, _ in pieces:
+            header, payload = filled.pop().result()
+            filled += [
+                ahead.submit(fill, following, *span) for following, span in pieces[number + 1 : number + 2]
+            ]
+            # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
+            query.reply(query.key_expr, payload, attachment=header)
     return m.Empty()
+
+
+class _Buffer:
+    """Room for one chunk of rows."""
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self._columns = columns
+        self._memory = bytearray(rows * columns * 8)
+        self._into = np.frombuffer(self._memory, dtype=np.float64).reshape(rows, columns)
+
+    def fill(
+        self, runtime: RuntimeApi, stream: int, first: int, count: int
+    ) -> tuple[bytes, bytes | bytearray]:
+        """Copy rows here; returns the chunk's header and its bytes, good until the next call."""
+        fold = bytearray(FOLD)
+        rows = runtime.acquire_read(stream, first, count, self._into, fold)
+        header = m.ChunkHeader(v=PROTOCOL, first=first, rows=len(rows), columns=self._columns, crc=crc(fold))
+        size = len(rows) * self._columns * 8
+        return encode(header), self._memory if size == len(self._memory) else self._memory[:size]
