@@ -64,6 +64,7 @@ def test_every_command_has_help_with_an_example(name: str) -> None:
 
 def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
     assert [found["name"] for found in answer("ls")] == [target.name]
+    assert "load one with zendsp run" in zendsp_("info").stdout  # nothing runs yet
     assert answer("compile", "pd.c")["ok"] is True
     assert answer("run", "pd.c", "--set", "Kp1=900", "--seconds", "0.5")["tick"] == 500
     assert answer("get", "Kp1")["values"] == {"Kp1": 900.0}

@@ -21,6 +21,7 @@ from zendsp.errors import (
     VersionMismatch,
 )
 from zendsp.link import ParameterSet, Target, connect, discover
+from zendsp.link.connect import locate
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol import messages as m
@@ -331,3 +332,23 @@ def test_unknown_verbs_and_arguments_are_refused_by_name(target: Target) -> None
         target.request("dance")
     with pytest.raises(LinkError, match="unknown field `speed`"):
         target.request("status", speed=3)
+
+
+def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_runs_here(
+    target: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert locate(target.info.name)[1] != ["tcp/elsewhere:7447"]
+    monkeypatch.setenv("ZENDSP_CONNECT", "tcp/elsewhere:7447")
+    assert locate(target.info.name) == (target.info.name, ["tcp/elsewhere:7447"])
+
+
+@pytest.mark.parametrize(
+    ("credentials", "said"),
+    [
+        (Credentials(authority="none.pem"), "ZENDSP_TLS_CA.*none.pem.*cannot be read"),
+        (Credentials(certificate=__file__), "certificate needs its key"),
+    ],
+)
+def test_credentials_that_cannot_work_are_named_before_anything_is_sent(credentials: Credentials, said: str) -> None:
+    with pytest.raises(LinkError, match=said):
+        zenoh_config(["tls/localhost:1"], credentials, 1.0)

@@ -17,19 +17,25 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
     Example:  zendsp info -t imi
     """
     with open_target(target, connect) as t:
-        status, variables, machine = t.status(), t.variables(), t.machine()
+        status = t.status()
+        # what there is to say of machine and variables comes from the code that runs
+        variables, machine = ({}, None) if status.state == "empty" else (t.variables(), t.machine())
         body = {"info": t.info, "status": status, "machine": machine, "variables": list(variables.values())}
         emit(body, as_json, lambda: _text(t.info, status, machine, variables))
 
 
 def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> str:
-    joints = ", ".join(f"{j.name} ({j.unit})" for j in machine.joints)
+    if machine is None:
+        described = f"{status.machine} (joints and variables are known when a program is loaded)"
+    else:
+        joints = ", ".join(f"{j.name} ({j.unit})" for j in machine.joints)
+        described = f"{machine.name}: {machine.text}; {joints}"
     lines = [
         f"target     {info.name} on {info.hostname}, process {info.pid}, zendsp {info.versions.get('zendsp', '?')}",
-        f"machine    {machine.name}: {machine.text}; {joints}",
+        f"machine    {described}",
         f"loop       {status.rate_hz:g} Hz, {status.clock} clock; {status.scheduling}",
         f"state      {status.state}, tick {status.tick}, drive {status.drive}",
-        f"program    {status.program or 'none'}",
+        f"program    {status.program or 'none: load one with zendsp run, or zendsp compile --help'}",
         f"hosts      {', '.join(status.hosts) or 'none'}",
     ]
     if status.crash:

@@ -76,7 +76,7 @@ def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, 
         if len(names) > 1:
             raise LinkError(f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}")
         return names[0], endpoints
-    if endpoints and not (connect is None and name in entries):
+    if endpoints:
         return name, endpoints
     running = ", ".join(entries) or "none"
     if not name:

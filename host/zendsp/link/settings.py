@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import zenoh
 
+from zendsp.errors import LinkError
+
 LEASE_MS = 1000  # a dead target is noticed within this time; the default of 10 s would hide it
 
 
@@ -48,7 +50,14 @@ def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: fl
         For example ``tcp/127.0.0.1:7447``; any one that answers will do.
     timeout : float, s
         For the first connection.
+
+    Raises
+    ------
+    LinkError
+        A file of the credentials cannot be read, or a certificate comes without its key: over the link, either would only look like
+        silence.
     """
+    _check(credentials)
     settings: dict[str, object] = {
         "mode": "peer",
         "listen/endpoints": [],
@@ -78,3 +87,16 @@ def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: fl
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def _check(credentials: Credentials) -> None:
+    files = {
+        "authority (ZENDSP_TLS_CA)": credentials.authority,
+        "certificate (ZENDSP_TLS_CERT)": credentials.certificate,
+        "key (ZENDSP_TLS_KEY)": credentials.key,
+    }
+    for what, file in files.items():
+        if file and not os.access(file, os.R_OK):
+            raise LinkError(f"the {what} {file!r} cannot be read: give the path of a PEM file")
+    if bool(credentials.certificate) != bool(credentials.key):
+        raise LinkError("a certificate needs its key and a key its certificate: give both ZENDSP_TLS_CERT and ZENDSP_TLS_KEY")
