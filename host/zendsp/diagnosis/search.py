@@ -16,7 +16,7 @@ import numpy as np
 
 from zendsp.diagnosis.candidates import screened, simulated
 from zendsp.diagnosis.hypothesis import SUFFICIENT, UNSETTLED, JointSearch, Rival, Step, price, vanishes
-from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
+from zendsp.diagnosis.score import SLOWEST, Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
@@ -233,11 +233,30 @@ class Searcher:
             candidate.replaces,
         )
 
+    def _descend(self, scored: Scored) -> Scored:
+        """Refit with ever slower observers: a fast one corrects the load at every sample and hides when a contact begins and ends."""
+        best, model = scored, scored.model
+        bandwidth = scored.data.bandwidth[self.joint - 1]
+        while bandwidth / 2 >= SLOWEST:
+            bandwidth /= 2
+            data = scored.data.at_bandwidth(self.joint, bandwidth)
+            result = fit(data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=1)
+            model = result.model
+            data, value = tune_bandwidth(data, model, (self.joint,))
+            if value < best.deviance:
+                best = Scored(replace(result, model=model), data, value, (self.joint,))
+        if best is scored:
+            return best
+        final = fit_scored(best.data, best.model, scored.fit.handles, (self.joint,), jobs=1)
+        return final if final.deviance < best.deviance else best
+
     def _full(self, rival: Rival) -> Rival:
         scored = fit_scored(
             rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=1
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
+        if rival.effect == "backlash":
+            options.append(self._descend(options[0]))
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)

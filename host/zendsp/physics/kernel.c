@@ -116,12 +116,15 @@ static inline double cum(const zk_model *M, double t) /* integral of the held co
     return M->ucum[i] + (x - i) * (M->ucum[i + 1] - M->ucum[i]);
 }
 
+/* Steps of a gap's contact for each of the others: a contact begins and ends within a step. */
+enum { CONTACT_STEPS = 2 };
+
 /* Innovations r[n] (weighted); where asked for, the corrected states x[2 n] and the actuator torque. Returns 0, or 1 + the sample
  * at which the prediction ran away. */
 int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque)
 {
     double q = M->q0, qd = M->qd0, ql = M->q0, qdl = M->qd0, z = 0, zh = 0, a = 0;
-    double h = M->T / M->sub;
+    double h;
     double delay = M->delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
     double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1;
     double j_extra = 0;
@@ -134,6 +137,8 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         default: break;
         }
     }
+    const int sub = gap > 0 ? CONTACT_STEPS * M->sub : M->sub;
+    h = M->T / sub;
     for (int k = 0; k < M->n; k++) {
         if (M->kp > 0) { /* simulated in closed loop: the innovations are the measured position */
             double y = sense(M, M->load_sensor ? ql : q);
@@ -171,7 +176,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         double usum = 0, u = 0, tau = 0;
         int steady = !lag_on && delay == 0.0; /* the command is held over the sample */
         if (steady) { u = (M->ucum[k + 1] - M->ucum[k]) / M->T; s.t = M->t0 + k * M->T; tau = act(M, u, &s); }
-        for (int i = 0; i < M->sub; i++) {
+        for (int i = 0; i < sub; i++) {
             double tl = k * M->T + i * h; /* record time for the command, absolute time for effects */
             s.t = M->t0 + tl + 0.5 * h;
             if (!steady) {
@@ -189,13 +194,16 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
                 jm = J - j_load;
                 if (jm < 0.02 * J) jm = 0.02 * J;
                 double jl = J - jm;
-                double d = s.q - (ql + 0.5 * h * qdl);
-                double g = soft(d, 0.5 * gap);
-                double dv = qd - qdl;
-                double on = (gap > 0 && g == 0.0) ? 0.0 : 1.0;
+                double dv = qd - qdl, d = q - ql, e0 = soft(d, 0.5 * gap), e1 = soft(d + h * dv, 0.5 * gap);
+                double g = 0.5 * (e0 + e1), on = 1.0; /* mean deflection, and share of the step in contact */
+                if (gap > 0) {
+                    double moved = h * dv;
+                    on = fabs(moved) > 1e-12 * gap ? (e1 - e0) / moved : e0 != 0.0;
+                    g = on < 1.0 && on > 0.0 ? 0.5 * (e1 * e1 - e0 * e0) / moved : g;
+                }
                 spring = k_spring * g + c_spring * on * dv;
-                double heavy = c_spring * on * h * (1 / jm + 1 / jl); /* implicit damping */
-                spring /= 1.0 + heavy;
+                spring /= 1.0 + 0.5 * h * c_spring * on * (1 / jm + 1 / jl); /* damped by the mean speed of the step */
+                if (gap > 0 && spring * g < 0) spring = 0; /* a contact pushes only */
                 double lq = ql + 0.5 * h * qdl;
                 double fl = spring - (M->gravity != 0 ? M->gravity * sin(lq) : 0.0);
                 double vl = qdl + h * fl / jl;
@@ -230,7 +238,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
             qd = vn;
             if (!two_mass) { ql = q; qdl = qd; }
         }
-        if (torque) torque[k] = usum / M->sub;
+        if (torque) torque[k] = usum / sub;
     }
     return 0;
 }

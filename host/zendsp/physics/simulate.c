@@ -168,7 +168,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
         if (m != i) { /* spring between motor and load, contact judged halfway */
             const double twist = S->x[m] - S->x[i], rate = v[m] - v[i];
             const double open = soft(twist + 0.5 * H * rate, 0.5 * j->gap);
-            if (j->gap <= 0 || open != 0) {
+            if (j->gap <= 0 || open * (j->k_spring * open + j->c_spring * rate) > 0) { /* a contact pushes only */
                 const double rest = twist - (twist + 0.5 * H * rate - open); /* measured from the edge of the gap */
                 const double c = 0.5 * H * j->k_spring + j->c_spring;
                 A[m * N + m] += 0.5 * H * c;
