@@ -303,7 +303,9 @@ def fit(
             jac = jacobian(x, r)
         while not done and count < iterations:
             count += 1
-            gradient, normal = jac.T @ r, jac.T @ jac
+            unit = np.maximum(np.abs(x), size)  # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
+            scaled = jac * unit
+            gradient, normal = scaled.T @ r, scaled.T @ scaled
             diagonal = np.maximum(np.diag(normal), 1e-12 * max(float(np.max(np.diag(normal))), 1e-300))
             pinned = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
             better = False
@@ -312,7 +314,7 @@ def fit(
                 step = np.zeros_like(x)
                 if use.any():
                     a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
-                    step[use] = -np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
+                    step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
                 trial = np.clip(x + step, low, high)
                 r_new = evaluate(trial)
                 new = float(r_new @ r_new)

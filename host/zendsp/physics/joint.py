@@ -115,6 +115,13 @@ class JointRecord:
             bias += value * basis.bias
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
+    def reference_inertia(self, model: Model) -> float:
+        """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the mean where a URDF tells no more."""
+        constant = [key for key in self.basis if key not in ("fixed", "p3")]
+        if not constant:
+            return float(np.mean(self.inertia_and_bias(model)[0]))
+        return float(sum(mechanism_value(model, key, self.joint) * self.basis[key].inertia[0] for key in constant))
+
 
 def effective_inertia(record: JointRecord, model: Model) -> Array:
     """Inertia that a torque at the joint accelerates, with the terms of kind inertia (rotors, payloads), (n,)."""
@@ -215,7 +222,7 @@ def run(
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     m.m, m.half, m.k1, m.k2, m.w = p(value), p(half), p(k1), p(k2), p(w)
-    m.inertia, m.bias = p(inertia), p(bias)
+    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model)
     m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
     m.other = p(record.others)
     m.extra = p(extra) if extra is not None else ffi.NULL

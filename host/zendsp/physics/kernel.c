@@ -30,7 +30,8 @@ typedef struct {
     const double *k1, *k2;    /* n: observer gains, 0 where the sample says nothing */
     const double *w;          /* n: weight 1 / sqrt(S), 0 where the sample says nothing */
     const double *inertia;    /* n: inertia of the joint along the record */
-    const double *bias;       /* n: torque known from the measured motion of all joints */
+    const double *bias;       /* n: torque known from the measured motion of all joints; it acts on the load */
+    double reference;         /* inertia that the inertia of a load is a part of: the rest is the motor's, at any pose */
     double gravity;           /* torque = gravity sin(q) evaluated on the predicted position */
     const double *other;      /* joints x 3 x n: measured q, qd, qdd of every joint */
     const double *extra;      /* n: torque added from outside, may be 0 */
@@ -116,6 +117,15 @@ static inline double cum(const zk_model *M, double t) /* integral of the held co
     return M->ucum[i] + (x - i) * (M->ucum[i + 1] - M->ucum[i]);
 }
 
+/* Motor and load of a joint: the motor's inertia is the same at every pose, the load's is what the pose makes of it. */
+static void share_inertia(const zk_model *M, double J, double extra, double load, double *jm, double *jl)
+{
+    *jm = M->reference + extra - load;
+    if (*jm < 0.02 * J) *jm = 0.02 * J;
+    if (*jm > 0.98 * J) *jm = 0.98 * J;
+    *jl = J - *jm;
+}
+
 /* Steps of a gap's contact for each of the others: a contact begins and ends within a step. */
 enum { CONTACT_STEPS = 2 };
 
@@ -163,14 +173,17 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
                 r[k] = M->w[k] * e;
             } else r[k] = 0;
             double dq = M->k1[k] * e, dv = M->k2[k] * e;
-            q += dq; qd += dv; ql += dq; qdl += dv;
+            const int apart = gap > 0 && fabs(q - ql) < 0.5 * gap; /* then what pushes one side does not reach the other */
+            q += dq; ql += dq;
+            if (!apart || !M->load_sensor) qd += dv;
+            if (!apart || M->load_sensor) qdl += dv;
         }
         double lead = M->load_sensor ? ql : q;
         if (!(fabs(lead - (M->kp > 0 ? M->ref[k] : M->m[k])) < 1e3) || !(fabs(qd) < 1e5)) { for (; k < M->n; k++) r[k] = 1e3; return 1 + k; }
         if (xq) xq[k] = lead;
         if (xqd) xqd[k] = M->load_sensor ? qdl : qd;
         if (k == M->n - 1) { if (torque) torque[k] = k ? torque[k - 1] : 0; break; }
-        double J = M->inertia[k] + j_extra, bias = M->bias[k] + (M->extra ? M->extra[k] : 0);
+        double J = M->inertia[k] + j_extra, added = M->extra ? M->extra[k] : 0;
         zs s; memset(&s, 0, sizeof s);
         s.lag_t = h;
         double usum = 0, u = 0, tau = 0;
@@ -189,11 +202,10 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
             forces f;
             s.q = q + 0.5 * h * qd;
             s.qd = qd;
-            double fixed = tau - bias, jm = J, spring = 0;
+            double fixed = tau - added - (two_mass ? 0 : M->bias[k]), jm = J, spring = 0;
             if (two_mass) {
-                jm = J - j_load;
-                if (jm < 0.02 * J) jm = 0.02 * J;
-                double jl = J - jm;
+                double jl;
+                share_inertia(M, J, j_extra, j_load, &jm, &jl);
                 double dv = qd - qdl, d = q - ql, e0 = soft(d, 0.5 * gap), e1 = soft(d + h * dv, 0.5 * gap);
                 double g = 0.5 * (e0 + e1), on = 1.0; /* mean deflection, and share of the step in contact */
                 if (gap > 0) {
@@ -205,7 +217,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
                 spring /= 1.0 + 0.5 * h * c_spring * on * (1 / jm + 1 / jl); /* damped by the mean speed of the step */
                 if (gap > 0 && spring * g < 0) spring = 0; /* a contact pushes only */
                 double lq = ql + 0.5 * h * qdl;
-                double fl = spring - (M->gravity != 0 ? M->gravity * sin(lq) : 0.0);
+                double fl = spring - M->bias[k] - (M->gravity != 0 ? M->gravity * sin(lq) : 0.0);
                 double vl = qdl + h * fl / jl;
                 ql += 0.5 * h * (qdl + vl);
                 qdl = vl;
