@@ -233,6 +233,16 @@ class Searcher:
             candidate.replaces,
         )
 
+    def _lossy(self, scored: Scored) -> Scored:
+        """Refit from a contact that loses a fifth of critical: one that bounces for ever, or sticks, has no gradient to follow."""
+        term = next(t for t in scored.model.at(self.joint) if t.effect == "backlash")
+        critical = math.sqrt(term.value("stiffness") * term.value("load_inertia"))
+        if 0.05 * critical < term.value("damping", 0.0) < 0.5 * critical:
+            return scored
+        model = _set_number(scored.model, "backlash", self.joint, "damping", 0.2 * critical)
+        result = fit(scored.data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=1)
+        return Scored(result, scored.data, deviance(scored.data, result.model, (self.joint,)), (self.joint,))
+
     def _descend(self, scored: Scored) -> Scored:
         """Refit with ever slower observers: a fast one corrects the load at every sample and hides when a contact begins and ends."""
         best, model = scored, scored.model
@@ -256,7 +266,7 @@ class Searcher:
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         if rival.effect == "backlash":
-            options.append(self._descend(options[0]))
+            options.append(self._descend(self._lossy(options[0])))
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
