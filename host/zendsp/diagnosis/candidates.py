@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from zendsp.diagnosis.score import deviance
 from zendsp.diagnosis.screen import Candidate, Screen, make_term
-from zendsp.physics.effects import Effect, library
+from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model, Term
@@ -68,6 +69,29 @@ def _absorbed(effect: str, model: Model, joint: int) -> bool:
         items = model.mechanism.get(key, ())
         return bool(items) and items[min(joint, len(items)) - 1].free
     return False
+
+
+def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
+    """A screened hypothesis, and where its neutral point came out far outside the motion, also one with it at the edge.
+
+    Far outside, a spring is a constant torque, and the fit does not come back: its stiffness and its neutral point have one direction.
+    """
+    out = [candidate]
+    power = {"stiffness": 1, "cubic_stiffness": 3}.get(candidate.effect)
+    if power is None or len(candidate.terms) != 1:
+        return out
+    term = candidate.terms[0]
+    record = max((rec[candidate.joint - 1] for rec in data.records), key=lambda r: r.n)
+    position = record.motion.states[0]
+    centre, reach = 0.5 * float(position.max() + position.min()), 0.5 * float(np.ptp(position))
+    away = term.value("neutral") - centre
+    if abs(away) > reach:
+        near = {
+            "neutral": centre + math.copysign(reach, away),
+            "coefficient": term.value("coefficient") * (abs(away) / reach) ** power,
+        }
+        out.append(replace(candidate, terms=(make_term(get_effect(candidate.effect), candidate.joint, near),)))
+    return out
 
 
 def simulated(

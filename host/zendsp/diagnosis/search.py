@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.candidates import screened, simulated
+from zendsp.diagnosis.candidates import screened, simulated, starts_of
 from zendsp.diagnosis.hypothesis import SUFFICIENT, UNSETTLED, JointSearch, Rival, Step, price, vanishes
 from zendsp.diagnosis.score import SLOWEST, Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
@@ -122,11 +122,11 @@ class Searcher:
     def _round(self, current: Scored, only: frozenset[str] = frozenset()) -> list[Rival]:
         self.progress(f"joint {self.joint}: screening the library")
         options = screened(current.data, current.model, self.joint, jobs=self.jobs, only=only)
-        listed = [[c] for share, c in options if only or share > PROMISING][
+        listed = [starts_of(c, current.data) for share, c in options if only or share > PROMISING][
             : len(options) if only else SHORTLIST
         ]
         if len(listed) < 3:
-            listed = [[c] for _, c in options[:3]]
+            listed = [starts_of(c, current.data) for _, c in options[:3]]
         if not only:  # the commonest physics is tried whatever the first order says of it
             first = {c.effect for group in listed for c in group}
             listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
@@ -255,10 +255,13 @@ class Searcher:
             data, value = tune_bandwidth(data, model, (self.joint,))
             if value < best.deviance:
                 best = Scored(replace(result, model=model), data, value, (self.joint,))
-        if best is scored:
-            return best
-        final = fit_scored(best.data, best.model, scored.fit.handles, (self.joint,), jobs=1)
-        return final if final.deviance < best.deviance else best
+        for _ in range(2):
+            result = fit(best.data, best.model, scored.fit.handles, joints=(self.joint,), iterations=6, jobs=1, central=True)
+            data, value = tune_bandwidth(best.data, result.model, (self.joint,))
+            if not value < best.deviance - 2.0:
+                break
+            best = Scored(result, data, value, (self.joint,))
+        return best
 
     def _full(self, rival: Rival) -> Rival:
         scored = fit_scored(

@@ -23,7 +23,7 @@ MOST = 0.5  # of the energy of the held-out position error beyond the noise, and
 COUPLED = 0.05  # of the RMS torque: other joints' reversals, known only as well as measured, make bursts of this size
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
 SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained
-PEAK = 0.75  # share of the energy in a tenth of the time that speaks of a disturbance
+OF_POSITION = ("stiffness", "cubic_stiffness", "gravity", "ripple")
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,8 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
         if _curve_fit(search):
             return JointOutcome(j, "unexplained", before, before)  # nothing of it is claimed
-        if after.state_share > STATE and stray > STRAY and after.relative > SMALL:
+        large = after.relative > LARGE and bandwidth >= UNSETTLED
+        if after.state_share > STATE and after.relative > SMALL and (stray > STRAY or large):
             return JointOutcome(j, "unexplained", before, after)
         return JointOutcome(j, "missing", before, after)
     if before.state_share > STATE and before.relative * np.sqrt(before.state_share) > SMALL:
@@ -129,12 +130,13 @@ def settled(test: Data, search: JointSearch) -> JointSearch:
 
 
 def _curve_fit(search: JointSearch) -> bool:
-    """Whether the search has been drawing a curve with sines: three terms of one kind are a series, not physics."""
+    """Whether the search has been drawing a curve: three terms of one kind, or three torques of position alone, are a series, not physics."""
     names = [t.effect for t in search.final.model.at(search.joint)]
     given = [t.effect for t in search.base.model.at(search.joint)]
     new = {n: names.count(n) - given.count(n) for n in set(names) if n != "coupling"}
     most = max(new.values(), default=0)
-    return most >= 3 or (most >= 2 and sum(v for v in new.values() if v > 0) >= 4)
+    of_position = sum(n for effect, n in new.items() if effect in OF_POSITION and n > 0)
+    return most >= 3 or of_position >= 3 or (most >= 2 and sum(v for v in new.values() if v > 0) >= 4)
 
 
 def _disturbance(search: JointSearch) -> tuple[tuple[float, float], ...]:
