@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.candidates import screened, simulated, starts_of
+from zendsp.diagnosis.candidates import SCANS, screened, simulated, starts_of
 from zendsp.diagnosis.hypothesis import SUFFICIENT, UNSETTLED, JointSearch, Rival, Step, price, vanishes
 from zendsp.diagnosis.score import SLOWEST, Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
@@ -30,6 +30,7 @@ PROMISING = 0.002  # share of the cost that a screen must promise
 SHORTLIST = 9
 RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
 FINALISTS = 4
+GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
@@ -103,15 +104,31 @@ class Searcher:
         if not second or rivals[0].scored.deviance - second[0].value < WAIT:
             return rivals
         best, total = rivals[0], second[0].value + rivals[0].price
+        seen = frozenset(r.effect for r in (*rivals[:GLANCE], *second[:GLANCE]))
         for first in rivals[1:4]:
             if current.deviance - first.value < 0.4 * gain or _general(first, rivals[0]):
                 continue
+            margin = max(10.0, (1.0 - SUFFICIENT) * (current.deviance - total))
+            if self._glance(first.scored, seen) + first.price > total - 0.5 * margin:
+                continue
             behind = self.round(first.scored)
-            if behind and behind[0].value + first.price < total - max(
-                10.0, (1.0 - SUFFICIENT) * (current.deviance - total)
-            ):
+            if behind and behind[0].value + first.price < total - margin:
                 best, total = first, behind[0].value + first.price
         return [best, *[r for r in rivals if r is not best]]
+
+    def _glance(self, current: Scored, seen: frozenset[str]) -> float:
+        """About the least deviance with its price that one more effect would leave: the most promising ones, fitted shortly.
+
+        Of the effects with states of their own only those in ``seen``, which did well elsewhere in this search.
+        """
+        listed = [
+            starts_of(c, current.data) for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
+        ]
+        hidden = frozenset(e for e in seen if e in SCANS)
+        listed += simulated(current.data, current.model, self.joint, hidden) if hidden else []
+        with ThreadPoolExecutor(self.jobs) as pool:
+            quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
+        return min((r.value for r in quick), default=math.inf)
 
     def round(self, current: Scored) -> list[Rival]:
         """Fit the promising hypotheses on top of a model, the most likely first; one entry an effect."""

@@ -17,6 +17,7 @@ from zendsp.physics.fit import Data
 from zendsp.physics.joint import run
 from zendsp.physics.model import Model
 
+SLOW = 8.0  # rad/s: an observer that follows little of what is missing
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
 LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete
 MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
@@ -113,7 +114,8 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
 
 
 def settled(test: Data, search: JointSearch) -> JointSearch:
-    """The search, without its findings where they leave most of the mismatch, as a torque and as a position, and a fast observer is needed still.
+    """The search, without its findings where they leave most of the mismatch, as a torque, as a position and to a slow observer, and a fast one is
+    needed still.
 
     Something else acts, which lends likelihood to whatever resembles it a little: other joints' motion that is known only as well as it
     was measured, or physics that the library does not have.
@@ -124,7 +126,9 @@ def settled(test: Data, search: JointSearch) -> JointSearch:
     floor = noise_floor(test, j) ** 2
     error = [rms(window_error(test, m, j)) ** 2 - floor for m in (search.base.model, final.model)]
     torque = [remainder(s.data, test, s.model, j).size ** 2 for s in (search.base, final)]
-    if error[1] <= MOST * error[0] or torque[1] <= MOST * torque[0]:
+    best = deviance(test.at_bandwidth(j, final.data.bandwidth[j - 1]), final.model, (j,))
+    slow = [deviance(test.at_bandwidth(j, SLOW), m, (j,)) - best for m in (search.base.model, final.model)]
+    if any(after <= MOST * before for before, after in (error, torque, slow)):
         return search
     return JointSearch(j, search.base, tried=search.tried, discarded=True)
 
