@@ -53,8 +53,29 @@ class Searcher:
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
 
-    def search(self, base: Scored, most: int = 6) -> JointSearch:
-        """Add effects to a calibrated model until nothing passes.
+    def search(self, base: Scored) -> JointSearch:
+        """Explain what a calibrated model leaves: the likeliest chain of effects, unless one effect alone does as well.
+
+        Parameters
+        ----------
+        base : Scored
+            The calibrated model.
+
+        Returns
+        -------
+        JointSearch
+        """
+        found = self._chain(base)
+        if len(found.steps) < 2:
+            return found
+        chain = found.steps[-1].chosen.scored.deviance + sum(step.chosen.price for step in found.steps)
+        alone = min(self.round(base), key=lambda r: r.value)
+        if alone is found.steps[0].chosen or not alone.value < chain or not self.accept(base, alone):
+            return found
+        return self._chain(base, alone)
+
+    def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
+        """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where given.
 
         A step that is likely but does not hold on the held-out recordings may stand on the shoulders of an effect still hidden: it waits
         for the next one, and both are judged together.
@@ -70,9 +91,12 @@ class Searcher:
                 found.tried = list(rivals)
             if not rivals or current.deviance - rivals[0].value < WAIT:
                 break
-            rivals = _simplest_sufficient(rivals, current)
-            if not found.steps and not waiting:
-                rivals = self._best_first(current, rivals)
+            if begin is not None and current is base:
+                rivals = [begin, *[r for r in rivals if r is not begin]]
+            else:
+                rivals = _simplest_sufficient(rivals, current)
+                if not found.steps and not waiting:
+                    rivals = self._best_first(current, rivals)
             since = waiting[0].before if waiting else current
             paid = sum(step.chosen.price for step in waiting)
             passing = (r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price)))
