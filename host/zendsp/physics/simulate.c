@@ -258,8 +258,8 @@ sim *sim_new(const sim_config *c, int room) {
         S->x[i] = c->q0[i];
         S->v[i] = c->qd0[i];
         sim_joint *j = &S->j[i];
-        if (j->two_mass) { /* the motor has what the load has not, as in kernel.c */
-            const double all = M[i * c->joints + i];
+        if (j->two_mass) { /* the motor has what the load has not, of the inertia that is the same at every pose, as in kernel.c */
+            const double all = c->kind == SIM_PLANAR2R ? (i == 0 ? c->p1 : c->p2) : M[i * c->joints + i];
             j->j_motor = all - j->j_load > 0.02 * all ? all - j->j_load : 0.02 * all;
             j->motor = S->dof++;
             S->x[j->motor] = c->q0[i];
