@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
 from zendsp.diagnosis.score import fit_scored
-from zendsp.physics.fit import Data, free_handles, get_values, set_values
+from zendsp.physics.convergence import step_error, with_step_error
+from zendsp.physics.fit import Data, fit, free_handles, get_values, set_values
 from zendsp.physics.model_file import parse_model
 
 T, N = 0.002, 3000
@@ -50,8 +53,6 @@ def data() -> Data:
 
 
 def _fit(data: Data, inner: int) -> dict[str, tuple[float, float]]:
-    from dataclasses import replace
-
     model = parse_model(MODEL)
     scored = fit_scored(replace(data, inner=inner), model, free_handles(model, offsets=False), (1,))
     result = scored.fit
@@ -69,8 +70,6 @@ def test_parameters_are_found_with_honest_standard_deviations(data: Data) -> Non
 
 
 def test_standard_deviations_shrink_with_the_recordings(data: Data) -> None:
-    from dataclasses import replace
-
     half = replace(data, records=data.records[:1])
     one, two = _fit(half, 2), _fit(data, 2)
     ratio = [one[name][1] / two[name][1] for name in two]
@@ -82,6 +81,19 @@ def test_parameters_do_not_depend_on_the_integration_step(data: Data) -> None:
     for name, (value, std) in two.items():
         # the scheme is of second order: half the step moves a parameter by no more than what is uncertain anyway
         assert abs(value - four[name][0]) < max(2 * std, 1e-3 * abs(value)), name
+
+
+def test_what_the_step_does_is_known_without_fitting_again(data: Data) -> None:
+    model = parse_model(MODEL)
+    handles = free_handles(model, offsets=False)
+    coarse, fine = replace(data, inner=1), replace(data, inner=8)
+    one, eight = (fit(d, model, handles, joints=(1,), iterations=20) for d in (coarse, fine))
+    told, really = step_error(coarse, one, (1,)), eight.x - one.x
+    assert np.max(np.abs(really / one.std)) > 1.0  # a step so coarse that it matters
+    assert (np.abs(told - really) < one.std).all()
+    assert (np.sign(told) == np.sign(really)).all()
+    certain = with_step_error(coarse, one, (1,))
+    assert (certain.std >= np.abs(told)).all() and (certain.std >= one.std).all()
 
 
 def test_handles_read_and_write_the_same_numbers() -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.hypothesis import JointSearch
 from zendsp.diagnosis.score import Scored
+from zendsp.physics.convergence import with_step_error
 from zendsp.physics.fit import Data, Fit, fit, free_handles
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -74,11 +75,11 @@ def assemble(train: Data, test: Data, given: Model, searches: Sequence[JointSear
     if not shared_mechanism(given):
         improved = _merge(given, [s.final for s in searches])
         calibrated = _merge(given, [s.base for s in searches])
-        fits = {s.joint: s.final.fit for s in searches}
+        certain = {s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches}
         return Assembled(
             _noted(calibrated, {s.joint: s.base.fit for s in searches}),
-            _noted(improved, fits),
-            fits,
+            _noted(improved, certain),
+            certain,
             data,
             False,
         )
@@ -88,6 +89,7 @@ def assemble(train: Data, test: Data, given: Model, searches: Sequence[JointSear
     calibrated = fit(base_data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
     start = _merge(given, [s.final for s in searches])
     whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
+    whole = with_step_error(data, whole, everything)
     fits = dict.fromkeys(everything, whole)
     return Assembled(calibrated, _noted(whole.model, {1: whole}), fits, data, True)
 

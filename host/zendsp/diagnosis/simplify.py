@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from zendsp.diagnosis.hypothesis import SUFFICIENT, JointSearch, price, vanishes
+from dataclasses import replace
+
+from zendsp.diagnosis.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
 from zendsp.diagnosis.score import Scored, deviance, fit_scored
 from zendsp.diagnosis.screen import make_term
+from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.model import Model, Term
+
+HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
 
 
 def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> Scored:
@@ -32,6 +37,21 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
     model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
     other = _refitted(current.data, model, found.joint, jobs, 1)
     return other if other.deviance < current.deviance + 10.0 else current
+
+
+def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
+    """The same model refitted at ever smaller steps, until halving them moves its numbers less than the recording leaves open.
+
+    Otherwise an effect may be found that is only what the integration gets wrong.
+    """
+    for _ in range(HALVINGS):
+        error = step_error(best.data, best.fit, (joint,))
+        ours = [h.place == "term" for h in best.fit.handles]
+        if not any(abs(e) > SIGNIFICANT * s for e, s, own in zip(error, best.fit.std, ours, strict=True) if own):
+            break
+        data = replace(best.data, inner=2 * best.data.inner)
+        best = fit_scored(data, best.model, best.fit.handles, (joint,), jobs=jobs, rounds=1)
+    return best
 
 
 def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
@@ -69,16 +89,17 @@ def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
 
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
     """Drop every term, given or found, that the recording does not need any more."""
-    best = _as_payload(found, _as_coulomb(found.final, found.joint, jobs), jobs)
+    best = _as_payload(found, _as_coulomb(_resolved(found.final, found.joint, jobs), found.joint, jobs), jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
     while True:
+        certain = with_step_error(best.data, best.fit, (found.joint,))
         for i, term in enumerate(best.model.terms):
             if term.joint != found.joint or _needed_by(best.model, term):
                 continue
             model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
             trial = _refitted(best.data, model, found.joint, jobs, 2)
-            idle = term.effect in added and vanishes(best.fit, found.joint, term.effect)
+            idle = term.effect in added and vanishes(certain, found.joint, term.effect)
             if idle or trial.deviance < best.deviance + price((term,), n):
                 best = trial
                 if term.effect not in added or term.effect in {
