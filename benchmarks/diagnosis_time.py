@@ -1,0 +1,116 @@
+"""How long a diagnosis takes: one joint and seven, complete and concealed, and whether time grows linearly with the recording.
+
+    python benchmarks/diagnosis_time.py [--jobs 2] [--only joints=7] [--json FILE]
+
+Wall time and CPU time of the command ``zendsp diagnose``, start of the interpreter included, on cases made here by the proof's own
+simulator. Goals: 20 s at 1 kHz of one joint in 5 s, 60 s of seven joints in 60 s, on two cores with nothing else to do.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+
+from zendsp.proof.build_case import Request
+from zendsp.proof.cases import write_all
+from zendsp.proof.draft import Draft
+from zendsp.proof.machines import MACHINES
+from zendsp.proof.score import COMMAND
+
+GOALS = {1: 5.0, 7: 60.0}  # s
+CASES = (  # joints, seconds of each recording, what is concealed, case
+    (1, 20.0, "nothing", Request(700_001, "complete", "rotary")),
+    (1, 20.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
+    (1, 20.0, "hysteresis", Request(700_003, "single", "rotary", "hysteresis", 0.3)),
+    (1, 20.0, "backlash", Request(700_004, "single", "rotary", "backlash", 0.3)),
+    (1, 20.0, "Coulomb and delay", Request(700_005, "pair", "rotary", "coulomb+delay")),
+    (1, 20.0, "foreign", Request(700_006, "foreign", "rotary")),
+    (1, 40.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
+    (1, 80.0, "Stribeck", Request(700_002, "single", "rotary", "stribeck", 0.3)),
+    (7, 20.0, "Coulomb", Request(700_007, "single", "urdf", "coulomb", 0.3)),
+    (7, 40.0, "Coulomb", Request(700_007, "single", "urdf", "coulomb", 0.3)),
+    (7, 60.0, "Coulomb", Request(700_007, "single", "urdf", "coulomb", 0.3)),
+    (7, 60.0, "nothing", Request(700_008, "complete", "urdf")),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One diagnosis; a recording for the fit and one held out, each of so many seconds."""
+
+    joints: int
+    recorded_s: float
+    concealed: str
+    said: str
+    wall_s: float
+    cpu_s: float
+    goal_s: float | None
+
+
+def make(request: Request, seconds: float, folder: Path) -> Path:
+    """The case of a request with recordings of that length."""
+    make_machine = MACHINES[request.machine]
+
+    def longer(rng: np.random.Generator) -> Draft:
+        draft = make_machine(rng)
+        draft.seconds, draft.sample_time, draft.layout = seconds, 1e-3, "heldout"
+        return draft
+
+    MACHINES[request.machine] = longer
+    try:
+        write_all([request], folder / "cases", folder / "truth", jobs=1)
+    finally:
+        MACHINES[request.machine] = make_machine
+    return folder / "cases" / "case_0001"
+
+
+def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
+    """What the command says, wall and CPU seconds."""
+    listing = json.loads((case / "case.json").read_text(encoding="utf-8"))
+    line = [*COMMAND, *(str(case / n) for n in listing["train"]), "--model", str(case / listing["model"])]
+    for name in listing["heldout"]:
+        line += ["--heldout", str(case / name)]
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run([*line, "--json", "--jobs", str(jobs)], env=env, capture_output=True, text=True, check=False)
+    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        return done.stderr.strip().splitlines()[-1][:40], wall, 0.0
+    report = json.loads(done.stdout)
+    named = ", ".join(f"{f['effect']}@{f['joint']}" for f in report["findings"])
+    return named or report["verdict"], wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+@click.command(help=__doc__.splitlines()[0] if __doc__ else "")
+@click.option("--jobs", type=click.IntRange(1), default=2, show_default=True)
+@click.option("--only", default="", help="joints=1 or joints=7.")
+@click.option("--json", "out", type=click.Path(path_type=Path), default=None, help="Also write the rows there.")
+def main(jobs: int, only: str, out: Path | None) -> None:
+    """Measure and print."""
+    rows: list[Row] = []
+    click.echo(f"load {os.getloadavg()[0]:.1f}, {jobs} jobs")
+    click.echo(f"{'joints':>6}{'each s':>8}  {'concealed':20}{'wall s':>8}{'CPU s':>8}  {'goal':8}said")
+    for joints, seconds, concealed, request in CASES:
+        if only and only != f"joints={joints}":
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            said, wall, cpu = diagnose(make(request, seconds, Path(folder)), jobs)
+        goal = GOALS[joints] if seconds == (20.0 if joints == 1 else 60.0) else None
+        rows.append(Row(joints, seconds, concealed, said, wall, cpu, goal))
+        met = "" if goal is None else f"{goal:g} {'met' if wall <= goal else 'NOT'}"
+        click.echo(f"{joints:6}{seconds:8g}  {concealed:20}{wall:8.1f}{cpu:8.1f}  {met:8}{said}")
+    if out:
+        out.write_text(json.dumps([asdict(row) for row in rows], indent=2))
+
+
+if __name__ == "__main__":
+    main()
