@@ -93,14 +93,27 @@ def _essence(effect: str) -> tuple[str, ...]:
     return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 
 
+# a size times a shape: whether there is any of it is asked at the shape that was found, since none has no shape
+SHAPE = {"friction_drift": "time_constant"}
+
+
 def vanishes(fitted: Fit, joint: int, effect: str) -> bool:
-    """Whether a number that makes an effect what it is cannot be told from zero, or from endless, in a fit."""
-    essence = _essence(effect)
-    return any(
-        abs(fitted.model.terms[handle.index].value(handle.key)) < SIGNIFICANT * std
-        for handle, std in zip(fitted.handles, fitted.std, strict=True)
+    """Whether a number that makes an effect what it is cannot be told from zero, or from endless, or lies at the bound of what can be seen."""
+    own = {
+        handle.key: i
+        for i, handle in enumerate(fitted.handles)
         if handle.place == "term"
-        and handle.key in essence
         and fitted.model.terms[handle.index].effect == effect
         and fitted.model.terms[handle.index].joint == joint
-    )
+    }
+    for key in _essence(effect):
+        if key not in own:
+            continue
+        i = own[key]
+        variance = float(fitted.covariance[i, i])
+        shape = own.get(SHAPE.get(effect, ""))
+        if shape is not None and fitted.covariance[shape, shape] > 0:
+            variance -= float(fitted.covariance[i, shape] ** 2 / fitted.covariance[shape, shape])
+        if fitted.at_bound[i] or abs(fitted.x[i]) < SIGNIFICANT * math.sqrt(max(variance, 0.0)):
+            return True
+    return False

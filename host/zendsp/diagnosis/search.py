@@ -32,6 +32,7 @@ RUNNERS = 4  # hypotheses that are held against the held-out recordings in each 
 FINALISTS = 4
 GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
+SLOW = ("friction_drift",)  # a fast observer follows what drifts
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
@@ -234,13 +235,14 @@ class Searcher:
     def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
         """A short fit from each start; the best is followed to slower observers."""
         best: Rival | None = None
+        data = current.data
+        if group[0].effect in SLOW and data.bandwidth[self.joint - 1] > SETTLED:
+            data = data.at_bandwidth(self.joint, SETTLED)
         for candidate in group:
             model = with_candidate(current.model, candidate)
-            handles = joint_handles(current.data, model, self.joint)
+            handles = joint_handles(data, model, self.joint)
             rounds = 3 if len(group) > 1 else 4
-            result = fit(
-                current.data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1
-            )
+            result = fit(data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1)
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:

@@ -22,6 +22,7 @@ from zendsp.physics.model import Model, Quantity, Term
 Array = npt.NDArray[np.float64]
 
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
+NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 
 
@@ -337,7 +338,8 @@ def fit(
                 done = True
             jac = jacobian(x, r)
     covariance = robust_covariance(jac, r, block_count(data))
-    at_bound = tuple(bool(v) for v in (np.isclose(x, low) | np.isclose(x, high)))
+    near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
+    at_bound = tuple(bool(v) for v in near)
     return Fit(set_values(model, handles, x), handles, x, covariance, cost, count, at_bound, done, jac, r)
 
 
