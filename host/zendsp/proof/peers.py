@@ -113,7 +113,7 @@ def effect_columns(entry: dict[str, Any], m: Motion, joint: int) -> tuple[Array,
 
 def split_model(model: dict[str, Any], m: Motion, joint: int) -> tuple[Array, Array]:
     """Columns of the free parameters and torque of the fixed ones on one joint."""
-    entries = model["mechanism"]["parameters"]
+    entries = model["mechanism"].get("parameters", {})
     free, fixed = [], np.zeros(len(m.t))
     for name, column in mechanism_columns(model, m, joint).items():
         if is_free(entries[name]):
