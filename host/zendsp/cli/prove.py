@@ -100,7 +100,8 @@ def command(
             fetch_absent(data_folder(data))
         sys.exit(
             on_real_machines(
-                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only, quick=quick
+                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only, quick=quick,
+                jobs=jobs or os.cpu_count() or 1,
             )
         )
     from zendsp.proof.run_proof import run_proof
@@ -158,7 +159,7 @@ def fetch_absent(data: Path) -> None:
             click.echo(f"{machine}: {line}", err=True)
 
 
-def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool) -> int:
+def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool, jobs: int) -> int:
     """Print each real machine beside what was published, or the implants; the exit status."""
     from zendsp.proof import real
 
@@ -166,7 +167,7 @@ def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only
         from zendsp.proof.implant import implant_lines, run_implants
 
         try:
-            done = run_implants(data, out / "implants", limit, quick)
+            done = run_implants(data, out / "implants", limit, quick, jobs, lambda line: click.echo(line, err=True))
         except (FileNotFoundError, RuntimeError) as error:
             raise click.ClickException(str(error)) from error
         click.echo("\n".join(implant_lines(done)))
