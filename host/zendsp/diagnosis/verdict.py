@@ -19,7 +19,7 @@ from zendsp.physics.model import Model
 
 SLOW = 8.0  # rad/s: an observer that follows little of what is missing
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
-LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete
+LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete; and of the error's energy
 MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
 COUPLED = 0.05  # of the RMS torque: other joints' reversals, known only as well as measured, make bursts of this size
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
@@ -97,7 +97,7 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
         if _curve_fit(search):
             return JointOutcome(j, "unexplained", before, before)  # nothing of it is claimed
-        large = after.relative > LARGE and bandwidth >= UNSETTLED
+        large = after.relative > LARGE and bandwidth >= UNSETTLED and _error_left(test, search) > LARGE
         if after.state_share > STATE and after.relative > SMALL and (stray > STRAY or large):
             return JointOutcome(j, "unexplained", before, after)
         return JointOutcome(j, "missing", before, after)
@@ -123,14 +123,21 @@ def settled(test: Data, search: JointSearch) -> JointSearch:
     j, final = search.joint, search.final
     if not search.steps or final.data.bandwidth[j - 1] <= UNSETTLED:
         return search
-    floor = noise_floor(test, j) ** 2
-    error = [rms(window_error(test, m, j)) ** 2 - floor for m in (search.base.model, final.model)]
     torque = [remainder(s.data, test, s.model, j).size ** 2 for s in (search.base, final)]
     best = deviance(test.at_bandwidth(j, final.data.bandwidth[j - 1]), final.model, (j,))
     slow = [deviance(test.at_bandwidth(j, SLOW), m, (j,)) - best for m in (search.base.model, final.model)]
-    if any(after <= MOST * before for before, after in (error, torque, slow)):
+    if _error_left(test, search) <= MOST or any(after <= MOST * before for before, after in (torque, slow)):
         return search
     return JointSearch(j, search.base, tried=search.tried, discarded=True)
+
+
+def _error_left(test: Data, search: JointSearch) -> float:
+    """Share of the energy of the held-out position error beyond the noise that is left."""
+    floor = noise_floor(test, search.joint) ** 2
+    before, after = (
+        rms(window_error(test, m, search.joint)) ** 2 - floor for m in (search.base.model, search.final.model)
+    )
+    return after / before if before > 0 else 1.0
 
 
 def _curve_fit(search: JointSearch) -> bool:
