@@ -26,7 +26,7 @@ from zendsp.diagnosis.reading import Signals, read_signals, split
 from zendsp.diagnosis.result import Diagnosis, FitTable
 from zendsp.diagnosis.score import Scored
 from zendsp.diagnosis.search import Searcher, calibrate_joint
-from zendsp.diagnosis.verdict import Outcome, judge, settled
+from zendsp.diagnosis.verdict import Outcome, judge, settled, uncurved
 from zendsp.diagnosis.where import intervals, mismatch, regions
 from zendsp.diagnosis.windows import model_error, noise_floor
 from zendsp.errors import RecordingError
@@ -246,7 +246,8 @@ def _search_joint(
 ) -> JointSearch:
     tell(f"joint {joint}: calibrating the given model")
     base = calibrate_joint(train, given, joint, jobs)
-    return settled(test, Searcher(train, joint, Acceptance(test), jobs, tell).search(base))
+    searcher = Searcher(train, joint, Acceptance(test), jobs, tell)
+    return settled(test, uncurved(test, searcher.search(base), searcher.n, jobs))
 
 
 _inherited: list[tuple[Data, Data, Model]] = []  # filled in the processes of _search only

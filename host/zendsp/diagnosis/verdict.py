@@ -11,6 +11,7 @@ from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.hypothesis import UNSETTLED, JointSearch
 from zendsp.diagnosis.remainder import Remainder, remainder
 from zendsp.diagnosis.score import deviance, tune_bandwidth
+from zendsp.diagnosis.simplify import simplify
 from zendsp.diagnosis.where import intervals, missing_torque
 from zendsp.diagnosis.windows import noise_floor, rms, window_error
 from zendsp.physics.fit import Data
@@ -95,7 +96,7 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
     bandwidth = final.data.bandwidth[j - 1]
     if search.steps:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
-        if _curve_fit(search):
+        if _series(search):
             return JointOutcome(j, "unexplained", before, before)  # nothing of it is claimed
         large = after.relative > LARGE and bandwidth >= UNSETTLED and _error_left(test, search) > LARGE
         if after.state_share > STATE and after.relative > SMALL and (stray > STRAY or large):
@@ -140,14 +141,30 @@ def _error_left(test: Data, search: JointSearch) -> float:
     return after / before if before > 0 else 1.0
 
 
-def _curve_fit(search: JointSearch) -> bool:
-    """Whether the search has been drawing a curve: three terms of one kind, or three torques of position alone, are a series, not physics."""
+def _series(search: JointSearch) -> frozenset[str]:
+    """Effects with which the search has been drawing a curve: three terms of one kind, or three torques of position alone, are a series, not physics."""
     names = [t.effect for t in search.final.model.at(search.joint)]
     given = [t.effect for t in search.base.model.at(search.joint)]
     new = {n: names.count(n) - given.count(n) for n in set(names) if n != "coupling"}
-    most = max(new.values(), default=0)
-    of_position = sum(n for effect, n in new.items() if effect in OF_POSITION and n > 0)
-    return most >= 3 or of_position >= 3 or (most >= 2 and sum(v for v in new.values() if v > 0) >= 4)
+    many = {n for n, count in new.items() if count >= 3}
+    if sum(n for effect, n in new.items() if effect in OF_POSITION and n > 0) >= 3:
+        many |= {effect for effect in OF_POSITION if new.get(effect, 0) > 0}
+    if not many and sum(n for n in new.values() if n > 0) >= 4:
+        many = {n for n, count in new.items() if count >= 2}
+    return frozenset(many)
+
+
+def uncurved(test: Data, search: JointSearch, n: int, jobs: int) -> JointSearch:
+    """The search without a curve that it went on to draw, where what was found before closes nearly all of the held-out gap."""
+    series = _series(search) if search.steps else frozenset()
+    first = next((k for k, step in enumerate(search.steps) if step.chosen.effect in series), 0)
+    if not series or first == 0:
+        return search
+    shorter = JointSearch(search.joint, search.base, search.steps[:first], search.steps[first].before, tried=search.tried)
+    if _error_left(test, shorter) > LARGE:
+        return search
+    shorter.best, shorter.dropped = simplify(shorter, n, jobs)
+    return shorter
 
 
 def _disturbance(search: JointSearch) -> tuple[tuple[float, float], ...]:
