@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from zendsp.diagnosis.hypothesis import counterpart
 from zendsp.diagnosis.result import Estimate
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.fit import Fit
@@ -33,11 +34,8 @@ def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
 def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, Estimate]:
     """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the Coulomb level."""
     effect = get_effect(term.effect)
-    row = next((i for i, t in enumerate(fit.model.terms) if t is term), None)
-    if row is None:
-        row = next(
-            i for i, t in enumerate(fit.model.terms) if t.effect == term.effect and t.joint == term.joint
-        )
+    term = counterpart(fit.model.terms, term)
+    row = next(i for i, t in enumerate(fit.model.terms) if t is term)
     out = {}
     for p in effect.parameters:
         if not p.fitted and term.effect == "coupling":

@@ -97,14 +97,35 @@ def _essence(effect: str) -> tuple[str, ...]:
 SHAPE = {"friction_drift": "time_constant"}
 
 
-def vanishes(fitted: Fit, joint: int, effect: str) -> bool:
+def counterpart(terms: Sequence[Term], term: Term) -> Term:
+    """The same term in another fit of the model, where its fitted numbers have moved.
+
+    A joint may have several terms of one effect: they are told apart by what no fit moves (a coupling's law and its joint), then by
+    which repeats as often (a ripple's order).
+
+    Raises
+    ------
+    LookupError
+        No term is of that effect, at that joint, with those settings.
+    """
+    settings = [p.name for p in get_effect(term.effect).parameters if not p.fitted]
+    alike = [
+        t
+        for t in terms
+        if (t.effect, t.joint) == (term.effect, term.joint) and all(t.value(n) == term.value(n) for n in settings)
+    ]
+    if not alike:
+        raise LookupError(f"no {term.effect} at joint {term.joint} like {term.parameters} among {len(terms)} terms")
+    return min(alike, key=lambda t: (t is not term, abs(t.value("order") - term.value("order"))))
+
+
+def vanishes(fitted: Fit, term: Term) -> bool:
     """Whether a number that makes an effect what it is cannot be told from zero, or from endless, or lies at the bound of what can be seen."""
+    effect, same = term.effect, counterpart(fitted.model.terms, term)
     own = {
         handle.key: i
         for i, handle in enumerate(fitted.handles)
-        if handle.place == "term"
-        and fitted.model.terms[handle.index].effect == effect
-        and fitted.model.terms[handle.index].joint == joint
+        if handle.place == "term" and fitted.model.terms[handle.index] is same
     }
     for key in _essence(effect):
         if key not in own:

@@ -148,7 +148,7 @@ def _finding(
     term, joint = item.term, search.joint
     fit = whole.fits[joint]
     kind = given.joint_kind(joint)
-    values = estimates(fit, _same(fit.model.terms, term), kind, given.actuator.unit)
+    values = estimates(fit, term, kind, given.actuator.unit)
     same, lost, margin = [], [], math.inf
     for r in item.rivals:
         if r.effect == term.effect or _contains(r, term):
@@ -225,15 +225,6 @@ def _contains(rival: Rival, term: Term) -> bool:
 def _is_row(rival: Rival, index: int) -> bool:
     t = rival.scored.model.terms[index]
     return t.joint == rival.joint and t.effect == rival.effect
-
-
-def _same(terms: Sequence[Term], term: Term) -> Term:
-    for t in terms:
-        if t is term or (
-            t.effect == term.effect and t.joint == term.joint and t.value("order") == term.value("order")
-        ):
-            return t
-    return next(t for t in terms if t.effect == term.effect and t.joint == term.joint)
 
 
 def _tied(rival: Rival, best: Scored, behind: float, gain: float, test: Data) -> bool:

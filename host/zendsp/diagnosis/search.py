@@ -183,7 +183,7 @@ class Searcher:
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
-            if not any(vanishes(r.scored.fit, r.joint, t.effect) for t in r.terms)
+            if not any(vanishes(r.scored.fit, t) for t in r.terms)
         ]
         return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
 

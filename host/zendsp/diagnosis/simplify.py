@@ -99,7 +99,7 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
                 continue
             model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
             trial = _refitted(best.data, model, found.joint, jobs, 2)
-            idle = term.effect in added and vanishes(certain, found.joint, term.effect)
+            idle = term.effect in added and vanishes(certain, term)
             if idle or trial.deviance < best.deviance + price((term,), n):
                 best = trial
                 if term.effect not in added or term.effect in {

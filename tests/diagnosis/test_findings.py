@@ -1,0 +1,55 @@
+"""Numbers of a finding belong to its own term, also where a joint has several terms of one effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis.findings import estimates
+from zendsp.diagnosis.hypothesis import counterpart, vanishes
+from zendsp.physics.fit import Fit, Handle
+from zendsp.physics.model import Model, Quantity, Term
+
+SIZES = (0.3, 0.02, 0.7)  # of the couplings from joint 2 by inertia, from joint 2 by speed, from joint 3 by inertia
+
+
+def _coupling(from_joint: int, law: int, size: float) -> Term:
+    settings = {"from_joint": from_joint, "law": law, "smooth": 0.01}
+    held = {name: Quantity(float(value), free=False) for name, value in settings.items()}
+    return Term("coupling", 1, {**held, "coefficient": Quantity(size)})
+
+
+def _couplings(scale: float) -> tuple[Term, ...]:
+    return tuple(
+        _coupling(joint, law, scale * size) for (joint, law), size in zip(((2, 0), (2, 2), (3, 0)), SIZES, strict=True)
+    )
+
+
+@pytest.fixture
+def fit() -> Fit:
+    terms = (Term("viscous", 1, {"coefficient": Quantity(1.0)}), *_couplings(1.0))
+    model = Model("arm", 1e-3, "urdf", {}, terms)
+    handles = tuple(Handle("term", i, "coefficient") for i in (1, 2, 3))
+    spread = np.diag([0.01, 0.02, 0.03]) ** 2  # so the second is no coupling at all
+    return Fit(model, handles, np.array(SIZES), spread, 0.0, 1, (False,) * 3, True, np.empty((0, 3)), np.empty(0))
+
+
+def test_each_of_several_couplings_has_its_own_numbers(fit: Fit) -> None:
+    before = _couplings(0.9)  # as the search had them, before the last fit
+    found = [estimates(fit, term, "rotary", "N m")["coefficient"] for term in before]
+    assert [e.value for e in found] == pytest.approx(SIZES)
+    assert len({e.std for e in found}) == 3
+
+
+def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> None:
+    assert [vanishes(fit, term) for term in _couplings(0.9)] == [False, True, False]
+
+
+def test_a_ripple_is_found_again_by_how_often_it_repeats() -> None:
+    ripples = [Term("ripple", 1, {"order": Quantity(n), "amplitude": Quantity(0.1)}) for n in (5.0, 7.0, 12.0)]
+    assert counterpart(ripples, Term("ripple", 1, {"order": Quantity(7.01), "amplitude": Quantity(0.2)})) is ripples[1]
+
+
+def test_a_term_that_is_not_there_is_no_other_one(fit: Fit) -> None:
+    with pytest.raises(LookupError, match="coupling at joint 1"):
+        counterpart(fit.model.terms, _coupling(4, 0, 0.3))
