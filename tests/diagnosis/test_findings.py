@@ -50,6 +50,12 @@ def test_a_ripple_is_found_again_by_how_often_it_repeats() -> None:
     assert counterpart(ripples, Term("ripple", 1, {"order": Quantity(7.01), "amplitude": Quantity(0.2)})) is ripples[1]
 
 
+def test_hysteresis_is_found_again_when_its_exponent_was_chosen_anew() -> None:
+    started = Term("hysteresis", 1, {"exponent": Quantity(1.0, free=False)})
+    chosen = Term("hysteresis", 1, {"exponent": Quantity(2.0, free=False)})
+    assert counterpart([chosen], started) is chosen
+
+
 def test_a_term_that_is_not_there_is_no_other_one(fit: Fit) -> None:
-    with pytest.raises(LookupError, match="coupling at joint 1"):
-        counterpart(fit.model.terms, _coupling(4, 0, 0.3))
+    with pytest.raises(LookupError, match="coupling at joint 2"):
+        counterpart(fit.model.terms, Term("coupling", 2, {}))

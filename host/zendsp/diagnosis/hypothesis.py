@@ -101,22 +101,22 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
     """The same term in another fit of the model, where its fitted numbers have moved.
 
     A joint may have several terms of one effect: they are told apart by what no fit moves (a coupling's law and its joint), then by
-    which repeats as often (a ripple's order).
+    how often they repeat (a ripple's order).
 
     Raises
     ------
     LookupError
-        No term is of that effect, at that joint, with those settings.
+        No term is of that effect at that joint.
     """
     settings = [p.name for p in get_effect(term.effect).parameters if not p.fitted]
-    alike = [
-        t
-        for t in terms
-        if (t.effect, t.joint) == (term.effect, term.joint) and all(t.value(n) == term.value(n) for n in settings)
-    ]
+
+    def unlike(t: Term) -> tuple[bool, int, float]:
+        return t is not term, sum(t.value(n) != term.value(n) for n in settings), abs(t.value("order") - term.value("order"))
+
+    alike = [t for t in terms if (t.effect, t.joint) == (term.effect, term.joint)]
     if not alike:
-        raise LookupError(f"no {term.effect} at joint {term.joint} like {term.parameters} among {len(terms)} terms")
-    return min(alike, key=lambda t: (t is not term, abs(t.value("order") - term.value("order"))))
+        raise LookupError(f"no {term.effect} at joint {term.joint} among {', '.join(t.effect for t in terms) or 'no terms'}")
+    return min(alike, key=unlike)
 
 
 def vanishes(fitted: Fit, term: Term) -> bool:
