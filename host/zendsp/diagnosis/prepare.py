@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp.diagnosis.inertia import inertia_ranges
 from zendsp.diagnosis.reading import Signals
@@ -13,6 +14,8 @@ from zendsp.physics.joint import JointRecord, Scale, mechanism_value
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.rigid import bases
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
+
+Array = npt.NDArray[np.float64]
 
 
 def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -> Data:
@@ -46,8 +49,9 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
         inertia = _guess_inertia(model, j + 1, s, torque)
         measurements.append(measurement)
         motions.append(smooth(measurement, s.sample_time, torque / inertia))
-    others = np.ascontiguousarray(np.stack([m.states for m in motions]))
-    basis = bases(model, [m.states for m in motions])
+    within = [_within_samples(m.states, s.sample_time) for m in motions]
+    others = np.ascontiguousarray(np.stack(within))
+    basis = bases(model, within)
     out = []
     for j in range(joints):
         q, qd, qdd = motions[j].states
@@ -85,6 +89,16 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             )
         )
     return tuple(out)
+
+
+def _within_samples(states: Array, sample_time: float) -> Array:
+    """Mean q, qd, qdd between each sample and the next, (3, n): over that time the kernel holds what other joints do to a joint.
+
+    The acceleration is the difference of the velocities, so that over any number of samples a push is what the velocities say.
+    """
+    q, qd, qdd = states
+    mean = np.stack([0.5 * (q[1:] + q[:-1]), 0.5 * (qd[1:] + qd[:-1]), np.diff(qd) / sample_time])
+    return np.concatenate([mean, np.stack([q[-1:], qd[-1:], qdd[-1:]])], axis=1)
 
 
 def _guess_inertia(model: Model, joint: int, s: Signals, torque: np.ndarray) -> float:  # type: ignore[type-arg]
