@@ -15,6 +15,7 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
+LOST = 1e4  # medians: an innovation beyond says only that the prediction has left the track
 BLOCK = 0.25  # s; shorter where the recordings would give fewer than 40 blocks, never below 0.05 s
 
 
@@ -37,9 +38,8 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
     runs, total, count = [], 0.0, 0
     for rec in data.records:
         record = rec[joint - 1]
-        r = np.minimum(
-            np.abs(run(record, model, data.bandwidth[joint - 1], inner=data.inner).innovations), 1e4
-        )
+        r = np.abs(run(record, model, data.bandwidth[joint - 1], inner=data.inner).innovations)
+        r = np.minimum(r, LOST * max(1.0, float(np.median(r[record.counted])) if record.counted.any() else 1.0))
         runs.append((record, r))
         total += float(r @ r)
         count += int(record.counted.sum())

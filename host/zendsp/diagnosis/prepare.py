@@ -43,7 +43,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     for j in range(joints):
         y = np.ascontiguousarray(s.position[:, j])
         resolution = float(s.resolution[j])
-        noise = noise_beside_quantisation(y, resolution)
+        noise = max(noise_beside_quantisation(y, resolution), float(s.least_noise[j]) if s.least_noise is not None else 0.0)
         measurement = measure(y, s.sample_time, resolution, noise)
         torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
         inertia = _guess_inertia(model, j + 1, s, torque)

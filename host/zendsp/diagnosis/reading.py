@@ -38,6 +38,7 @@ class Signals:
     notes: tuple[str, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
     raw: Signals | None = None  # before averaging down, where that was done
+    least_noise: Array | None = None  # (joints,): what averaging leaves of the quantiser's noise, however still a joint stands
 
     def part(self, start: int, stop: int, name: str) -> Signals:
         """Rows start … stop - 1 as a recording of their own."""
@@ -300,15 +301,19 @@ def _decimate(signals: Signals) -> Signals:
         return mean
 
     held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
+    # means of many counts within a sample are better than one of them; of a few, which at low speed are all the same, they hide the counts
+    counts = (signals.resolution > 0) & (1 / signals.sample_time < 1.5 * TARGET_RATE)
+    white = signals.resolution / np.sqrt(12 * (2 * half + 1))
     note = f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to {1 / signals.sample_time / factor:.0f} Hz"
     return replace(
         signals,
         time=signals.time[:n:factor],
         sample_time=signals.sample_time * factor,
-        position=centred(signals.position),
+        position=np.where(counts, signals.position[:n:factor], centred(signals.position)),
         command=held,
         reference=None if signals.reference is None else signals.reference[:n:factor],
-        resolution=np.zeros_like(signals.resolution),
+        resolution=np.where(counts, signals.resolution, 0.0),
+        least_noise=np.where(counts, 0.0, white),
         notes=(*signals.notes, note),
         raw=signals,
     )

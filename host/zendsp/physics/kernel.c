@@ -137,7 +137,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
     double h;
     double delay = M->delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
     double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1;
-    double j_extra = 0;
+    double j_extra = 0, rub = 0; /* rub: dry friction in the step before */
     int two_mass = 0, lag_on = 0;
     double yloop = M->q0, vloop = 0;
     for (int i = 0; i < M->nfx; i++) {
@@ -179,7 +179,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
             if (!apart || M->load_sensor) qdl += dv;
         }
         double lead = M->load_sensor ? ql : q;
-        if (!(fabs(lead - (M->kp > 0 ? M->ref[k] : M->m[k])) < 1e3) || !(fabs(qd) < 1e5)) { for (; k < M->n; k++) r[k] = 1e3; return 1 + k; }
+        if (!(fabs(lead - (M->kp > 0 ? M->ref[k] : M->m[k])) < 1e3) || !(fabs(qd) < 1e5)) { for (; k < M->n; k++) r[k] = 1e9; return 1 + k; }
         if (xq) xq[k] = lead;
         if (xqd) xqd[k] = M->load_sensor ? qdl : qd;
         if (k == M->n - 1) { if (torque) torque[k] = k ? torque[k - 1] : 0; break; }
@@ -224,7 +224,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
             }
             double grav = (!two_mass && M->gravity != 0) ? M->gravity * sin(s.q) : 0.0;
             gather(M, &s, k, &f, 0);
-            double acc = (fixed - grav - spring - f.torque) / jm;
+            double acc = (fixed - grav - spring - f.torque - rub) / jm;
             s.qd = qd + 0.5 * h * acc;
             gather(M, &s, k, &f, 1);
             double free = fixed - grav - spring - f.torque;
@@ -246,6 +246,7 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
                 z = (z + h * vn) / D;
             } else
                 vn = soft(vfree, h * level / jm);
+            rub = (vfree - vn) * jm / h;
             q += 0.5 * h * (qd + vn);
             qd = vn;
             if (!two_mass) { ql = q; qdl = qd; }
