@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -95,9 +96,9 @@ def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
 
 
 def simulated(
-    data: Data, model: Model, joint: int, only: frozenset[str] = frozenset()
+    data: Data, model: Model, joint: int, only: frozenset[str] = frozenset(), jobs: int = 1
 ) -> list[list[Candidate]]:
-    """Hypotheses with states of their own, each with its start values."""
+    """Hypotheses with states of their own, each with its start values; ``jobs`` threads."""
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     present = {t.effect for t in model.at(joint)}
     out = []
@@ -110,7 +111,7 @@ def simulated(
             continue
         if effect.name == "presliding" and not present & set(DRY):
             continue
-        terms = scan(data, model, joint, effect, record)
+        terms = scan(data, model, joint, effect, record, jobs=jobs)
         if terms:
             out.append([Candidate(effect.name, joint, (term,), (), math.nan) for term in terms])
     return out
@@ -131,7 +132,7 @@ SCANS: dict[
 
 
 def scan(
-    data: Data, model: Model, joint: int, effect: Effect, record: JointRecord, keep: int = 2
+    data: Data, model: Model, joint: int, effect: Effect, record: JointRecord, keep: int = 2, jobs: int = 1
 ) -> list[Term]:
     """The most likely start values on a coarse grid, one simulation each, the rest of the model as it stands."""
     grid = SCANS.get(effect.name)
@@ -140,7 +141,7 @@ def scan(
     s = record.scale
     inertia = float(np.mean(effective_inertia(record, model)))
     dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
-    scored: list[tuple[float, int, Term]] = []
+    listed: list[Term] = []
     for numbers in itertools.product(*grid.values()):
         point = dict(zip(grid, numbers, strict=True))
         values = {}
@@ -165,10 +166,11 @@ def scan(
             )
         if effect.name == "presliding":
             values["damping"] = 0.1 * math.sqrt(values["stiffness"] * inertia)
-        term = make_term(effect, joint, values)
-        scored.append((deviance(data, model.with_terms((*model.terms, term)), (joint,)), len(scored), term))
-    scored.sort(key=lambda item: item[:2])
-    return [term for _, _, term in scored[:keep]]
+        listed.append(make_term(effect, joint, values))
+    with ThreadPoolExecutor(jobs) as pool:
+        values_of = list(pool.map(lambda term: deviance(data, model.with_terms((*model.terms, term)), (joint,)), listed))
+    order = sorted(range(len(listed)), key=lambda i: (values_of[i], i))
+    return [listed[i] for i in order[:keep]]
 
 
 def starts(effect: Effect, joint: int, record: JointRecord, model: Model) -> Iterable[Term]:

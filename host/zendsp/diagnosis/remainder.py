@@ -65,12 +65,12 @@ def lacking_torque(record: JointRecord, model: Model, inner: int = 2) -> Array:
     return out
 
 
-def _features(records: list[JointRecord], ranges: list[tuple[float, float]]) -> Array:
+def _features(records: list[JointRecord], ranges: list[tuple[float, float]], stride: int = 1) -> Array:
     rows = []
     for rec in records:
         q, qd, qdd = rec.motion.states
         rows.append(np.stack([q, qd, qdd, rec.command], axis=1))
-    x = np.concatenate(rows)
+    x = np.concatenate(rows)[::stride]
     u = [np.clip((x[:, i] - lo) / max(hi - lo, 1e-300), 0.0, 1.0 - 1e-9) for i, (lo, hi) in enumerate(ranges)]
     fine = [_splines(v, 14) for v in u]
     coarse = [_splines(v, 7) for v in u]
@@ -100,7 +100,7 @@ def remainder(train: Data, test: Data, model: Model, joint: int) -> Remainder:
     size = float(np.sqrt(np.mean(d_test**2)))
     scale = max(r.scale.torque for r in test_records)
     stride = max(1, len(d_fit) // 6000)
-    a = _features(fit_records, ranges)[::stride]
+    a = _features(fit_records, ranges, stride)
     b = _features(test_records, ranges)
     inside = np.ones(len(b), bool)
     offset = 0

@@ -33,6 +33,7 @@ FINALISTS = 4
 GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
 SLOW = ("friction_drift",)  # a fast observer follows what drifts
+COARSE = 1e-3  # s
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
@@ -150,7 +151,7 @@ class Searcher:
             starts_of(c, current.data) for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
         ]
         hidden = frozenset(e for e in seen if e in SCANS)
-        listed += simulated(current.data, current.model, self.joint, hidden) if hidden else []
+        listed += simulated(current.data, current.model, self.joint, hidden, self.jobs) if hidden else []
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
         return min((r.value for r in quick), default=math.inf)
@@ -172,7 +173,7 @@ class Searcher:
         if not only:  # the commonest physics is tried whatever the first order says of it
             first = {c.effect for group in listed for c in group}
             listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
-        listed += simulated(current.data, current.model, self.joint, only)
+        listed += simulated(current.data, current.model, self.joint, only, self.jobs)
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
@@ -242,24 +243,25 @@ class Searcher:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(data, model, self.joint)
             rounds = 3 if len(group) > 1 else 4
-            result = fit(data, model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1)
+            result = fit(_coarse(data), model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1, brief=True)
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:
                 best = rival
         if best is None or not math.isfinite(best.value):
             return None
-        if len(group) > 1:
+        if len(group) > 1 and (best.value < current.deviance or best.effect == "backlash"):
             handles = best.scored.fit.handles
             more = 10 if best.effect == "backlash" else 5
             result = fit(
-                current.data,
+                _coarse(current.data),
                 best.scored.model,
                 handles,
                 joints=(self.joint,),
                 iterations=more,
                 tolerance=1e-2,
                 jobs=1,
+                brief=True,
             )
         else:
             result = best.scored.fit
@@ -322,6 +324,12 @@ class Searcher:
                     )
                 )
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
+
+
+def _coarse(data: Data) -> Data:
+    """The same recordings with integration steps of up to a millisecond, for a first look at a hypothesis."""
+    steps = [min(data.inner, math.ceil(rec[0].sample_time / COARSE - 1e-6)) for rec in data.records]
+    return replace(data, inner=max(1, *steps))
 
 
 def is_white(scored: Scored, joint: int) -> bool:

@@ -242,6 +242,7 @@ def fit(
     jobs: int = 2,
     start: Array | None = None,
     central: bool = False,
+    brief: bool = False,
 ) -> Fit:
     """Fit the free numbers of a model to recordings.
 
@@ -264,6 +265,8 @@ def fit(
         Other start values.
     central : bool
         Central differences in place of one-sided ones: twice the work, for the last steps of a rough cost.
+    brief : bool
+        A step on the way: the Jacobian, and with it the covariance, may be that of the step before.
 
     Returns
     -------
@@ -334,9 +337,9 @@ def fit(
             gain = (cost - new) / max(cost, 1e-300)
             x, r, cost = trial, r_new, new
             damping = max(damping / 8, 1e-9)
-            if gain < tolerance:
-                done = True
-            jac = jacobian(x, r)
+            done = gain < tolerance
+            if not brief or not (done or count == iterations):
+                jac = jacobian(x, r)
     covariance = robust_covariance(jac, r, block_count(data))
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)
