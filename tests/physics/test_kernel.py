@@ -52,9 +52,9 @@ def rigid(resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia
     return integrate(derivative, 2, sub)[:, 0]
 
 
-def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int) -> np.ndarray:
+def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J) -> np.ndarray:
     """The kernel's free simulation of the whole recording from its first sample."""
-    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": J}}, "effect": terms, "sample_time": T})
+    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": inertia}}, "effect": terms, "sample_time": T})
     one = np.ascontiguousarray(position)[:, None]
     signals = Signals("reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1))
     record = prepare([signals], model).records[0][0]
@@ -109,6 +109,13 @@ DRY: dict[str, tuple[list[dict[str, Any]], Torque]] = {
         lambda q, v, t, u: dry(0.05 * (1 - 0.5 * (1 - math.exp(-t))))(v),
     ),
 }
+
+
+def test_a_light_joint_that_rubs_and_is_damped_needs_no_small_steps() -> None:
+    light, terms = 7e-4, [{"kind": "viscous", "joint": 1, "coefficient": 0.1}, {"kind": "coulomb", "joint": 1, "level": 0.05}]
+    start = np.zeros(N)
+    coarse, fine = (kernel(start, terms, inner, light) for inner in (2, 64))
+    assert np.max(np.abs(coarse - fine)) < 2e-3 * np.ptp(fine)
 
 
 @pytest.mark.parametrize("name", DRY)
@@ -224,3 +231,16 @@ def test_gap_lets_the_motor_move_alone() -> None:
     # impacts spread small differences: what must agree is the motion up to the third reversal
     early = slice(0, 500)
     assert np.max(np.abs(got - true)[early]) < 0.15 * np.max(np.abs(true - without)[early])
+
+
+def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:
+    terms = [{"kind": "viscous", "joint": j, "coefficient": 0.1} for j in (1, 2)]
+    arm = {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": 0.05, "p3": 0.04}}
+    model = parse_model({"mechanism": arm, "effect": terms, "sample_time": T, "columns": {"position": ["a", "b"], "command": ["c", "d"]}})
+    t = np.arange(N) * T
+    q = np.stack([np.sin(3 * t), 0.5 * np.sin(7 * t)], axis=1)  # the second joint's push has a period of 0.9 s
+    signals = Signals("made", t, T, q, np.zeros((N, 2)), None, np.zeros(2))
+    first, second = prepare([signals], model).records[0]
+    push = np.cumsum(second.basis["p2"].bias) * T  # of the first joint's acceleration on the second, over its inertia p2
+    moved = first.motion.states[1] - first.motion.states[1][0]
+    assert np.max(np.abs(push[:-1] - moved[1:])) < 1e-9
