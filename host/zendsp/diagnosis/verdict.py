@@ -22,9 +22,8 @@ SLOW = 8.0  # rad/s: an observer that follows little of what is missing
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
 LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete; and of the error's energy
 MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
-COUPLED = 0.05  # of the RMS torque: other joints' reversals, known only as well as measured, make bursts of this size
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
-SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained
+SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained; other joints' motion, as well as it is measured, makes bursts of half of it
 OF_POSITION = ("stiffness", "cubic_stiffness", "gravity", "ripple")
 
 
@@ -106,7 +105,7 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         return JointOutcome(j, "unexplained", before, after)
     if search.discarded and before.relative > LARGE:
         return JointOutcome(j, "unexplained", before, after)
-    coupled = search.base.model.joints > 1 and before.relative < COUPLED
+    coupled = search.base.model.joints > 1 and before.relative < SMALL
     if bandwidth >= UNSETTLED and before.time_peak > 0.55 and before.state_share < STATE and not coupled:
         spans = _disturbance(search)
         if spans:

@@ -21,6 +21,8 @@ from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
+# with these the command is not what accelerates the inertia, which Data.ranges takes for granted
+UNLIKE_THE_COMMAND = ("elasticity", "backlash", "saturation")
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
@@ -218,8 +220,8 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
             value = float(get_values(model, [h])[0])
             signed = h.place == "mechanism" and h.key in ("p3", "gravity")
             wide = (value / TOO_FAR, value * TOO_FAR)
-            two_mass = any(t.effect in ("elasticity", "backlash") for t in model.terms)
-            lower, upper = (-np.inf, np.inf) if signed else wide if two_mass else data.ranges.get(h.key, wide)
+            free = any(t.effect in UNLIKE_THE_COMMAND for t in model.terms)
+            lower, upper = (-np.inf, np.inf) if signed else wide if free else data.ranges.get(h.key, wide)
             low.append(lower)
             high.append(upper)
             size.append(abs(value))
