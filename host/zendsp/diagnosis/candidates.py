@@ -73,26 +73,25 @@ def _absorbed(effect: str, model: Model, joint: int) -> bool:
 
 
 def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
-    """A screened hypothesis, and where its neutral point came out far outside the motion, also one with it at the edge.
+    """A screened hypothesis; of a spring also one with its neutral point in the middle of the motion, or at its edge where it was far outside.
 
-    Far outside, a spring is a constant torque, and the fit does not come back: its stiffness and its neutral point have one direction.
+    What screens as a weak spring with a distant neutral point may be a strong one with a near one: a constant torque and a stiffness lie in
+    one narrow valley, along which a fit hardly moves.
     """
-    out = [candidate]
     power = {"stiffness": 1, "cubic_stiffness": 3}.get(candidate.effect)
     if power is None or len(candidate.terms) != 1:
-        return out
+        return [candidate]
     term = candidate.terms[0]
     record = max((rec[candidate.joint - 1] for rec in data.records), key=lambda r: r.n)
     position = record.motion.states[0]
     centre, reach = 0.5 * float(position.max() + position.min()), 0.5 * float(np.ptp(position))
     away = term.value("neutral") - centre
-    if abs(away) > reach:
-        near = {
-            "neutral": centre + math.copysign(reach, away),
-            "coefficient": term.value("coefficient") * (abs(away) / reach) ** power,
-        }
-        out.append(replace(candidate, terms=(make_term(get_effect(candidate.effect), candidate.joint, near),)))
-    return out
+    far = abs(away) > reach
+    near = {
+        "neutral": centre + (math.copysign(reach, away) if far else 0.0),
+        "coefficient": term.value("coefficient") * (abs(away) / reach + (0.0 if far else 1.0)) ** power,
+    }
+    return [candidate, replace(candidate, terms=(make_term(get_effect(candidate.effect), candidate.joint, near),))]
 
 
 def simulated(

@@ -34,6 +34,7 @@ GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
 SLOW = ("friction_drift",)  # a fast observer follows what drifts
 COARSE = 1e-3  # s
+QUICK = 1e-4  # relative gain of a step below which a first look ends: in a narrow valley the first step gains little, and 1 % is a deviance of 200
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
@@ -242,8 +243,8 @@ class Searcher:
         for candidate in group:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(data, model, self.joint)
-            rounds = 3 if len(group) > 1 else 4
-            result = fit(_coarse(data), model, handles, joints=(self.joint,), iterations=rounds, tolerance=1e-2, jobs=1, brief=True)
+            rounds = 3 if len(group) > 1 else 6
+            result = fit(_coarse(data), model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK, jobs=1, brief=True)
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:
@@ -259,7 +260,7 @@ class Searcher:
                 handles,
                 joints=(self.joint,),
                 iterations=more,
-                tolerance=1e-2,
+                tolerance=QUICK,
                 jobs=1,
                 brief=True,
             )
