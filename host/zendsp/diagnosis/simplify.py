@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from zendsp.diagnosis.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
 from zendsp.diagnosis.score import Scored, deviance, fit_scored
 from zendsp.diagnosis.screen import make_term
@@ -87,9 +89,37 @@ def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
     return other if other.deviance < best.deviance + 10.0 else best
 
 
+def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
+    """A hardening spring and a constant torque together imitate a linear spring off its neutral point: name it so where that explains as much.
+
+    On a pendulum the weight that is calibrated takes the linear part, k q = k sin q + k q³ / 6 + …: it is given back.
+    """
+    had = {t.effect for t in found.base.model.at(found.joint)}
+    new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
+    if not {"cubic_stiffness", "torque_offset"} <= set(new):
+        return best
+    record = max((rec[found.joint - 1] for rec in best.data.records), key=lambda r: r.n)
+    position = record.motion.states[0]
+    hard, push = new["cubic_stiffness"], new["torque_offset"]
+    slope = 3 * hard.value("coefficient") * float(np.mean((position - hard.value("neutral")) ** 2))
+    if not slope > 0:
+        return best
+    centre = float(np.mean(position))
+    mechanism = dict(best.model.mechanism)
+    weight = mechanism.get("gravity", ())
+    if any(q.free and q.value for q in weight):
+        slope = 6 * hard.value("coefficient")
+        mechanism["gravity"] = tuple(replace(q, value=q.value - slope) for q in weight)
+    spring = make_term(get_effect("stiffness"), found.joint, {"coefficient": slope, "neutral": centre - push.value("level") / slope})
+    model = best.model.with_terms((*(t for t in best.model.terms if t is not hard and t is not push), spring))
+    other = _refitted(best.data, replace(model, mechanism=mechanism), found.joint, jobs, 3)
+    return other if other.deviance < best.deviance + 10.0 else best
+
+
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:
     """Drop every term, given or found, that the recording does not need any more."""
-    best = _as_payload(found, _as_coulomb(_resolved(found.final, found.joint, jobs), found.joint, jobs), jobs)
+    best = _as_coulomb(_resolved(found.final, found.joint, jobs), found.joint, jobs)
+    best = _as_spring(found, _as_payload(found, best, jobs), jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
     while True:
