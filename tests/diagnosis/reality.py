@@ -34,6 +34,7 @@ class Machine:
     kp: float = 3.0
     kd: float = 0.12
     limit: float = 3.0
+    weak: float = math.inf  # torque that the actuator gives at most, whatever it is told
     resolution: float = RESOLUTION
     extra: dict[str, float] = field(default_factory=dict)
 
@@ -70,6 +71,7 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
                 torque = queue[-1 - late]
             else:
                 torque = u
+            torque = max(-m.weak, min(m.weak, torque))
             level = m.coulomb + ((m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2)) if m.breakaway else 0.0)
             f = m.viscous * v + m.drag * v * abs(v) + m.gravity * math.sin(q) + m.ripple * math.sin(m.order * q + 0.4) + m.spring * q
             f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (1 + v * v)

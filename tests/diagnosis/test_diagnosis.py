@@ -40,6 +40,7 @@ SINGLE: dict[str, Case] = {
     "gravity": Case(reality.Machine(gravity=0.15), [VISCOUS, COULOMB], {"gravity": {"torque": 0.15}}),
     "spring": Case(reality.Machine(spring=0.08), [VISCOUS, COULOMB], {"stiffness": {"coefficient": 0.08}}),
     "delay": Case(reality.Machine(delay=0.004), [VISCOUS, COULOMB], {"delay": {"time": 0.004}}, {"high": 12.0}),
+    "saturation far below the commands": Case(reality.Machine(weak=0.15), [VISCOUS, COULOMB], {"saturation": {"level": 0.15}}, {"size": 2.0, "high": 3.0}),
     "pair": Case(reality.Machine(ripple=0.02, drag=0.004), [VISCOUS, COULOMB], {"ripple": {"amplitude": 0.02}, "quadratic_drag": {"coefficient": 0.004}}),
 }
 
