@@ -48,6 +48,9 @@ def command(
     if web:
         _serve(target, machine, clock, source, folder, screen, theme, channels, frames, port)
         return
+    from zendsp.tui.memory import keep_one_heap
+
+    keep_one_heap()  # before anything of the link starts a thread
     from zendsp.reference import MACHINES
     from zendsp.tui.app import ZendspApp
     from zendsp.tui.link_port import find_targets, open_port, start_machine
