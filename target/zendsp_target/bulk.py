@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import zenoh
 
@@ -33,22 +31,13 @@ def send_rows(runtime: RuntimeApi, stream: int, args: verbs.AcquireRead, query: 
         )
     columns = max(1, len(status.channels))
     rows_each = max(1, min(max(args.chunk, LOWEST), HIGHEST) // (8 * columns))
-    # two in turn, since one is filled while the other is sent; Zenoh copies what it is given
-    buffers = [_Buffer(rows_each, columns) for _ in range(2)]
-
-    def fill(number: int, first: int, count: int) -> tuple[bytes, bytes | bytearray]:
-        return buffers[number % 2].fill(runtime, stream, first, count)
-
-    pieces = list(enumerate(spans(args.first, args.count, rows_each)))
-    with ThreadPoolExecutor(1, "rows") as ahead:
-        filled = [ahead.submit(fill, number, *span) for number, span in pieces[:1]]
-        for number, _ in pieces:
-            header, payload = filled.pop().result()
-            filled += [
-                ahead.submit(fill, following, *span) for following, span in pieces[number + 1 : number + 2]
-            ]
-            # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
-            query.reply(query.key_expr, payload, attachment=header)
+    buffer = _Buffer(rows_each, columns)  # one for all of them, since Zenoh copies what it is given
+    for first, count in spans(args.first, args.count, rows_each):
+        # In this thread: the link's queue holds a whole chunk (see endpoints), so that one is filled while the last one leaves anyway, and
+        # what was just copied here is still in this processor's cache when Zenoh copies it on.
+        header, payload = buffer.fill(runtime, stream, first, count)
+        # Priority is that of the query: hosts ask with DATA_LOW, so that quick replies overtake these.
+        query.reply(query.key_expr, payload, attachment=header)
     return m.Empty()
 
 

@@ -17,6 +17,7 @@ import zenoh
 from zendsp_protocol.errors import Refused
 
 LEASE_MS = 1000  # a stopped or unplugged host is noticed within this time
+BULK_QUEUE = 16  # packets of 64 kB that may wait for the link: the most that Zenoh takes, and a whole chunk of a recording
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,9 @@ def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
         "transport/shared_memory/enabled": False,  # the recorder needs what there is; and see the host's settings
+        # Two packets of 64 kB, the default, make sender and link wait for each other 16 times a MiB. What is urgent has queues of its own,
+        # which the link empties first.
+        "transport/link/tx/queue/size/data_low": BULK_QUEUE,
         "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
     }
     if security.encrypted:

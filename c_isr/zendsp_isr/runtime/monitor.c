@@ -98,20 +98,29 @@ int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns)
     }
 }
 
-enum { FOLD = 4096 / sizeof(uint64_t) }; /* words; as in zendsp_protocol/chunks.py */
+/* Chosen when it is loaded: one build serves every processor of its kind, and those of today do this in two thirds of the time. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+enum { FOLD = 4096 / sizeof(uint64_t), LINE = 64, AHEAD = 1024 }; /* words, as in zendsp_protocol/chunks.py; bytes */
 typedef uint64_t lanes __attribute__((vector_size(32), aligned(8), may_alias));
 
 /* Copy words, and join them into `fold`, the first into word `at` of it, by exclusive or: on the way, since a second look at so many
  * would cost half as much again. */
-static void copy_folding(double *to, const double *from, uint64_t words, uint64_t *fold, uint64_t at) {
+WIDE static void copy_folding(double *to, const double *from, uint64_t words, uint64_t *fold, uint64_t at) {
     while (words > 0) {
         if (at == 0 && words >= FOLD) {
             lanes *t = (lanes *)(void *)to, *f = (lanes *)(void *)fold;
             const lanes *s = (const lanes *)(const void *)from;
-            for (int i = 0; i < (int)(FOLD * sizeof(uint64_t) / sizeof(lanes)); i++) {
-                const lanes v = s[i];
+            for (int i = 0; i < (int)(FOLD * sizeof(uint64_t) / sizeof(lanes)); i += LINE / sizeof(lanes)) {
+                __builtin_prefetch((const char *)(s + i) + AHEAD); /* processors stop looking ahead where a page ends */
+                const lanes v = s[i], w = s[i + 1];
                 t[i] = v;
+                t[i + 1] = w;
                 f[i] ^= v;
+                f[i + 1] ^= w;
             }
             to += FOLD, from += FOLD, words -= FOLD;
             continue;
