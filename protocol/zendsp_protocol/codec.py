@@ -10,6 +10,7 @@ import msgspec
 
 from zendsp_protocol import errors
 from zendsp_protocol.errors import LinkError, VersionMismatch, ZendspError
+from zendsp_protocol.keys import LANES
 from zendsp_protocol.messages import ErrorBody
 from zendsp_protocol.values import enc_hook
 from zendsp_protocol.verbs import VERBS, Arguments, Verb
@@ -77,6 +78,7 @@ def _envelope(verb: Verb) -> type[msgspec.Struct]:
 
 
 _envelopes = {_envelope(verb): verb for verb in VERBS.values()}
+_of_lane = {lane: {kind: verb for kind, verb in _envelopes.items() if verb.lane == lane} for lane in LANES}
 _any_request_decoder: msgspec.msgpack.Decoder[Any] = msgspec.msgpack.Decoder(reduce(or_, _envelopes))
 _request_decoder = msgspec.msgpack.Decoder(_RawRequest)
 _reply_decoder = msgspec.msgpack.Decoder(_RawReply)
@@ -124,8 +126,8 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
     """
     try:  # nearly always, and in one go
         whole = _any_request_decoder.decode(data)
-        verb = _envelopes[type(whole)]
-        if whole.v == PROTOCOL and verb.lane == lane:
+        verb = _of_lane[lane].get(type(whole))
+        if verb is not None and whole.v == PROTOCOL:
             return verb, whole.args, whole.by
     except (msgspec.MsgspecError, ValueError):
         pass  # what follows finds the words

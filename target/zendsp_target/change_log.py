@@ -6,7 +6,8 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from itertools import islice
-from typing import NamedTuple
+
+import msgspec
 
 from zendsp_target.api import Change, Value
 from zendsp_target.dictionary import SCALARS, Place, value_of
@@ -15,8 +16,8 @@ from zendsp_target.plans import ENTRY
 _MAX_LOG = 100_000  # lines kept; older ones are dropped
 
 
-class Flight(NamedTuple):
-    """A batch that was committed and not yet harvested."""
+class Flight(msgspec.Struct, frozen=True):
+    """A batch that was committed and not yet harvested; a struct of msgspec, which is made in C at each write."""
 
     slot: int
     places: tuple[tuple[str, Place], ...]  # one for each entry

@@ -15,8 +15,8 @@ int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, ui
                      uint64_t bytes, unsigned char *values, uint64_t *tick);
 int monitor_ended(int pidfd);
 int monitor_commit(control *c, batch *b, uint32_t index, int pidfd);
-int monitor_write(control *c, batch *b, uint32_t index, int pidfd, const batch_entry *entry, const double *limits, uint32_t entries,
-                  uint64_t sequence, uint64_t at_tick, const double *values);
+int monitor_write(control *c, int pidfd, const batch_entry *entry, const double *limits, const double *values, uint32_t entries, batch *b,
+                  uint32_t index, uint64_t sequence, uint64_t at_tick);
 uint32_t monitor_load32(const uint32_t *word);
 uint64_t monitor_load64(const uint64_t *word);
 void monitor_store32(uint32_t *word, uint32_t value);

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import struct
 import threading
-from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -42,47 +42,43 @@ class WritePlan:
     ----------
     places : iterable of (name, Place)
         All of them plain.
+    control : cffi struct control *
+    handle : int
+        The runner's pidfd, or -1.
+
+    Attributes
+    ----------
+    fill : callable
+        Takes the new values, one argument for each; one caller at a time.
+    commit : callable
+        Takes batch, slot, sequence and sample, fills the batch and commits it; what it returns stands at ``monitor_write``.
     """
 
-    def __init__(self, places: Iterable[tuple[str, Place]]) -> None:
+    # Both are made once and stay in C: a monitor that wakes up for a request pays for every Python function on the way several times over.
+    fill: Callable[..., None]
+    commit: Callable[[Any, int, int, int], int]
+
+    def __init__(self, places: Iterable[tuple[str, Place]], control: Any, handle: int) -> None:
         self.places = tuple(places)
+        count = len(self.places)
         infos = [place.entry.info for _, place in self.places]
         where = b"".join(ENTRY.pack(place.entry.index, place.offset, _DOUBLE, 0) for _, place in self.places)
-        self.size = len(where) + _DOUBLE * len(self.places)  # of the batch's entries, bytes
+        self.size = len(where) + _DOUBLE * count  # of the batch's entries, bytes
         ffi, lib = layout()
-        self._where = ffi.from_buffer("batch_entry[]", where)
-        self._limits = ffi.new(
-            "double[]", [x for i in infos for x in (max(i.minimum, -_LARGEST), min(i.maximum, _LARGEST))]
-        )
-        self._write, self._from_buffer = lib.monitor_write, ffi.from_buffer
-
-    def commit(
-        self,
-        control: Any,
-        batch: Any,
-        slot: int,
-        handle: int,
-        sequence: int,
-        at_tick: int,
-        values: array[float],
-    ) -> int:
-        """Fill and commit a batch; what it returns stands at ``monitor_write``."""
-        given = self._from_buffer("double[]", values)
-        done: int = self._write(
+        limits = [x for i in infos for x in (max(i.minimum, -_LARGEST), min(i.maximum, _LARGEST))]
+        given = bytearray(_DOUBLE * count)
+        self.fill = partial(struct.Struct(f"<{count}d").pack_into, given, 0)
+        self.commit = partial(
+            lib.monitor_write,
             control,
-            batch,
-            slot,
             handle,
-            self._where,
-            self._limits,
-            len(self.places),
-            sequence,
-            at_tick,
-            given,
+            ffi.from_buffer("batch_entry[]", where),
+            ffi.new("double[]", limits),
+            ffi.from_buffer("double[]", given),
+            count,
         )
-        return done
 
-    def entries(self, values: array[float]) -> bytes:
+    def entries(self, values: Iterable[float]) -> bytes:
         """The batch's entries, for the log."""
         each = zip(self.places, values, strict=True)
         return b"".join(

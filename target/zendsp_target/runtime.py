@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_isr.build import source_root
+from zendsp_protocol.errors import RunnerDied
 from zendsp_target.api import AcquireConfig, AcquireStatus, Change, Status, Value, VariableInfo
 from zendsp_target.motion import Motion
 from zendsp_target.recorder import Recorder
@@ -126,7 +127,14 @@ class Runtime(Motion):
         VariableError
             One line for each variable that is wrong; nothing was applied.
         """
-        return self._loaded().write(values, author, at_tick)
+        session = self._session
+        if session is None:
+            session = self._loaded()
+        try:
+            return session.updates.write(values, author, at_tick)
+        except RunnerDied:
+            session.require_alive()  # tells how it died
+            raise
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`."""

@@ -98,7 +98,9 @@ class Server:
             if payload is None:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             verb, args, by = codec.decode_request(payload.to_bytes(), lane)
-            reply = codec.encode_result(self._run(verb, args, by, query))
+            handler = self.service.handlers.get(verb.name)
+            result = self._special(verb, args, query) if handler is None else handler(args, by)
+            reply = codec.encode_result(result)
         except Later as later:
             self._waiters.submit(self._finish, query, later.rest)
             return
@@ -109,10 +111,7 @@ class Server:
             reply = codec.encode_error(error)
         self._reply(query, reply)
 
-    def _run(self, verb: verbs.Verb, args: Any, by: str, query: zenoh.Query) -> Any:
-        handler = self.service.handlers.get(verb.name)
-        if handler is not None:
-            return handler(args, by)
+    def _special(self, verb: verbs.Verb, args: Any, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
             return send_rows(self.service.runtime, RECORDER, args, query)
         raise LinkError(f"this target does not know the verb {verb.name!r}")

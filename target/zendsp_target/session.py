@@ -161,14 +161,6 @@ class Session:
         start = entry.banks[word >> 32 & 1]
         return self._memory[start : start + rows * columns * 8].view("<f8").reshape(rows, columns).copy()
 
-    def write(self, values: Mapping[str, object], author: str, at_tick: int | None) -> int:
-        """Commit an update; see `Updates.write`. A runner that is gone is reported with how it died."""
-        try:
-            return self.updates.write(values, author, at_tick)
-        except RunnerDied:
-            self.require_alive()
-            raise
-
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""
         return self.updates.write(values, author, None, settings=True)

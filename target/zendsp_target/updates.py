@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from array import array
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -114,13 +113,15 @@ class Updates:
             raise Refused(f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next")
         names = tuple(values)
         plan = self._plans.get(names)
-        if plan is not None and not settings and (sequence := self._write_planned(plan, values, author, at_tick)):
+        if plan is not None and not settings and (
+            sequence := self._write_planned(plan, tuple(values.values()), author, at_tick or 0)
+        ):
             return sequence
         if not values:
             raise Refused("an update needs at least one variable")
         pieces, tables = self._checked(values, settings)
         if plan is None and not tables and all(piece.place.plain for piece in pieces):
-            plan = WritePlan((piece.name, piece.place) for piece in pieces)
+            plan = WritePlan([(piece.name, piece.place) for piece in pieces], self._pointer, self._handle)
             if plan.size <= self._room:
                 keep(self._plans, names, plan)
         with self._lock:
@@ -143,23 +144,21 @@ class Updates:
             done = self._lib.monitor_commit(self._pointer, self._batches[slot], slot, self._handle)
             return self._committed(flight, done == 1)
 
-    def _write_planned(self, plan: WritePlan, values: Mapping[str, object], author: str, at_tick: int | None) -> int:
+    def _write_planned(self, plan: WritePlan, numbers: tuple[Any, ...], author: str, at_tick: int) -> int:
         """The sequence number, or 0 where something is wrong: then the long way says what."""
-        numbers: tuple[Any, ...] = tuple(values.values())
         if not _NUMBERS.issuperset(map(type, numbers)):
             return 0
-        try:
-            given = array("d", numbers)
-        except OverflowError:
-            return 0
         with self._lock:
+            try:
+                plan.fill(*numbers)
+            except OverflowError:
+                return 0
             slot = self._take_slot()
-            flight = Flight(slot, plan.places, plan.size, partial(plan.entries, given), author, time.time())
-            batch, sequence = self._batches[slot], self._sequence + 1
-            done = plan.commit(self._pointer, batch, slot, self._handle, sequence, at_tick or 0, given)
+            done = plan.commit(self._batches[slot], slot, self._sequence + 1, at_tick)
             if done < 0:
                 self._free.append(slot)
                 return 0
+            flight = Flight(slot, plan.places, plan.size, partial(plan.entries, numbers), author, time.time())
             return self._committed(flight, done == 1)
 
     def _checked(

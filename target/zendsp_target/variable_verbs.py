@@ -52,10 +52,13 @@ class VariableVerbs:
         return {"tick": tick, "values": found}
 
     def do_write(self, args: verbs.Write, by: str) -> dict[str, int]:
-        return {"sequence": self._write(args, by)}
+        given: Any = args.values
+        if not PLAIN.issuperset(map(type, given.values())):
+            given = self._unpacked(given)
+        return {"sequence": self.runtime.write(given, by, args.at_tick)}
 
     def do_update(self, args: verbs.Write, by: str) -> dict[str, int]:
-        sequence = self._write(args, by)
+        sequence = self.do_write(args, by)["sequence"]
         try:
             return self._applied(sequence, APPLY_INLINE_S)
         except Refused:  # not yet: it waits for its sample
@@ -67,16 +70,14 @@ class VariableVerbs:
     def do_log(self, args: verbs.Log, by: str) -> Any:
         return self.runtime.log(args.since)
 
-    def _write(self, args: verbs.Write, by: str) -> int:
-        given: dict[str, Any] = args.values  # type: ignore[assignment]
-        if not PLAIN.issuperset(map(type, given.values())):
-            odd = [name for name, value in given.items() if type(value) not in PLAIN]
-            try:
-                given = {**given, **{name: values.from_wire(given[name]) for name in odd}}
-            except ValueError as error:
-                raise VariableError(str(error)) from error
-            given = self._shaped(given)
-        return self.runtime.write(given, by, args.at_tick)
+    def _unpacked(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Turn what came over the wire into numbers and arrays."""
+        odd = [name for name, value in given.items() if type(value) not in PLAIN]
+        try:
+            given = {**given, **{name: values.from_wire(given[name]) for name in odd}}
+        except ValueError as error:
+            raise VariableError(str(error)) from error
+        return self._shaped(given)
 
     def _shaped(self, given: dict[str, Any]) -> dict[str, Any]:
         """Give the values of a table that came flat their rows and columns back."""

@@ -49,8 +49,8 @@ int monitor_commit(control *c, batch *b, uint32_t index, int pidfd) {
 
 /* Fill and commit an update of doubles: `entry` says where each of `values` goes, `limits` holds its least and greatest. Returns 1;
  * 0 as monitor_commit; -1, nothing done, when a value is outside its limits or not a number. */
-int monitor_write(control *c, batch *b, uint32_t index, int pidfd, const batch_entry *entry, const double *limits, uint32_t entries,
-                  uint64_t sequence, uint64_t at_tick, const double *values) {
+int monitor_write(control *c, int pidfd, const batch_entry *entry, const double *limits, const double *values, uint32_t entries, batch *b,
+                  uint32_t index, uint64_t sequence, uint64_t at_tick) {
     for (uint32_t i = 0; i < entries; i++)
         if (!(values[i] >= limits[2 * i] && values[i] <= limits[2 * i + 1]))
             return -1;
