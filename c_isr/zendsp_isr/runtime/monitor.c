@@ -114,7 +114,7 @@ WIDE static void copy_folding(double *to, const double *from, uint64_t words, ui
         if (at == 0 && words >= FOLD) {
             lanes *t = (lanes *)(void *)to, *f = (lanes *)(void *)fold;
             const lanes *s = (const lanes *)(const void *)from;
-            for (int i = 0; i < (int)(FOLD * sizeof(uint64_t) / sizeof(lanes)); i += LINE / sizeof(lanes)) {
+            for (int i = 0; i < (int)(FOLD * sizeof(uint64_t) / sizeof(lanes)); i += (int)(LINE / sizeof(lanes))) {
                 __builtin_prefetch((const char *)(s + i) + AHEAD); /* processors stop looking ahead where a page ends */
                 const lanes v = s[i], w = s[i + 1];
                 t[i] = v;
