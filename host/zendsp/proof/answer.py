@@ -32,6 +32,7 @@ class Finding:
     confidence: float = math.nan
     indistinguishable: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
+    detail: str = ""  # of a coupling: its law and the joint that it comes from
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Answer:
                 f["confidence"],
                 tuple(f["indistinguishable"]),
                 tuple(f["replaces"]),
+                f.get("detail", ""),
             )
             for f in table["findings"]
         )
@@ -117,6 +119,7 @@ def read_finding(table: Mapping[str, Any], index: int) -> Finding:
         confidence,
         tuple(names(need(table, "indistinguishable", where))),
         tuple(names(need(table, "replaces", where))),
+        f"{table['law']}, from joint {table['from_joint']}" if {"law", "from_joint"} <= set(table) else "",
     )
 
 

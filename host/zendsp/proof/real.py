@@ -159,7 +159,8 @@ def lines_of(machine: Machine, seen: Seen) -> list[str]:
     for f in a.findings:
         values = ", ".join(f"{k} {e.value:.5g} ± {e.std:.2g}" for k, e in f.parameters.items())
         gone = f"  (replaces {', '.join(f.replaces)})" if f.replaces else ""
-        out.append(f"  found: {f.effect} on joint {f.joint}: {values}{gone}")
+        detail = f" ({f.detail})" if f.detail else ""
+        out.append(f"  found: {f.effect} on joint {f.joint}{detail}: {values}{gone}")
     held = f"  held out: calibrated {a.calibrated:.4g}, improved {a.improved:.4g}, noise {a.noise_floor:.2g}"
     beaten = ""
     if seen.published_heldout is not None:
