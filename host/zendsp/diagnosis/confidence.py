@@ -43,11 +43,11 @@ def confidence(
     )
     relative = min(1.0, min(margin, loss) / max(loss, 1e-300))
     score = (
-        0.4
-        + 2.0 * settled
-        + 1.2 * min(1.0, 2.0 * relative)
-        + 0.3 * min(z, 6.0) / 6.0
-        - 0.6 * max(0, beside - 1)
+        -0.7
+        + 3.2 * settled
+        + 1.9 * min(1.0, 2.0 * relative)
+        + 0.5 * min(z, 6.0) / 6.0
+        - 0.9 * max(0, beside - 1)
     )
-    score -= 1.5 * result.after.state_share * (result.after.relative > 0.02)
+    score -= 2.4 * result.after.state_share * (result.after.relative > 0.02)
     return min(0.98, max(0.05, 1.0 / (1.0 + math.exp(-score))))
