@@ -23,7 +23,9 @@ STATE = 0.25  # share of the remaining torque that a function of state must pred
 LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete; and of the error's energy
 MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
-SMALL = 0.01  # of the RMS torque: a remainder below is not called unexplained; other joints' motion, as well as it is measured, makes bursts of half of it
+# Of the RMS torque: a remainder below is called neither unexplained nor a disturbance. Other joints' motion, as well as it is measured, makes bursts of
+# half of it, and so do the starts from rest in slow motion.
+SMALL = 0.01
 OF_POSITION = ("stiffness", "cubic_stiffness", "gravity", "ripple")
 
 
@@ -105,8 +107,7 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
         return JointOutcome(j, "unexplained", before, after)
     if search.discarded and before.relative > LARGE:
         return JointOutcome(j, "unexplained", before, after)
-    coupled = search.base.model.joints > 1 and before.relative < SMALL
-    if bandwidth >= UNSETTLED and before.time_peak > 0.55 and before.state_share < STATE and not coupled:
+    if bandwidth >= UNSETTLED and before.time_peak > 0.55 and before.state_share < STATE and before.relative > SMALL:
         spans = _disturbance(search)
         if spans:
             return JointOutcome(j, "disturbance", before, after, spans)
