@@ -244,3 +244,22 @@ def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:
     push = np.cumsum(second.basis["p2"].bias) * T  # of the first joint's acceleration on the second, over its inertia p2
     moved = first.motion.states[1] - first.motion.states[1][0]
     assert np.max(np.abs(push[:-1] - moved[1:])) < 1e-9
+
+
+def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> None:
+    k, c, load = 15.0, 0.2, 0.004  # damped, so that its own ringing is over
+
+    def derivative(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+        force = k * (x[0] - x[2]) + c * (x[1] - x[3])
+        return np.array([x[1], (u - force) / (J - load), x[3], force / load])
+
+    true, begin = integrate(derivative, 4), 200
+    term = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}
+    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": J}}, "effect": [term], "sample_time": T})
+    later = np.ascontiguousarray(true[begin:, :1])
+    record = prepare([Signals("later", np.arange(N - begin) * T, T, later, command()[begin:, None], None, np.zeros(1))], model).records[0][0]
+    record.motion.states[:2] = true[begin:, :2].T  # the smoother's guess of the first speed is not what is tested here
+    early = slice(0, 100)
+    off = np.abs(run(record, model, 16.0, inner=8, free_every=N).innovations[early])
+    bend = np.abs(true[begin, 0] - true[begin, 2])
+    assert np.max(off) < 0.15 * bend

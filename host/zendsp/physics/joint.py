@@ -16,6 +16,7 @@ from zendsp.physics.signals import Measurement, Motion
 Array = npt.NDArray[np.float64]
 
 MAX_EFFECTS, MAX_PARAMETERS = 24, 6
+AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,8 @@ def run(
     m.extra = p(extra) if extra is not None else ffi.NULL
     m.nfx, m.kind, m.p = len(model.at(record.joint)), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     m.q0, m.qd0 = float(rq[0]), float(rqd[0])
+    soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
+    m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
     m.load_sensor = 1 if model.sensor.side == "load" else 0
     m.reset, m.rq, m.rqd, m.t0 = free_every, p(rq), p(rqd), record.t0
     out = [p(a) if a is not None else ffi.NULL for a in (xq, xqd, torque)]

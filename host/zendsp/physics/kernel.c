@@ -38,7 +38,7 @@ typedef struct {
     int nfx;
     const int *kind;          /* nfx */
     const double *p;          /* nfx x MAXP */
-    double q0, qd0;           /* initial state */
+    double q0, qd0, a0;       /* initial state, and its acceleration: it says how far a spring is bent when the recording begins */
     int load_sensor;          /* 1: the sensor sits on the load */
     int reset;                /* free run: restart from (rq, rqd) every so many samples, no correction; 0 = observer */
     const double *rq, *rqd;   /* n: states to restart from */
@@ -147,6 +147,15 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         default: break;
         }
     }
+    if (two_mass) {
+        double J = M->inertia[0] + j_extra, jm, jl;
+        share_inertia(M, J, j_extra, j_load, &jm, &jl);
+        double push = jl * M->a0 + M->bias[0] + (M->gravity != 0 ? M->gravity * sin(M->q0) : 0.0);
+        double bent = k_spring > 0 ? push / k_spring : 0.0;
+        bent += 0.5 * gap * bent / (fabs(bent) + 0.05 * gap + 1e-300); /* a load that nothing pushes may be anywhere in its gap */
+        if (M->load_sensor) q += bent;
+        else ql -= bent;
+    }
     const int sub = gap > 0 ? CONTACT_STEPS * M->sub : M->sub;
     h = M->T / sub;
     for (int k = 0; k < M->n; k++) {
@@ -163,7 +172,6 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
             if (k % M->reset == 0) {
                 double dq = M->rq[k] - (M->load_sensor ? ql : q), dv = M->rqd[k] - (M->load_sensor ? qdl : qd);
                 q += dq; ql += dq; qd += dv; qdl += dv;
-                if (k == 0) { ql = q; qdl = qd; }
             }
             r[k] = M->w[k] * (M->m[k] - sense(M, M->load_sensor ? ql : q));
         } else {

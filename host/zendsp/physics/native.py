@@ -24,7 +24,7 @@ typedef struct {
     int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
     const double *m; const double *half; const double *k1; const double *k2; const double *w;
     const double *inertia; const double *bias; double reference; double gravity; const double *other; const double *extra;
-    int nfx; const int *kind; const double *p; double q0; double qd0; int load_sensor; int reset;
+    int nfx; const int *kind; const double *p; double q0; double qd0; double a0; int load_sensor; int reset;
     const double *rq; const double *rqd; double t0;
     double kp; double kd; const double *ref; double resolution; double *uloop;
 } zk_model;
