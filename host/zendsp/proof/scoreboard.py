@@ -43,6 +43,7 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
     complete = [j for j in judged if j.alarm is not None]
     alarms, quiet = rate(j.alarm for j in complete)
     errors = [e for j in judged for e in j.errors.values()]
+    gap = calibration_gap(judged)
     covered = rate(c for j in judged for c in j.covered.values())
     gaps = [j.gap for j in judged if j.gap is not None]
     seconds = [j.seconds for j in judged if math.isfinite(j.seconds)]
@@ -62,7 +63,7 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
         ),
         ("parameter error, median", f"{statistics.median(errors):.2%}" if errors else "-", "<= 3 %"),
         ("90 % intervals hold the truth", shown(*covered), "85-95 %"),
-        ("stated confidence less hit rate", f"{calibration_gap(judged):.1%}", "<= 5 points"),
+        ("stated confidence less hit rate", f"{100 * gap:.1f} points" if math.isfinite(gap) else "-", "<= 5 points"),
         (
             "gap to the noise closed, held out, median",
             f"{statistics.median(gaps):.1%}" if gaps else "-",
