@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 # with these the command is not what accelerates the inertia, which Data.ranges takes for granted
 UNLIKE_THE_COMMAND = ("elasticity", "backlash", "saturation")
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
+LEFT, ENDLESS = 1e8, 1e30  # innovations that the kernel writes where a prediction runs away are larger; a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 
@@ -359,6 +360,8 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     normal = jac.T @ jac
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
+    if not np.all(np.isfinite(jac)) or float(np.max(np.abs(r))) >= LEFT:
+        return np.diag(np.full(p, ENDLESS))  # the prediction has left the track: nothing is known
     classic = inverse * float(r @ r) / max(1, n - p)
     starts = np.arange(0, n, block)
     scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
