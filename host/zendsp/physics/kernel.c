@@ -147,12 +147,12 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         default: break;
         }
     }
-    if (two_mass) {
+    if (two_mass && !(gap > 0)) { /* a load in a gap may be anywhere in it */
         double J = M->inertia[0] + j_extra, jm, jl;
         share_inertia(M, J, j_extra, j_load, &jm, &jl);
         double push = jl * M->a0 + M->bias[0] + (M->gravity != 0 ? M->gravity * sin(M->q0) : 0.0);
         double bent = k_spring > 0 ? push / k_spring : 0.0;
-        bent += 0.5 * gap * bent / (fabs(bent) + 0.05 * gap + 1e-300); /* a load that nothing pushes may be anywhere in its gap */
+
         if (M->load_sensor) q += bent;
         else ql -= bent;
     }
