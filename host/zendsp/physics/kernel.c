@@ -152,7 +152,6 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
         share_inertia(M, J, j_extra, j_load, &jm, &jl);
         double push = jl * M->a0 + M->bias[0] + (M->gravity != 0 ? M->gravity * sin(M->q0) : 0.0);
         double bent = k_spring > 0 ? push / k_spring : 0.0;
-
         if (M->load_sensor) q += bent;
         else ql -= bent;
     }
