@@ -360,7 +360,7 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     normal = jac.T @ jac
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
-    if not np.all(np.isfinite(jac)) or float(np.max(np.abs(r))) >= LEFT:
+    if not np.all(np.isfinite(jac)) or float(np.max(np.abs(r), initial=0.0)) >= LEFT:
         return np.diag(np.full(p, ENDLESS))  # the prediction has left the track: nothing is known
     classic = inverse * float(r @ r) / max(1, n - p)
     starts = np.arange(0, n, block)
