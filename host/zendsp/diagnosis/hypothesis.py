@@ -93,6 +93,12 @@ def _essence(effect: str) -> tuple[str, ...]:
     return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 
 
+def sizes(effect: str) -> tuple[str, ...]:
+    """Names of the numbers that say how large an effect is."""
+    entry = get_effect(effect)
+    return _essence(effect) or entry.linear or tuple(p.name for p in entry.parameters if p.fitted)[:1]
+
+
 # a size times a shape: whether there is any of it is asked at the shape that was found, since none has no shape
 SHAPE = {"friction_drift": "time_constant"}
 

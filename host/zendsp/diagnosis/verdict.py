@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from zendsp.diagnosis.assemble import Assembled
-from zendsp.diagnosis.hypothesis import UNSETTLED, JointSearch
+from zendsp.diagnosis.findings import new_terms
+from zendsp.diagnosis.hypothesis import UNSETTLED, JointSearch, counterpart, sizes
 from zendsp.diagnosis.remainder import Remainder, remainder
 from zendsp.diagnosis.score import deviance, tune_bandwidth
 from zendsp.diagnosis.simplify import simplify
 from zendsp.diagnosis.where import intervals, missing_torque
 from zendsp.diagnosis.windows import noise_floor, rms, window_error
-from zendsp.physics.fit import Data
+from zendsp.physics.fit import Data, fit
 from zendsp.physics.joint import run
 from zendsp.physics.model import Model
 
@@ -22,6 +23,7 @@ SLOW = 8.0  # rad/s: an observer that follows little of what is missing
 STATE = 0.25  # share of the remaining torque that a function of state must predict on held-out data
 LARGE = 0.1  # of the RMS torque: a mismatch that the search could not reduce is not called complete; and of the error's energy
 MOST = 0.5  # of the energy of the held-out position error beyond the noise, and of the torque lacking: findings that leave so much explain nothing
+SAME = 0.05  # physics has the same numbers in other recordings, to so much of their size; what lends itself to something else has others
 STRAY = 0.15  # share of the first mismatch that may remain, as a function of state, beside a named effect
 # Of the RMS torque: a remainder below is called neither unexplained nor a disturbance. Other joints' motion, as well as it is measured, makes bursts of
 # half of it, and so do the starts from rest in slow motion.
@@ -119,17 +121,33 @@ def settled(test: Data, search: JointSearch) -> JointSearch:
     needed still.
 
     Something else acts, which lends likelihood to whatever resembles it a little: other joints' motion that is known only as well as it
-    was measured, or physics that the library does not have.
+    was measured, or physics that the library does not have. But a small effect beside much that nobody can predict is still there: it
+    is kept where other recordings give it the same numbers and what is left is no function of state.
     """
     j, final = search.joint, search.final
     if not search.steps or final.data.bandwidth[j - 1] <= UNSETTLED:
         return search
-    torque = [remainder(s.data, test, s.model, j).size ** 2 for s in (search.base, final)]
+    left = [remainder(s.data, test, s.model, j) for s in (search.base, final)]
+    torque = [r.size**2 for r in left]
     best = deviance(test.at_bandwidth(j, final.data.bandwidth[j - 1]), final.model, (j,))
     slow = [deviance(test.at_bandwidth(j, SLOW), m, (j,)) - best for m in (search.base.model, final.model)]
     if _error_left(test, search) <= MOST or any(after <= MOST * before for before, after in (torque, slow)):
         return search
+    if left[1].state_share < STATE and found_again(test, search):
+        return search
     return JointSearch(j, search.base, tried=search.tried, discarded=True)
+
+
+def found_again(test: Data, search: JointSearch) -> bool:
+    """Whether a refit to the held-out recordings gives each new term the size that it has."""
+    j, final = search.joint, search.final
+    data = test.at_bandwidth(j, final.data.bandwidth[j - 1])
+    again = fit(data, final.model, final.fit.handles, joints=(j,), iterations=8, tolerance=1e-3, jobs=1).model
+    for term in new_terms(search.base.model, final.model, j):
+        other = counterpart(again.at(j), term)
+        if any(abs(other.value(n) - term.value(n)) > SAME * abs(term.value(n)) for n in sizes(term.effect)):
+            return False
+    return True
 
 
 def _error_left(test: Data, search: JointSearch) -> float:
