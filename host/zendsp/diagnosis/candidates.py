@@ -49,7 +49,7 @@ def screened(
     best: dict[object, tuple[float, Candidate]] = {}
     around = data.at_bandwidth(joint, max(8.0, here / 4) if here > 8.0 else here)
     result = fit(around, model, handles, joints=(joint,), iterations=3, jobs=jobs)
-    for candidate in Screen(around, result, joint, (joint,)).candidates(only):
+    for candidate in Screen(around, result, joint, (joint,)).candidates(only, jobs):
         if _absorbed(candidate.effect, model, joint):
             continue
         share = candidate.gain / max(result.cost, 1e-300)

@@ -8,11 +8,13 @@ the one that brings it back is named.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
 
 from zendsp.errors import RecordingError
 from zendsp.physics.joint import JointRecord, mechanism_value
@@ -69,16 +71,14 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     -------
     Slow
     """
-    from scipy.signal import butter, sosfiltfilt
-
     nyquist = 0.5 / sample_time
     for cutoff in BAND:
         cutoff = min(cutoff, 0.4 * nyquist)
-        sos = butter(3, cutoff / nyquist, output="sos")
-        q = sosfiltfilt(sos, positions, axis=1)
+        width = math.sqrt(2 * math.log(2)) / (2 * np.pi * cutoff * sample_time)  # samples: half the amplitude is left at the cutoff
+        q = gaussian_filter1d(positions, width, axis=1, mode="nearest")
         qd = np.gradient(q, sample_time, axis=1)
         qdd = np.gradient(qd, sample_time, axis=1)
-        white = noise * (2 * np.pi * cutoff) ** 2 * np.sqrt(0.4 * cutoff * sample_time)
+        white = noise * (2 * np.pi * cutoff) ** 2 * np.sqrt(0.6 * cutoff * sample_time)
         if np.all(white < 0.1 * np.std(qdd, axis=1) + 1e-300):
             break
     step = max(1, round(0.2 / (cutoff * sample_time)))
@@ -88,7 +88,7 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     reach = max(1, round(0.5 / (cutoff * sample_time)))
     edge = np.abs(commands) >= EDGE * np.maximum(top, 1e-300)
     solid = np.stack([np.convolve(row, np.ones(2 * reach + 1), mode="same") >= 2 * reach for row in edge.astype(float)])
-    u = sosfiltfilt(sos, commands, axis=1)
+    u = gaussian_filter1d(commands, width, axis=1, mode="nearest")
     return Slow(q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use])
 
 

@@ -101,8 +101,9 @@ def remainder(train: Data, test: Data, model: Model, joint: int) -> Remainder:
     scale = max(r.scale.torque for r in test_records)
     stride = max(1, len(d_fit) // 6000)
     a = _features(fit_records, ranges, stride)
-    b = _features(test_records, ranges)
-    inside = np.ones(len(b), bool)
+    sparse = max(1, len(d_test) // 6000)
+    b = _features(test_records, ranges, sparse)
+    inside = np.ones(len(d_test), bool)
     offset = 0
     for r in test_records:
         x = np.stack([r.motion.states[0], r.motion.states[1]], axis=1)
@@ -114,11 +115,13 @@ def remainder(train: Data, test: Data, model: Model, joint: int) -> Remainder:
     best = (0.0, 0.0)
     gram, moment = a.T @ a, a.T @ target
     level = float(np.trace(gram)) / len(gram)
+    inside = inside[::sparse]
     if inside.sum() > 50 and size > 0:
-        y = d_test[inside]
+        y = d_test[::sparse][inside]
+        seen = b[inside]
         for ridge in (1e-3, 1e-2, 1e-1):
             theta = np.linalg.solve(gram + ridge * level * np.eye(len(gram)), moment)
-            guess = b[inside] @ theta
+            guess = seen @ theta
             share = 1.0 - float(np.sum((y - guess) ** 2)) / max(float(np.sum(y**2)), 1e-300)
             if share > best[0]:
                 best = (share, float(np.sqrt(np.mean(guess**2))))

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.fit import Data, Fit, Handle, fit, residual
+from zendsp.physics.joint import ran_away
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-RAN_AWAY = 1e15  # mean squared innovation: the kernel writes 1e9 where a prediction has left the track
 SLOWEST, FASTEST = 4.0, 64.0  # rad/s: 10 Hz; a faster observer believes noise and structural vibration
 
 
@@ -74,9 +74,9 @@ def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
 def deviance_of(data: Data, joint: int, r: Array) -> float:
     """As ``deviance`` from the innovations of one joint."""
     n = informative(data, joint)
-    mean = float(r @ r) / max(n, 1)
-    if not np.isfinite(mean) or mean > RAN_AWAY:
+    if ran_away(r):
         return float("inf")
+    mean = float(r @ r) / max(n, 1)
     return n * float(np.log(max(mean, 1e-12))) + log_weights(data, joint)
 
 

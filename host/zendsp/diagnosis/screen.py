@@ -7,6 +7,7 @@ the innovations. What the calibrated parameters can imitate is projected out fir
 from __future__ import annotations
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -178,9 +179,9 @@ class Screen:
         theta = -np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
         return float(-2 * theta @ moment - theta @ gram @ theta), theta / norm
 
-    def candidates(self, only: frozenset[str] = frozenset()) -> list[Candidate]:
+    def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
         """Each effect of the library (or only the named ones) at its best grid point, best first."""
-        found: list[Candidate] = []
+        effects: list[Effect] = []
         present = {t.effect for t in self.model.at(self.joint)}
         for effect in library().values():
             if effect.starts and effect.name not in ("lag", "delay"):
@@ -191,9 +192,10 @@ class Screen:
                 continue
             if effect.needs == ("friction",) and not present & set(FRICTION):
                 continue
-            best = self._best_coupling(effect) if effect.name == "coupling" else self._best(effect)
-            found += best
-        return sorted(found, key=lambda c: -c.gain)
+            effects.append(effect)
+        with ThreadPoolExecutor(jobs) as pool:
+            found = pool.map(lambda e: self._best_coupling(e) if e.name == "coupling" else self._best(e), effects)
+            return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
 
     def _best(self, effect: Effect) -> list[Candidate]:
         best: tuple[float, dict[str, float]] | None = None

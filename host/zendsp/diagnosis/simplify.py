@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from zendsp.diagnosis.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
-from zendsp.diagnosis.score import Scored, deviance, fit_scored
+from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import make_term
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.model import Model, Term
 
+PLAIN = 0.1  # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not fitted away any more
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
 
 
@@ -128,6 +129,8 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             if term.joint != found.joint or _needed_by(best.model, term):
                 continue
             model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
+            if _hopeless(best, model, found.joint, jobs):
+                continue
             trial = _refitted(best.data, model, found.joint, jobs, 2)
             idle = term.effect in added and vanishes(certain, term)
             if idle or trial.deviance < best.deviance + price((term,), n):
@@ -139,6 +142,14 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
                 break
         else:
             return best, tuple(dropped)
+
+
+def _hopeless(best: Scored, model: Model, joint: int, jobs: int) -> bool:
+    """Whether a model is so much less likely after a short fit that a long one would not make up for it."""
+    handles = joint_handles(best.data, model, joint)
+    short = fit(best.data, model, handles, joints=(joint,), iterations=4, tolerance=1e-2, jobs=jobs, brief=True)
+    value = tune_bandwidth(best.data, short.model, (joint,))[1]
+    return value > best.deviance + PLAIN * informative(best.data, joint)
 
 
 def _needed_by(model: Model, term: Term) -> bool:

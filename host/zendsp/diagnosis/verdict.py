@@ -127,13 +127,16 @@ def settled(test: Data, search: JointSearch) -> JointSearch:
     j, final = search.joint, search.final
     if not search.steps or final.data.bandwidth[j - 1] <= UNSETTLED:
         return search
-    left = [remainder(s.data, test, s.model, j) for s in (search.base, final)]
-    torque = [r.size**2 for r in left]
+    if _error_left(test, search) <= MOST:
+        return search
     best = deviance(test.at_bandwidth(j, final.data.bandwidth[j - 1]), final.model, (j,))
     slow = [deviance(test.at_bandwidth(j, SLOW), m, (j,)) - best for m in (search.base.model, final.model)]
-    if _error_left(test, search) <= MOST or any(after <= MOST * before for before, after in (torque, slow)):
+    if slow[1] <= MOST * slow[0]:
         return search
-    if left[1].state_share < STATE and found_again(test, search):
+    before, after = (remainder(s.data, test, s.model, j) for s in (search.base, final))
+    if after.size**2 <= MOST * before.size**2:
+        return search
+    if after.state_share < STATE and found_again(test, search):
         return search
     return JointSearch(j, search.base, tried=search.tried, discarded=True)
 

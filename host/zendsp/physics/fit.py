@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from zendsp.physics.bounds import parameter_bounds
 from zendsp.physics.effects import get_effect
-from zendsp.physics.joint import JointRecord, run
+from zendsp.physics.joint import JointRecord, ran_away, run
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 # with these the command is not what accelerates the inertia, which Data.ranges takes for granted
 UNLIKE_THE_COMMAND = ("elasticity", "backlash", "saturation")
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
-LEFT, ENDLESS = 1e8, 1e30  # innovations that the kernel writes where a prediction runs away are larger; a variance that says nothing
+ENDLESS = 1e30  # a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 
@@ -358,10 +358,12 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     if not p:
         return np.zeros((0, 0))
     normal = jac.T @ jac
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
-    if not np.all(np.isfinite(jac)) or float(np.max(np.abs(r), initial=0.0)) >= LEFT:
+    if not np.all(np.isfinite(jac)) or ran_away(r):
         return np.diag(np.full(p, ENDLESS))  # the prediction has left the track: nothing is known
+    strength = np.diag(normal)
+    idle = strength <= float(r @ r) / ENDLESS  # numbers that nothing depends on
+    scale = np.where(idle, 1.0, np.sqrt(strength))
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-13) / np.outer(scale, scale)
     classic = inverse * float(r @ r) / max(1, n - p)
     starts = np.arange(0, n, block)
     scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
@@ -370,6 +372,8 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     small = np.maximum(np.diag(classic), 1e-300)
     grow = np.sqrt(np.maximum(1.0, small / np.maximum(np.diag(sandwich), 1e-6 * small)))
     honest: Array = sandwich * np.outer(grow, grow)
+    honest[idle, :], honest[:, idle] = 0.0, 0.0
+    honest[idle, idle] = ENDLESS
     return honest
 
 

@@ -16,6 +16,7 @@ from zendsp.physics.signals import Measurement, Motion
 Array = npt.NDArray[np.float64]
 
 MAX_EFFECTS, MAX_PARAMETERS = 24, 6
+RAN_AWAY = 1e9  # what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5 rad/s or m/s
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
 
@@ -167,6 +168,11 @@ class Run:
     qd: Array | None
     torque: Array | None
     diverged: int
+
+
+def ran_away(innovations: Array) -> bool:
+    """Whether a prediction has left the track on the way: then its innovations say nothing."""
+    return not float(np.max(np.abs(innovations), initial=0.0)) < RAN_AWAY
 
 
 def run(
