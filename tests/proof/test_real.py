@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
+import threading
 import tomllib
+import zipfile
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +17,7 @@ from click.testing import CliRunner
 
 from zendsp.cli.prove import command
 from zendsp.proof.answer import Answer, Estimate, Finding
-from zendsp.proof.convert import convert, missing
+from zendsp.proof.convert import FILES, altered, convert, fetch, missing
 from zendsp.proof.implant import (
     EFFECTS,
     GAIN,
@@ -35,6 +40,49 @@ def test_absent_data_are_reported_and_fail(tmp_path: Path) -> None:
     assert result.exit_code == 1
     assert result.output.count("ABSENT") == len(MACHINES)
     assert "DATA_EMPS.mat" in result.output
+
+
+def serve(files: dict[str, bytes]) -> tuple[ThreadingHTTPServer, str]:
+    """A web server on loopback; its address."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            body = files.get(self.path)
+            self.send_response(404 if body is None else 200)
+            self.end_headers()
+            self.wfile.write(body or b"")
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server, f"http://127.0.0.1:{server.server_port}"
+
+
+def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pooch")
+    table, one, two = b"a,b\n1,2\n", b"first", b"second"
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as made:
+        made.writestr("EMPS/one.mat", one)
+        made.writestr("EMPS/two.mat", two)
+    server, address = serve({"/a.zip": archive.getvalue(), "/t.csv": table, "/wrong.mat": b"other"})
+    known = {"one.mat": one, "two.mat": two, "t.csv.gz": table, "wrong.mat": b"expected", "gone.mat": b"", "bare.mat": b""}
+    at = {"one.mat": "/a.zip", "two.mat": "/a.zip", "t.csv.gz": "/t.csv", "wrong.mat": "/wrong.mat", "gone.mat": "/gone.mat"}
+    monkeypatch.setitem(FILES, "emps", {f"emps/{n}": hashlib.sha256(content).hexdigest() for n, content in known.items()})
+    monkeypatch.setattr("zendsp.proof.convert.ADDRESSES", {f"emps/{n}": address + path for n, path in at.items()})
+    told: list[str] = []
+    trouble = fetch("emps", tmp_path, told.append)
+    server.shutdown()
+    assert len(told) == 5
+    assert [line.split(":")[0] for line in trouble] == ["emps/wrong.mat", "emps/gone.mat", "emps/bare.mat"]
+    assert "expected" in trouble[0] and "404" in trouble[1] and "no address" in trouble[2]
+    assert all("nonlinearbenchmark.org" in line for line in trouble)
+    assert sorted(path.name for path in (tmp_path / "emps").iterdir()) == ["one.mat", "t.csv.gz", "two.mat"]
+    assert altered("emps", tmp_path) == []
+    (tmp_path / "emps/t.csv.gz").write_bytes(b"not compressed")
+    assert altered("emps", tmp_path) == ["emps/t.csv.gz"]
 
 
 def test_no_folder_named_is_a_usage_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -155,7 +155,7 @@ def fetch_absent(data: Path) -> None:
     from zendsp.proof import convert
 
     for machine in convert.FILES:
-        for line in convert.fetch(machine, data):
+        for line in convert.fetch(machine, data, lambda text: click.echo(text, err=True)):
             click.echo(f"{machine}: {line}", err=True)
 
 

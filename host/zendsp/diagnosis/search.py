@@ -174,14 +174,16 @@ class Searcher:
         if not only:  # the commonest physics is tried whatever the first order says of it
             first = {c.effect for group in listed for c in group}
             listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
-        listed += simulated(current.data, current.model, self.joint, only, self.jobs)
+        # what takes longest comes first, so that no thread is left with it at the end
+        listed = [*simulated(current.data, current.model, self.joint, only, self.jobs), *listed]
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
-            full = list(pool.map(lambda r: self._full(r), finalists))
+            alone = self.jobs if len(finalists) == 1 else 1
+            full = list(pool.map(lambda r: self._full(r, alone), finalists))
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
@@ -279,49 +281,49 @@ class Searcher:
             candidate.replaces,
         )
 
-    def _lossy(self, scored: Scored) -> Scored:
+    def _lossy(self, scored: Scored, jobs: int) -> Scored:
         """Refit from a contact that loses a fifth of critical: one that bounces for ever, or sticks, has no gradient to follow."""
         term = next(t for t in scored.model.at(self.joint) if t.effect == "backlash")
         critical = math.sqrt(term.value("stiffness") * term.value("load_inertia"))
         if 0.05 * critical < term.value("damping", 0.0) < 0.5 * critical:
             return scored
         model = _set_number(scored.model, "backlash", self.joint, "damping", 0.2 * critical)
-        result = fit(scored.data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=1)
+        result = fit(scored.data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=jobs)
         return Scored(result, scored.data, deviance(scored.data, result.model, (self.joint,)), (self.joint,))
 
-    def _descend(self, scored: Scored) -> Scored:
+    def _descend(self, scored: Scored, jobs: int) -> Scored:
         """Refit with ever slower observers: a fast one corrects the load at every sample and hides when a contact begins and ends."""
         best, model = scored, scored.model
         bandwidth = scored.data.bandwidth[self.joint - 1]
         while bandwidth / 2 >= SLOWEST:
             bandwidth /= 2
             data = scored.data.at_bandwidth(self.joint, bandwidth)
-            result = fit(data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=1)
+            result = fit(data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=jobs)
             model = result.model
             data, value = tune_bandwidth(data, model, (self.joint,))
             if value < best.deviance:
                 best = Scored(replace(result, model=model), data, value, (self.joint,))
         for _ in range(2):
-            result = fit(best.data, best.model, scored.fit.handles, joints=(self.joint,), iterations=6, jobs=1, central=True)
+            result = fit(best.data, best.model, scored.fit.handles, joints=(self.joint,), iterations=6, jobs=jobs, central=True)
             data, value = tune_bandwidth(best.data, result.model, (self.joint,))
             if not value < best.deviance - 2.0:
                 break
             best = Scored(result, data, value, (self.joint,))
         return best
 
-    def _full(self, rival: Rival) -> Rival:
+    def _full(self, rival: Rival, jobs: int) -> Rival:
         scored = fit_scored(
-            rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=1
+            rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=jobs
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         if rival.effect == "backlash":
-            options.append(self._descend(self._lossy(options[0])))
+            options.append(self._descend(self._lossy(options[0], jobs), jobs))
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
                 options.append(
                     fit_scored(
-                        rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=1, rounds=2
+                        rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=jobs, rounds=2
                     )
                 )
         return replace(rival, scored=min(options, key=lambda s: s.deviance))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import io
 import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-# below the data folder: file -> SHA-256 of what the published results of this project were measured on
+# below the data folder: file -> SHA-256 of what this project was measured on; of what is in it where it is compressed
 FILES = {
     "emps": {
         "emps/DATA_EMPS.mat": "6cf6814ae14618795da0101aae2bb97ff0c6351b0501b5492751b02b07facf7e",
@@ -21,22 +26,28 @@ FILES = {
         ),
     },
     "tx40": {
-        "tx40/pos_read_data.csv.gz": "b107ec63aa3609d087cab74d7564c8a2a0c0aa6045a9b89bbd7f5be2caa6d7c7",
-        "tx40/curr_data.csv.gz": "a99cc2ae662511b58ab3983fb2cdb9ce734eeaf3e604da36c51d29265e91ab87",
+        "tx40/pos_read_data.csv.gz": "5cc1cecc1024ef0e331d0caba06f689456ab789ec3f1e904599c0a8be5c27bc8",
+        "tx40/curr_data.csv.gz": "f4592f4ba4db42f5d7625688986be25b575ca34d0504b27979ca6b0276bd3af9",
         "tx40/tx40.urdf": "8d678db7e0ff23f5004050cefe2bbda6ca7e00c1b0e707b05f792e7522900453",
     },
 }
 SOURCES = {
     "emps": "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS)",
     "single_pendulum": "github.com/dynamicslab/MultiArm-Pendulum (MIT), ParameterEstimation/SinglePendulum",
-    "tx40": "github.com/thanhndv212/figaroh-examples, staubli_TX40 (Apache-2.0); compress the tables with gzip",
+    "tx40": "github.com/thanhndv212/figaroh-examples, staubli_tx40 (Apache-2.0); compress the tables with gzip, take the visual and collision elements out of the URDF",
 }
-# the one file that is published at an address of its own
+_EMPS = "https://drive.google.com/uc?export=download&id=1zwoXYa9-3f8NQ0ohzmjpF7UxbNgRTHkS"
+_TX40 = "https://raw.githubusercontent.com/thanhndv212/figaroh-examples/541a2ec01529eef2dfbdd65bb768d2cfe5af1962/examples/staubli_tx40/data/"
+# what is published as a file, or as a member of a zip archive
 ADDRESSES = {
+    "emps/DATA_EMPS.mat": _EMPS,
+    "emps/DATA_EMPS_PULSES.mat": _EMPS,
     "single_pendulum/SinglePendulumDataForParameterEstimation.mat": (
         "https://raw.githubusercontent.com/dynamicslab/MultiArm-Pendulum/78ed9353702f1f9e92c74d3bb671a7804fb41fb0/"
         "ParameterEstimation/SinglePendulum/SinglePendulumDataForParameterEstimation.mat"
-    )
+    ),
+    "tx40/pos_read_data.csv.gz": _TX40 + "pos_read_data.csv",
+    "tx40/curr_data.csv.gz": _TX40 + "curr_data.csv",
 }
 
 
@@ -58,28 +69,58 @@ def altered(machine: str, data: Path) -> list[str]:
     return [
         name
         for name, known in FILES[machine].items()
-        if (data / name).exists() and hashlib.sha256((data / name).read_bytes()).hexdigest() != known
+        if (data / name).exists() and content_hash(data / name) != known
     ]
 
 
-def fetch(machine: str, data: Path) -> list[str]:
-    """Download what is absent and has an address, checked by hash; returns what could not be had, and why.
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file, or of what a .gz file holds; empty where it cannot be read."""
+    try:
+        raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    except (OSError, EOFError):
+        return ""
+    return hashlib.sha256(raw).hexdigest()
 
-    Needs a network and pooch (``pip install 'zendsp[data]'``).
+
+def fetch(machine: str, data: Path, tell: Callable[[str], None] = lambda _line: None) -> list[str]:
+    """Download what is absent and has an address; returns what could not be had, and why.
+
+    Nothing gets into the data folder unless its hash is the known one. Needs a network and pooch (``pip install 'zendsp[data]'``).
     """
     trouble = []
-    for name in missing(machine, data):
-        if name not in ADDRESSES:
-            trouble.append(f"{name}: no address of its own; get it from {SOURCES[machine]}")
-            continue
-        try:
-            import pooch
-
-            target = data / name
-            pooch.retrieve(ADDRESSES[name], FILES[machine][name], fname=target.name, path=target.parent)
-        except (ImportError, OSError, ValueError) as error:
-            trouble.append(f"{name}: {error}")
+    with tempfile.TemporaryDirectory() as folder:  # an archive of two files is loaded once
+        for name in missing(machine, data):
+            if name not in ADDRESSES:
+                trouble.append(f"{name}: no address of its own; get it from {SOURCES[machine]}")
+                continue
+            tell(f"{machine}: fetching {name}")
+            try:
+                _fetch_one(name, FILES[machine][name], data / name, Path(folder))
+            except (ImportError, OSError, ValueError) as error:
+                trouble.append(f"{name}: {error}; get it from {SOURCES[machine]}")
     return trouble
+
+
+def _fetch_one(name: str, known: str, target: Path, folder: Path) -> None:
+    import pooch
+
+    pooch.get_logger().setLevel("WARNING")
+    address = ADDRESSES[name]
+    cached = hashlib.sha256(address.encode()).hexdigest()[:16]
+    raw = Path(pooch.retrieve(address, None, fname=cached, path=folder)).read_bytes()
+    if zipfile.is_zipfile(io.BytesIO(raw)):
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            inside = [member for member in archive.namelist() if Path(member).name == target.name]
+            if not inside:
+                raise ValueError(f"the archive at {address} does not hold {target.name}")
+            raw = archive.read(inside[0])
+    found = hashlib.sha256(raw).hexdigest()
+    if found != known:
+        raise ValueError(f"SHA-256 of what is at {address} is {found}, expected {known}: not kept")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_suffix(target.suffix + ".part")
+    part.write_bytes(gzip.compress(raw, mtime=0) if target.suffix == ".gz" else raw)
+    part.replace(target)
 
 
 def convert(machine: str, data: Path, out: Path) -> Recordings:
