@@ -7,6 +7,7 @@ import pytest
 
 from zendsp.diagnosis.findings import estimates
 from zendsp.diagnosis.hypothesis import counterpart, vanishes
+from zendsp.diagnosis.reading import Signals, split
 from zendsp.physics.fit import Fit, Handle
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -59,3 +60,13 @@ def test_hysteresis_is_found_again_when_its_exponent_was_chosen_anew() -> None:
 def test_a_term_that_is_not_there_is_no_other_one(fit: Fit) -> None:
     with pytest.raises(LookupError, match="coupling at joint 2"):
         counterpart(fit.model.terms, Term("coupling", 2, {}))
+
+
+def test_a_swing_that_comes_to_rest_is_judged_on_the_last_third_of_its_motion() -> None:
+    t = np.arange(20_000) * 1e-3
+    for q, share, words in ((np.exp(-t) * np.sin(6 * t), 0.055, "with the last third of its motion"), (np.sin(6 * t), 2 / 3, "the last third is held out")):
+        s = Signals("swing", t, 1e-3, q[:, None], np.zeros((len(t), 1)), None, np.array([1e-4]))
+        train, test, notes = split([s])
+        assert len(train[0].time) + len(test[0].time) == len(t)
+        assert len(train[0].time) == pytest.approx(share * len(t), rel=0.05)
+        assert words in notes[0]

@@ -220,8 +220,8 @@ def _recordings(sources: Sequence[Any], heldout: Sequence[Any], model: Model, fu
     held: list[Signals] = [read_signals(source, model) for source in heldout]
     notes = check_signals([*signals, *held], model)
     if not held:
-        signals, held = split(signals)
-        notes.append("no held-out recording given: the last third of each recording is held out")
+        signals, held, how = split(signals)
+        notes += how
     train, test = [bench(s, model, function) for s in signals], [bench(s, model, function) for s in held]
     if _restarts(train[0], model):
         for b in (*train, *test):

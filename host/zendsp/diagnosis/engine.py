@@ -89,7 +89,7 @@ def diagnose(
     model : Model, path or dict
         The given model (docs/diagnosis.md).
     heldout : like ``recordings``, optional
-        To judge on; where none is given, the last third of each recording is held out.
+        To judge on; where none is given, the last third of each is held out (of its motion, where it comes to rest).
     seed : int
         Of what is drawn at random (the proposed reference).
     jobs : int
@@ -209,9 +209,8 @@ def _read(
     notes = check_signals([*signals, *held], model)
     if held:
         return signals, held, notes
-    train, test = split(signals)
-    notes.append("no held-out recording given: the last third of each recording is held out")
-    return train, test, notes
+    train, test, how = split(signals)
+    return train, test, [*notes, *how]
 
 
 def _explain(

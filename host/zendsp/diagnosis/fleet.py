@@ -46,7 +46,7 @@ def diagnose_each(
     recordings : sequence of path
     model : path
     heldout : sequence of path
-        Judged on by all of them; where none is given the last third of each recording is held out.
+        Judged on by all of them; where none is given the last third of each is held out (of its motion, where it comes to rest).
     out : path, optional
         Folder; each recording's report goes into a folder of its name below it.
     seed : int

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 
 from zendsp.errors import RecordingError
 from zendsp.physics.model import Model, per_joint
@@ -22,6 +23,7 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 # samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at least: the fastest observer has 10 Hz
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
+LITTLE = 0.05  # of the way: a last third with less is no test of a motion
 
 
 @dataclass(frozen=True)
@@ -319,11 +321,33 @@ def _decimate(signals: Signals) -> Signals:
     )
 
 
-def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals]]:
-    """Hold out the last third of each recording."""
-    train, test = [], []
+def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
+    """Hold out the last third of each recording: of its time, or of its motion where it has come to rest by then.
+
+    Returns
+    -------
+    train, test, notes
+    """
+    train, test, notes = [], [], []
     for s in signals:
         cut = 2 * len(s.time) // 3
-        train.append(s.part(0, cut, f"{s.name} (first two thirds)"))
-        test.append(s.part(cut, len(s.time), f"{s.name} (last third)"))
-    return train, test
+        way = _way(s)
+        if 1.0 - way[cut] < LITTLE:
+            cut = max(MIN_SAMPLES, int(np.searchsorted(way, 2 / 3)))
+            notes.append(f"{s.name}: hardly moves in its last third; held out from {s.time[cut] - s.time[0]:.3g} s on, with the last third of its motion")
+        else:
+            notes.append(f"{s.name}: no other recording given to judge on; the last third is held out")
+        train.append(s.part(0, cut, f"{s.name} (first part)"))
+        test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
+    return train, test, notes
+
+
+def _way(s: Signals) -> Array:
+    """Share of the way that is behind at each row, (n,), the mean over the joints; what a sensor trembles is averaged out."""
+    block = max(1, round(0.02 / s.sample_time))
+    means = uniform_filter1d(s.position, block, axis=0, mode="nearest")[::block]
+    way = np.cumsum(np.abs(np.diff(means, axis=0, prepend=means[:1])), axis=0)
+    way = way[:, way[-1] > 0]
+    share = np.mean(way / way[-1], axis=1) if way.shape[1] else np.linspace(0.0, 1.0, len(means))
+    out: Array = np.interp(np.arange(len(s.time)), np.arange(len(means)) * block, share)
+    return out

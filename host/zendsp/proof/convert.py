@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -97,7 +98,9 @@ def fetch(machine: str, data: Path, tell: Callable[[str], None] = lambda _line: 
             try:
                 _fetch_one(name, FILES[machine][name], data / name, Path(folder))
             except (ImportError, OSError, ValueError) as error:
-                trouble.append(f"{name}: {error}; get it from {SOURCES[machine]}")
+                host = urlsplit(ADDRESSES[name]).hostname
+                reason = f"{host} cannot be reached" if isinstance(error, OSError) and "Max retries" in str(error) else error
+                trouble.append(f"{name}: {reason}; get it from {SOURCES[machine]}")
     return trouble
 
 
