@@ -30,6 +30,7 @@ class Machine:
     spring: float = 0.0
     wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
+    unrest: float = 0.0  # N m RMS: a random torque below 2 Hz, another one in every run
     delay: float = 0.0
     kp: float = 3.0
     kd: float = 0.12
@@ -58,7 +59,10 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
     late = round(m.delay / h)
     queue = [0.0] * (late + 1)
     ys, us = [], []
-    for r in reference:
+    draw = np.random.default_rng(seed)
+    slow = [(2 * math.pi * a, b) for a, b in zip(draw.uniform(0.2, 2.0, 40), draw.uniform(0, 6.28, 40), strict=True)] if m.unrest else []
+    for k, r in enumerate(reference):
+        unrest = m.unrest / math.sqrt(20) * sum(math.sin(a * k * T + b) for a, b in slow)
         y = m.resolution * round(q / m.resolution) if m.resolution else q
         u = m.kp * (r - y) - m.kd * (y - last) / T
         u = max(-m.limit, min(m.limit, u))
@@ -71,7 +75,7 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
                 torque = queue[-1 - late]
             else:
                 torque = u
-            torque = max(-m.weak, min(m.weak, torque))
+            torque = max(-m.weak, min(m.weak, torque)) + unrest
             level = m.coulomb + ((m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2)) if m.breakaway else 0.0)
             f = m.viscous * v + m.drag * v * abs(v) + m.gravity * math.sin(q) + m.ripple * math.sin(m.order * q + 0.4) + m.spring * q
             f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (1 + v * v)

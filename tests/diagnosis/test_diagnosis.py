@@ -49,7 +49,7 @@ def run(case: Case, folder: Path, resolution: float = reality.RESOLUTION) -> Dia
     files = []
     for name, seconds, seed in (("train", 9.0, 1), ("heldout", 7.0, 2)):
         reference = reality.multisine(seconds, RATE, seed, **case.reference)
-        files.append(reality.save(folder / f"{name}.csv", reality.simulate(case.machine, reference, RATE)))
+        files.append(reality.save(folder / f"{name}.csv", reality.simulate(case.machine, reference, RATE, seed)))
     model = reality.model_file(folder / "model.toml", RATE, *case.given, resolution=resolution)
     return diagnose(files[0], model, files[1], jobs=2)
 
@@ -97,6 +97,12 @@ def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:
     d = run(Case(reality.Machine(wave=0.05), [VISCOUS, COULOMB], {}), tmp_path)
     assert d.verdict == "unexplained" and d.findings == ()
     assert d.regions and "N m" in d.unexplained
+
+
+def test_a_torque_that_nothing_predicts_is_not_passed_over(tmp_path: Path) -> None:
+    d = run(Case(reality.Machine(unrest=0.006), [VISCOUS, COULOMB], {}), tmp_path)
+    assert d.verdict == "unexplained" and d.findings == ()
+    assert "nor any function of the joint's state" in d.unexplained
 
 
 def test_wrong_term_of_the_given_model_is_replaced(tmp_path: Path) -> None:

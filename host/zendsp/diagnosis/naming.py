@@ -16,7 +16,7 @@ from zendsp.diagnosis.score import Scored, fit_scored
 from zendsp.diagnosis.screen import FRICTION
 from zendsp.diagnosis.search import Searcher
 from zendsp.diagnosis.shift import shifted
-from zendsp.diagnosis.verdict import JointOutcome, Outcome
+from zendsp.diagnosis.verdict import STATE, JointOutcome, Outcome
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
@@ -62,7 +62,7 @@ def name_findings(
                 Rejected(
                     r.effect,
                     r.joint,
-                    "explains a part, but leaves a torque that depends on the state",
+                    "explains a part, but leaves a torque that depends on the state" if result.after.state_share > STATE else "explains too little of what is missing",
                     -0.5 * (r.value - search.base.deviance),
                 )
                 for r in search.tried[:4]
