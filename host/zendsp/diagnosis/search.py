@@ -14,9 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.candidates import SCANS, screened, simulated, starts_of
+from zendsp.diagnosis.candidates import SCANS, coarse, screened, simulated, starts_of
+from zendsp.diagnosis.contact import refine
 from zendsp.diagnosis.hypothesis import SUFFICIENT, UNSETTLED, JointSearch, Rival, Step, price, vanishes
-from zendsp.diagnosis.score import SLOWEST, Scored, deviance, fit_scored, informative, tune_bandwidth
+from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
@@ -33,7 +34,6 @@ FINALISTS = 4
 GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
 SLOW = ("friction_drift",)  # a fast observer follows what drifts
-COARSE = 1e-3  # s
 QUICK = 1e-4  # relative gain of a step below which a first look ends: in a narrow valley the first step gains little, and 1 % is a deviance of 200
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
@@ -183,7 +183,7 @@ class Searcher:
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
             alone = self.jobs if len(finalists) == 1 else 1
-            full = list(pool.map(lambda r: self._full(r, alone), finalists))
+            full = list(pool.map(lambda r: self._full(current, r, alone), finalists))
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
@@ -246,7 +246,7 @@ class Searcher:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(data, model, self.joint)
             rounds = 3 if len(group) > 1 else 6
-            result = fit(_coarse(data), model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK, jobs=1, brief=True)
+            result = fit(coarse(data), model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK, jobs=1, brief=True)
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:
@@ -257,7 +257,7 @@ class Searcher:
             handles = best.scored.fit.handles
             more = 10 if best.effect == "backlash" else 5
             result = fit(
-                _coarse(current.data),
+                coarse(current.data),
                 best.scored.model,
                 handles,
                 joints=(self.joint,),
@@ -281,43 +281,13 @@ class Searcher:
             candidate.replaces,
         )
 
-    def _lossy(self, scored: Scored, jobs: int) -> Scored:
-        """Refit from a contact that loses a fifth of critical: one that bounces for ever, or sticks, has no gradient to follow."""
-        term = next(t for t in scored.model.at(self.joint) if t.effect == "backlash")
-        critical = math.sqrt(term.value("stiffness") * term.value("load_inertia"))
-        if 0.05 * critical < term.value("damping", 0.0) < 0.5 * critical:
-            return scored
-        model = _set_number(scored.model, "backlash", self.joint, "damping", 0.2 * critical)
-        result = fit(scored.data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=jobs)
-        return Scored(result, scored.data, deviance(scored.data, result.model, (self.joint,)), (self.joint,))
-
-    def _descend(self, scored: Scored, jobs: int) -> Scored:
-        """Refit with ever slower observers: a fast one corrects the load at every sample and hides when a contact begins and ends."""
-        best, model = scored, scored.model
-        bandwidth = scored.data.bandwidth[self.joint - 1]
-        while bandwidth / 2 >= SLOWEST:
-            bandwidth /= 2
-            data = scored.data.at_bandwidth(self.joint, bandwidth)
-            result = fit(data, model, scored.fit.handles, joints=(self.joint,), iterations=8, tolerance=1e-3, jobs=jobs)
-            model = result.model
-            data, value = tune_bandwidth(data, model, (self.joint,))
-            if value < best.deviance:
-                best = Scored(replace(result, model=model), data, value, (self.joint,))
-        for _ in range(2):
-            result = fit(best.data, best.model, scored.fit.handles, joints=(self.joint,), iterations=6, jobs=jobs, central=True)
-            data, value = tune_bandwidth(best.data, result.model, (self.joint,))
-            if not value < best.deviance - 2.0:
-                break
-            best = Scored(result, data, value, (self.joint,))
-        return best
-
-    def _full(self, rival: Rival, jobs: int) -> Rival:
+    def _full(self, current: Scored, rival: Rival, jobs: int) -> Rival:
         scored = fit_scored(
             rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=jobs
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         if rival.effect == "backlash":
-            options.append(self._descend(self._lossy(options[0], jobs), jobs))
+            options.append(refine(options[0], self.joint, current.deviance, 10 * WAIT, jobs))
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
@@ -327,12 +297,6 @@ class Searcher:
                     )
                 )
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
-
-
-def _coarse(data: Data) -> Data:
-    """The same recordings with integration steps of up to a millisecond, for a first look at a hypothesis."""
-    steps = [min(data.inner, math.ceil(rec[0].sample_time / COARSE - 1e-6)) for rec in data.records]
-    return replace(data, inner=max(1, *steps))
 
 
 def is_white(scored: Scored, joint: int) -> bool:

@@ -1,0 +1,129 @@
+"""A gap's narrow optimum: contacts that begin and end at other instants make a rough cost with a deep valley of a few percent's width.
+
+A fit from afar ends in a ripple of that cost. Three moves lead on from there by turns, each of which sees past what stops the others: a contact
+that loses much (one that bounces for ever, or sticks, has no gradient to follow), ever slower observers (a fast one corrects the load
+at every sample and hides when a contact begins), and a coarse grid of gaps and stiffnesses around what was found.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+from zendsp.diagnosis.score import SLOWEST, Scored, deviance, tune_bandwidth
+from zendsp.physics.fit import Data, fit
+from zendsp.physics.model import Model, Term
+
+LOSSY = 0.2  # of critical damping
+ROUNDS = 3
+PROGRESS = 50.0  # deviance below which a round has led nowhere
+GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
+STIFFNESSES = (0.5, 0.7, 1.0, 1.4, 2.0)
+TRIED = 3  # points of the grid that are fitted
+
+
+def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -> Scored:
+    """The likeliest backlash that the moves lead to.
+
+    Parameters
+    ----------
+    scored : Scored
+        A fitted model with backlash at the joint.
+    joint : int
+        1-based.
+    before : float
+        Deviance of the model without it.
+    worth : float
+        Gain over that below which one round is enough.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    Scored
+    """
+    best = min(scored, descend(lossy(scored, joint, jobs), joint, jobs), key=lambda s: s.deviance)
+    for _ in range(ROUNDS):
+        if before - best.deviance < worth:
+            break
+        softer = lossy(best, joint, jobs)
+        moved = [*([softer] if softer is not best else []), *around(best, joint, jobs)]
+        trial = descend(min(moved, key=lambda s: s.deviance), joint, jobs)
+        if not trial.deviance < best.deviance - PROGRESS:
+            break
+        best = trial
+    return best
+
+
+def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
+    """Refit from a contact that loses a fifth of critical; the same where it loses about so much already."""
+    values = _values(scored.model, joint)
+    damping = _moderate(values)
+    if damping == values.get("damping", 0.0):
+        return scored
+    model = _with(scored.model, joint, {"damping": damping})
+    return _refitted(scored, scored.data, model, joint, jobs)
+
+
+def descend(scored: Scored, joint: int, jobs: int) -> Scored:
+    """Refit with ever slower observers, then with central differences where that was likeliest."""
+    best, model = scored, scored.model
+    bandwidth = scored.data.bandwidth[joint - 1]
+    while bandwidth / 2 >= SLOWEST:
+        bandwidth /= 2
+        slow = _refitted(scored, scored.data.at_bandwidth(joint, bandwidth), model, joint, jobs)
+        model = slow.model
+        data, value = tune_bandwidth(slow.data, model, (joint,))
+        if value < best.deviance:
+            best = Scored(slow.fit, data, value, (joint,))
+    for _ in range(2):
+        result = fit(best.data, best.model, scored.fit.handles, joints=(joint,), iterations=6, jobs=jobs, central=True)
+        data, value = tune_bandwidth(best.data, result.model, (joint,))
+        if not value < best.deviance - 2.0:
+            break
+        best = Scored(result, data, value, (joint,))
+    return best
+
+
+def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
+    """Fits from the likeliest points of a grid of gaps and stiffnesses around what was found."""
+    values = _values(scored.model, joint)
+    points = [
+        _with(scored.model, joint, {"gap": g * values["gap"], "stiffness": k * values["stiffness"], "damping": math.sqrt(k) * _moderate(values)})
+        for g, k in itertools.product(GAPS, STIFFNESSES)
+        if (g, k) != (1.0, 1.0)
+    ]
+    with ThreadPoolExecutor(jobs) as pool:
+        likely = list(pool.map(lambda model: deviance(scored.data, model, (joint,)), points))
+        order = sorted(range(len(points)), key=lambda i: likely[i])[:TRIED]
+        return list(pool.map(lambda i: _refitted(scored, scored.data, points[i], joint, 1), order))
+
+
+def _moderate(values: Mapping[str, float]) -> float:
+    """A contact's damping: as found, or a fifth of critical where it is next to none or next to critical."""
+    critical, damping = math.sqrt(values["stiffness"] * values["load_inertia"]), values.get("damping", 0.0)
+    return damping if 0.05 * critical < damping < 0.5 * critical else LOSSY * critical
+
+
+def _refitted(scored: Scored, data: Data, model: Model, joint: int, jobs: int) -> Scored:
+    result = fit(data, model, scored.fit.handles, joints=(joint,), iterations=8, tolerance=1e-3, jobs=jobs)
+    return Scored(result, data, deviance(data, result.model, (joint,)), (joint,))
+
+
+def _values(model: Model, joint: int) -> dict[str, float]:
+    term = next(t for t in model.at(joint) if t.effect == "backlash")
+    return {name: q.value for name, q in term.parameters.items()}
+
+
+def _with(model: Model, joint: int, numbers: Mapping[str, float]) -> Model:
+    """The model with some numbers of its backlash set."""
+
+    def changed(term: Term) -> Term:
+        if term.effect != "backlash" or term.joint != joint:
+            return term
+        return Term(term.effect, joint, {**term.parameters, **{n: replace(term.parameters[n], value=v) for n, v in numbers.items()}})
+
+    return model.with_terms(tuple(map(changed, model.terms)))
