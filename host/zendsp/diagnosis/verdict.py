@@ -11,7 +11,7 @@ from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.findings import new_terms
 from zendsp.diagnosis.hypothesis import UNSETTLED, JointSearch, counterpart, sizes
 from zendsp.diagnosis.remainder import Remainder, remainder
-from zendsp.diagnosis.score import deviance, tune_bandwidth
+from zendsp.diagnosis.score import deviance, fastest, tune_bandwidth
 from zendsp.diagnosis.simplify import simplify
 from zendsp.diagnosis.where import intervals, missing_torque
 from zendsp.diagnosis.windows import noise_floor, rms, window_error
@@ -40,7 +40,7 @@ class JointOutcome:
     kind: str
     before: Remainder
     after: Remainder
-    unsettled: bool  # the best model needs a fast observer still
+    fast: bool  # the best model needs the fastest observer still
     spans: tuple[tuple[float, float], ...] = ()
 
 
@@ -84,7 +84,7 @@ def judge(
             words.append(
                 f"Joint {j.joint}: a torque of {j.after.size:.3g} {unit} RMS ({share}) is missing that neither a known effect nor any function of the joint's state predicts"
             )
-        elif j.kind == "missing" and j.after.relative > SMALL and (j.after.state_share > STATE or j.unsettled):
+        elif j.kind == "missing" and j.after.relative > SMALL and (j.after.state_share > STATE or j.fast):
             words.append(
                 f"Joint {j.joint}: beside what was found, {j.after.size:.3g} {unit} RMS ({share}) stays unexplained"
             )
@@ -103,21 +103,25 @@ def _judge_joint(train: Data, test: Data, search: JointSearch) -> JointOutcome:
     before = remainder(search.base.data, test, search.base.model, j)
     final = search.final
     after = before if not search.steps else remainder(final.data, test, final.model, j)
-    unsettled = final.data.bandwidth[j - 1] >= UNSETTLED
+    bandwidth = final.data.bandwidth[j - 1]
+    fast = 2 * bandwidth > fastest(final.data)
     if search.steps:
         stray = after.state_share * after.size**2 / max(before.size**2, 1e-300)
         if _series(search):
-            return JointOutcome(j, "unexplained", before, before, unsettled)  # nothing of it is claimed
-        large = after.relative > LARGE and unsettled and _error_left(test, search) > LARGE
+            return JointOutcome(j, "unexplained", before, before, fast)  # nothing of it is claimed
+        large = after.relative > LARGE and bandwidth >= UNSETTLED and _error_left(test, search) > LARGE
         if after.state_share > STATE and after.relative > SMALL and (stray > STRAY or large):
-            return JointOutcome(j, "unexplained", before, after, unsettled)
-        return JointOutcome(j, "missing", before, after, unsettled)
+            return JointOutcome(j, "unexplained", before, after, fast)
+        return JointOutcome(j, "missing", before, after, fast)
     if before.state_share > STATE and before.relative * np.sqrt(before.state_share) > SMALL:
-        return JointOutcome(j, "unexplained", before, after, unsettled)
-    if unsettled and before.relative > SMALL:  # more than the sensor's noise: a slower observer would do for that
+        return JointOutcome(j, "unexplained", before, after, fast)
+    if bandwidth >= UNSETTLED and before.relative > SMALL:
         spans = _disturbance(search) if before.time_peak > PEAK and before.state_share < STATE else ()
-        return JointOutcome(j, "disturbance" if spans else "unexplained", before, after, unsettled, spans)
-    return JointOutcome(j, "complete", before, after, unsettled)
+        if spans:
+            return JointOutcome(j, "disturbance", before, after, fast, spans)
+        if fast or (search.discarded and before.relative > LARGE):  # for the sensor's noise a slower observer does, in slow motion too
+            return JointOutcome(j, "unexplained", before, after, fast)
+    return JointOutcome(j, "complete", before, after, fast)
 
 
 def settled(test: Data, search: JointSearch) -> JointSearch:
