@@ -7,7 +7,7 @@ knows nothing of either. Every call is quick (the slow ones say so) and safe fro
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -193,6 +193,15 @@ class Change:
     author: str
 
 
+@dataclass(frozen=True)
+class Blank:
+    """A reply in which only numbers are missing, of eight bytes each, the most significant first."""
+
+    data: bytearray
+    count: int  # where the tick or the sequence number goes
+    values: tuple[int, ...] = ()  # where each value goes, a double
+
+
 class RuntimeApi(Protocol):
     """See the module docstring."""
 
@@ -217,6 +226,11 @@ class RuntimeApi(Protocol):
     def trip(self, reason: str) -> None: ...  # stop with a reason of the monitor's: "stop" | "host lost"
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]: ...  # all from one sample; its tick
     def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int: ...  # -> sequence
+    # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has happened, where the whole way has to be gone.
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None: ...  # takes the least tick
+    def repeat_write(  # takes a request, in which the value stands from byte `value_at` on, as in a reply
+        self, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None: ...
     def wait_applied(self, sequence: int, timeout: float) -> int: ...  # -> tick at which it took effect
     def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live

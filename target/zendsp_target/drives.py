@@ -73,7 +73,7 @@ class Drives:
         self._explicit = managed
         self._powered = False
         self._enabled = False
-        self._commander = ""
+        self.commander = ""  # who holds the right to command
         self._ramp_s = SOFT_S
         self._lock = threading.RLock()
         if managed:
@@ -133,7 +133,7 @@ class Drives:
                 managed=self._managed,
                 explicit=self._explicit,
                 homed=status.homed,
-                commander=self._commander,
+                commander=self.commander,
                 host_lost=self._policy,
                 conditions=tuple(m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice) for c in self.conditions(status)),
             )
@@ -142,7 +142,7 @@ class Drives:
 
     def check_right(self, by: str) -> None:
         """Refuse unless ``by`` may command."""
-        commander = self._commander
+        commander = self.commander
         if commander and commander != by:
             raise Refused(
                 f"{commander} has the exclusive right to command this target; take it over deliberately "
@@ -152,25 +152,25 @@ class Drives:
     def take(self, by: str, force: bool) -> str:
         """Give the right to command to ``by``."""
         with self._lock:
-            before = self._commander
+            before = self.commander
             if before and before != by and not force:
                 raise Refused(f"{before} has the right to command; take it over with force")
-            self._commander = by
+            self.commander = by
             return f"taken over from {before}" if before and before != by else "you command"
 
     def release(self, by: str) -> str:
         """Give the right back."""
         with self._lock:
             self.check_right(by)
-            self._commander = ""
+            self.commander = ""
             return "the right to command is free"
 
     def host_gone(self, host: str) -> None:
         """Act on the disappearance of a host, by the policy."""
         with self._lock:
-            if host != self._commander:
+            if host != self.commander:
                 return
-            self._commander = ""
+            self.commander = ""
             policy = self._policy
             try:
                 if self._runtime.status().state != "running" or policy == "finish":
@@ -214,7 +214,7 @@ class Drives:
                 self.check_right(by)
             said = action()
             if args.action in ("power_on", "home", "enable"):
-                self._commander = by
+                self.commander = by
             return said
 
     def power_on(self) -> str:
@@ -310,7 +310,7 @@ class Drives:
 
     def _guarded(self, name: str, handler: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
         def change(args: Any, by: str) -> Any:
-            if self._commander:
+            if self.commander:
                 self.check_right(by)
             return handler(args, by)
 

@@ -17,6 +17,12 @@ int monitor_ended(int pidfd);
 int monitor_commit(control *c, batch *b, uint32_t index, int pidfd);
 int monitor_write(control *c, int pidfd, const batch_entry *entry, const double *limits, const double *values, uint32_t entries, batch *b,
                   uint32_t index, uint64_t sequence, uint64_t at_tick);
+int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data, uint64_t slots_at, uint64_t stride, uint64_t from,
+                       uint64_t bytes, unsigned char *values, uint32_t count, const uint32_t *places, unsigned char *reply,
+                       uint32_t tick_at, uint64_t least);
+int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const batch_entry *entry, const double *limits, uint32_t value_at,
+                        unsigned char *reply, uint32_t sequence_at, const unsigned char *request, batch *b, uint32_t index,
+                        uint64_t sequence);
 uint32_t monitor_load32(const uint32_t *word);
 uint64_t monitor_load64(const uint64_t *word);
 void monitor_store32(uint32_t *word, uint32_t value);

@@ -14,20 +14,22 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from zendsp_target.api import Value
+from zendsp_target.api import Blank, Value
 from zendsp_target.dictionary import SCALARS, Place, value_of
 from zendsp_target.layout import layout
 
+IN_MESSAGE = struct.Struct(">d")
 ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
 _DOUBLE = SCALARS["double"].size
 _TICK = struct.Struct("<Q")
 _LARGEST = float(np.finfo(np.float64).max)
 _KEPT = 64  # plans of each kind; a host that asks for ever new names starts over
 
+Key = TypeVar("Key")
 Plan = TypeVar("Plan")
 
 
-def keep(plans: dict[tuple[str, ...], Plan], names: tuple[str, ...], plan: Plan) -> Plan:
+def keep(plans: dict[Key, Plan], names: Key, plan: Plan) -> Plan:
     """Remember a plan, and not too many."""
     if len(plans) >= _KEPT:
         plans.clear()
@@ -67,16 +69,24 @@ class WritePlan:
         ffi, lib = layout()
         limits = [x for i in infos for x in (max(i.minimum, -_LARGEST), min(i.maximum, _LARGEST))]
         given = bytearray(_DOUBLE * count)
+        self._lib = lib
+        self._fixed = control, handle, ffi.from_buffer("batch_entry[]", where), ffi.new("double[]", limits)
         self.fill = partial(struct.Struct(f"<{count}d").pack_into, given, 0)
         self.commit = partial(
             lib.monitor_write,
-            control,
-            handle,
-            ffi.from_buffer("batch_entry[]", where),
-            ffi.new("double[]", limits),
+            *self._fixed,
             ffi.from_buffer("double[]", given),
             count,
         )
+
+    def again(self, ended: Any, value_at: int, reply: Blank) -> Callable[[bytes, Any, int, int], int]:
+        """Make ``commit`` for requests that differ in the one value: takes request, batch, slot and sequence, and fills the reply."""
+        data = layout()[0].from_buffer("unsigned char[]", reply.data)
+        return partial(self._lib.monitor_write_again, ended, *self._fixed, value_at, data, reply.count)
+
+    def entries_of(self, value_at: int, request: bytes) -> bytes:
+        """The batch's entries, for the log, of a request that came again."""
+        return self.entries(IN_MESSAGE.unpack_from(request, value_at))
 
     def entries(self, values: Iterable[float]) -> bytes:
         """The batch's entries, for the log."""
@@ -117,6 +127,43 @@ class ReadPlan:
         buffer = ffi.from_buffer(self._memory)
         self._tick, self._values = ffi.cast("uint64_t *", buffer), buffer + _TICK.size
         self._lock = threading.Lock()
+
+    def again(self, ended: Any, control: Any, data: Any, slots_at: int, stride: int, reply: Blank) -> Callable[[int], int] | None:
+        """Make what fills a reply with the newest sample, unless there are other types than doubles.
+
+        Parameters
+        ----------
+        ended : cffi uint32_t *
+        control, data : cffi pointers
+            They hold the memory, also of a program that is gone.
+        slots_at, stride : int
+            Of the snapshots within data, bytes.
+        reply : Blank
+
+        Returns
+        -------
+        callable or None
+            Takes the least tick that may be told; returns 0 where nothing is.
+        """
+        if any(unpack is None or entry.info.type != "double" for _, unpack, entry, _ in self._fields):
+            return None
+        ffi, lib = layout()
+        places = [x for (*_, at), to in zip(self._fields, reply.values, strict=True) for x in (at - _TICK.size, to)]
+        return partial(
+            lib.monitor_read_again,
+            ended,
+            control,
+            data,
+            slots_at,
+            stride,
+            self.first,
+            self.size,
+            ffi.new("unsigned char[]", self.size),
+            len(self._fields),
+            ffi.new("uint32_t[]", places),
+            ffi.from_buffer("unsigned char[]", reply.data),
+            reply.count,
+        )
 
     def read(self, newest: Any, slots: Any, stride: int) -> tuple[int, dict[str, Value]] | None:
         """Read the newest sample: its tick, and the values; None while there is none.

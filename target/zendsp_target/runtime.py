@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from zendsp_isr.build import source_root
 from zendsp_protocol.errors import RunnerDied
-from zendsp_target.api import AcquireConfig, AcquireStatus, Change, Status, Value, VariableInfo
+from zendsp_target.api import AcquireConfig, AcquireStatus, Blank, Change, Status, Value, VariableInfo
 from zendsp_target.motion import Motion
 from zendsp_target.recorder import Recorder
 from zendsp_target.status import empty_status, status_of
@@ -135,6 +135,43 @@ class Runtime(Motion):
         except RunnerDied:
             session.require_alive()  # tells how it died
             raise
+
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
+        """What reads the same doubles again, straight into a reply; None where there is no such way.
+
+        Parameters
+        ----------
+        names : sequence of str
+            As they were read before.
+        reply : Blank
+
+        Returns
+        -------
+        callable or None
+            Takes the least tick that may be told. 0: nothing was read, `read` says why.
+        """
+        session = self._session
+        return None if session is None else session.repeat_read(names, reply)
+
+    def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
+        """What writes the same double again, straight out of a request; None where there is no such way.
+
+        Parameters
+        ----------
+        name : str
+            As it was written before.
+        author : str
+        value_at : int
+            Where the value stands in the request, bytes.
+        reply : Blank
+
+        Returns
+        -------
+        callable or None
+            Takes the request; returns the sequence number. 0: nothing was written, `write` says why.
+        """
+        session = self._session
+        return None if session is None else session.repeat_write(name, author, value_at, reply)
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`."""

@@ -23,6 +23,7 @@ from zendsp_target.drives import Drives
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
 from zendsp_target.machine_verbs import MachineVerbs
+from zendsp_target.repeats import Repeats
 from zendsp_target.variable_verbs import VariableVerbs
 
 RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
@@ -55,6 +56,7 @@ class Service:
         self.present: Callable[[], tuple[str, ...]] = tuple
         self.drives = Drives(runtime, managed)
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
+        self._repeats: list[Repeats] = []
         self._recorder_owner = ""
         self._log_start = 0
         self._lock = threading.Lock()
@@ -138,12 +140,24 @@ class Service:
         self.runtime.load(args.key)
         self._log_start = before
         self.variables.forget()
+        self._forget()
         self._recorder_owner = ""
         return m.Empty()
 
     def do_unload(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.unload()
+        self._forget()
         return m.Empty()
+
+    def repeats(self, lane: str) -> Repeats:
+        """Make what answers requests that come again, for one thread of a lane."""
+        repeats = Repeats(self.runtime, self.variables, self.drives, lane)
+        self._repeats.append(repeats)
+        return repeats
+
+    def _forget(self) -> None:
+        for repeats in self._repeats:
+            repeats.forget()
 
     def do_start(self, args: verbs.Start, by: str) -> m.Empty:
         self.runtime.start(args.ticks)

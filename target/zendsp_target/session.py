@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
-from zendsp_target.api import Value
+from zendsp_target.api import Blank, Value
 from zendsp_target.change_log import ChangeLog
 from zendsp_target.dictionary import Dictionary, Place, decode
 from zendsp_target.layout import layout
@@ -59,8 +59,11 @@ class Session:
         # kept here, since user code with a wild pointer may overwrite what is shared: nothing there shall steer a copy
         self.machine = machine_of(self.control)
         self._newest = ffi_address(self.control, "newest")
-        self._slots = data.pointer("unsigned char", int(self.control.snapshot_offset))
+        self._slots_at = int(self.control.snapshot_offset)
+        self._slots = data.pointer("unsigned char", self._slots_at)
         self._stride, self._bytes = int(self.control.snapshot_stride), int(self.control.snapshot_bytes)
+        ffi, _ = layout()
+        self._ended = ffi.new("uint32_t *")  # for what was made ready, and is kept by others
         self._read_plans: dict[tuple[str, ...], ReadPlan] = {}
         self._supervisor = Supervisor(self.process, self.updates.harvest, self._died)
 
@@ -154,6 +157,20 @@ class Session:
                 found[name] = self._table(place)
         return tick, {name: found[name] for name in names}
 
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
+        """Make what fills a reply with the newest values of the same names; see `RuntimeApi.repeat_read`."""
+        plan = self._read_plans.get(tuple(names))
+        if plan is None:
+            return None
+        ffi, _ = layout()
+        control = ffi.from_buffer("control *", self.process.control_file.map)
+        data = ffi.from_buffer("unsigned char[]", self.process.data_file.map)
+        return plan.again(self._ended, control, data, self._slots_at, self._stride, reply)
+
+    def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
+        """Make what writes one value again; see `RuntimeApi.repeat_write`."""
+        return self.updates.repeat(self._ended, name, author, value_at, reply)
+
     def _table(self, place: Place) -> Value:
         entry = place.entry
         word = int(self.control.variable[entry.index].table)
@@ -167,6 +184,7 @@ class Session:
 
     def close(self) -> None:
         """End the runner, machine safe; what was recorded stays readable."""
+        layout()[1].monitor_store32(self._ended, 1)
         self._supervisor.expect_end()
         self.process.quit()
         self._supervisor.join()

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
+from zendsp_target.api import Blank
 from zendsp_target.change_log import ChangeLog, Flight
 from zendsp_target.dictionary import Dictionary, Place
 from zendsp_target.layout import layout
@@ -160,6 +161,30 @@ class Updates:
                 return 0
             flight = Flight(slot, plan.places, plan.size, partial(plan.entries, numbers), author, time.time())
             return self._committed(flight, done == 1)
+
+    def repeat(self, ended: Any, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
+        """Make what commits one value again, out of the bytes of a request; see `RuntimeApi.repeat_write`."""
+        plan = self._plans.get((name,))
+        if plan is None or self._handle < 0:
+            return None
+        commit, entries = plan.again(ended, value_at, reply), partial(plan.entries_of, value_at)
+        lock, batches, free, flights, now = self._lock, self._batches, self._free, self._flights, time.time
+
+        def write(request: bytes) -> int:
+            with lock:
+                if len(flights) >= _TOGETHER or not free:
+                    self._harvest()
+                if not free:
+                    return 0
+                slot, sequence = free.pop(), self._sequence + 1
+                if commit(request, batches[slot], slot, sequence) != 1:
+                    free.append(slot)
+                    return 0
+                flights[sequence] = Flight(slot, plan.places, plan.size, partial(entries, request), author, now())
+                self._sequence = sequence
+                return sequence
+
+        return write
 
     def _checked(
         self, values: Mapping[str, object], settings: bool

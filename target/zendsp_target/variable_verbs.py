@@ -26,11 +26,11 @@ class VariableVerbs:
     def __init__(self, runtime: RuntimeApi) -> None:
         self.runtime = runtime
         self.uploads = Uploads()
-        self._acknowledged = 0  # newest sample that a host was told of
+        self.acknowledged = 0  # newest sample that a host was told of
 
     def forget(self) -> None:
         """A new program counts its samples from 0."""
-        self._acknowledged = 0
+        self.acknowledged = 0
 
     def do_variables(self, args: verbs.Nothing, by: str) -> tuple[VariableInfo, ...]:
         return tuple(_light(info) for info in self.runtime.variables())
@@ -42,7 +42,7 @@ class VariableVerbs:
         tick, found = self.runtime.read(args.names)
         deadline = 0.0
         # Whoever was told that an update took effect at a sample must not read the sample before it.
-        while tick < self._acknowledged:
+        while tick < self.acknowledged:
             now = time.monotonic()
             deadline = deadline or now + CATCH_UP_S
             if now > deadline:
@@ -90,7 +90,7 @@ class VariableVerbs:
 
     def _applied(self, sequence: int, timeout: float) -> dict[str, int]:
         tick = self.runtime.wait_applied(sequence, timeout)
-        self._acknowledged = max(self._acknowledged, tick)
+        self.acknowledged = max(self.acknowledged, tick)
         return {"sequence": sequence, "tick": tick}
 
     def do_table_begin(self, args: verbs.TableBegin, by: str) -> verbs.TableState:

@@ -18,6 +18,7 @@ from zendsp_protocol.errors import AcquisitionError, CompileFailed, Refused, Var
 from zendsp_target.api import (
     AcquireConfig,
     AcquireStatus,
+    Blank,
     Change,
     CompileResult,
     Diagnostic,
@@ -141,6 +142,12 @@ class FakeRuntime:
             if wrong:
                 raise VariableError("\n".join(f"{name}: no such variable" for name in wrong))
             return self.tick, {n: self._element(n) if "[" in n else self.values[n] for n in names}
+
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> None:
+        return None
+
+    def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> None:
+        return None
 
     def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
         wrong = []

@@ -66,6 +66,50 @@ int monitor_write(control *c, int pidfd, const batch_entry *entry, const double 
     return monitor_commit(c, b, index, pidfd);
 }
 
+/* Numbers in a message: of eight bytes, the most significant first. */
+static uint64_t from_message(const unsigned char *bytes) {
+    uint64_t word = 0;
+    for (int i = 0; i < 8; i++)
+        word = word << 8 | bytes[i];
+    return word;
+}
+static void to_message(unsigned char *bytes, uint64_t word) {
+    for (int i = 7; i >= 0; i--, word >>= 8)
+        bytes[i] = (unsigned char)word;
+}
+
+/* Answer a reading that came before: fill `count` doubles, which stand at `places[2 * i]` of `values`, into `reply` at `places[2 * i + 1]`,
+ * and their tick. Returns 0 when the program is not loaded any more, there is no sample, or none from `least` on. */
+int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data, uint64_t slots_at, uint64_t stride, uint64_t from,
+                       uint64_t bytes, unsigned char *values, uint32_t count, const uint32_t *places, unsigned char *reply,
+                       uint32_t tick_at, uint64_t least) {
+    uint64_t tick, word;
+    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE))
+        return 0;
+    if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick) || tick < least)
+        return 0;
+    to_message(reply + tick_at, tick);
+    for (uint32_t i = 0; i < count; i++) {
+        memcpy(&word, values + places[2 * i], sizeof word);
+        to_message(reply + places[2 * i + 1], word);
+    }
+    return 1;
+}
+
+/* Answer a write of one double that came before: the value stands at `value_at` of `request`, `sequence` goes to `sequence_at` of `reply`.
+ * Returns what monitor_write does; 0 also when the program is not loaded any more. */
+int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const batch_entry *entry, const double *limits, uint32_t value_at,
+                        unsigned char *reply, uint32_t sequence_at, const unsigned char *request, batch *b, uint32_t index,
+                        uint64_t sequence) {
+    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE))
+        return 0;
+    const uint64_t word = from_message(request + value_at);
+    double value;
+    memcpy(&value, &word, sizeof value);
+    to_message(reply + sequence_at, sequence);
+    return monitor_write(c, pidfd, entry, limits, &value, 1, b, index, sequence, 0);
+}
+
 uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
 uint64_t monitor_load64(const uint64_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
 void monitor_store32(uint32_t *word, uint32_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }

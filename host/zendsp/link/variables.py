@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
+
+import msgspec
 
 from zendsp.errors import VariableError
 from zendsp.link.requests import Requests
@@ -14,9 +15,8 @@ from zendsp_protocol.values import Packed, Value, from_wire, to_wire
 _FLOATS = frozenset((float,))
 
 
-@dataclass(frozen=True)
-class Reading:
-    """Values of several variables, all from sample ``tick``."""
+class Reading(msgspec.Struct, frozen=True):
+    """Values of several variables, all from sample ``tick``; a struct of msgspec, which is made in C at each reading."""
 
     tick: int
     values: Mapping[str, Value]
@@ -61,9 +61,9 @@ class Variables(Requests):
         if isinstance(names, str):
             names = [names]
         found: m.Reading = self.link.request("read", {"names": list(names)})
-        values = {
-            name: value if type(value) is float else from_wire(value) for name, value in found.values.items()
-        }
+        values: dict[str, Any] = found.values
+        if not _FLOATS.issuperset(map(type, values.values())):
+            values = {name: from_wire(value) for name, value in values.items()}
         return Reading(found.tick, values)
 
     def write(self, **values: Any) -> int:

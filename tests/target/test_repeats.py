@@ -1,0 +1,239 @@
+"""Requests that come again: answered by a shorter way, with the same replies, the same refusals and the same log."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from zendsp_protocol import codec, verbs
+from zendsp_protocol import messages as m
+from zendsp_protocol.errors import Refused, RunnerDied, VariableError, ZendspError
+from zendsp_target.live import LiveStreams
+from zendsp_target.repeats import Repeats
+from zendsp_target.runtime import Runtime
+from zendsp_target.service import Service, identity
+
+Make = Callable[..., Runtime]
+
+PROGRAM = """
+#include "isr.h"
+static double a = 1.0, b = 2.0;
+static double list[3];
+static int32_t n, k;
+void UserInit(void) {
+    PARAMETER(a, 1.0, "V", -10.0, 10.0, ""); PARAMETER(b, 2.0, "", NO_MIN, NO_MAX, ""); PARAMETER(k, 0, "", NO_MIN, NO_MAX, "");
+    SIGNAL(list, "", ""); SIGNAL(n, "", "");
+}
+void UserISR_INT2(void) { n++; list[1] = 2.0 * a; }
+void UserBackground(void) {}
+"""
+OTHER = """
+#include "isr.h"
+static double first[7], a = 5.0;
+void UserInit(void) { SIGNAL(first, "", ""); PARAMETER(a, 5.0, "V", -1.0, 1000.0, ""); }
+void UserISR_INT2(void) {}
+void UserBackground(void) {}
+"""
+
+
+class Desk:
+    """The server's way with a request, without a network, in one thread."""
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+        self.repeats: Repeats = service.repeats("quick")
+        self.again = 0  # requests answered the shorter way
+
+    def ask(self, verb: str, by: str = "me", **arguments: Any) -> Any:
+        request = codec.encode_request(verb, arguments, by)
+        row = verbs.VERBS[verb]
+        known = self.repeats.answer(request)
+        if known is not None:
+            self.again += 1
+            return codec.decode_reply(bytes(known), row.result)
+        found, args, author = codec.decode_request(request, row.lane)
+        reply = codec.encode_result(self.service.handlers[verb](args, author))
+        self.repeats.learn(request, found, args, author)
+        return codec.decode_reply(reply, row.result)
+
+    def write(self, by: str = "me", **values: Any) -> int:
+        written: m.Written = self.ask("write", by, values=values)
+        return written.sequence
+
+    def refusal(self, by: str = "me", **values: Any) -> str:
+        before = self.again
+        with pytest.raises(ZendspError) as refused:
+            self.write(by, **values)
+        assert self.again == before
+        return f"{type(refused.value).__name__}: {refused.value}"
+
+
+def desk_of(runtime: Runtime) -> Desk:
+    live = LiveStreams(runtime, lambda *_: None, lambda _: False)
+    return Desk(Service(runtime, identity("t", "imi_planar"), live))
+
+
+def samples(runtime: Runtime, count: int = 1) -> None:
+    runtime.start(ticks=count)
+    runtime.wait_paused()
+
+
+def test_a_repeated_write_or_read_gets_the_reply_that_the_first_one_got(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    names = ["list[1]", "b", "a", "b"]
+    for k in range(1, 6):
+        assert desk.write(a=k / 4) == 2 * k - 1
+        assert desk.write("you", b=-k / 3) == 2 * k
+        samples(runtime)
+        expected = m.Reading(tick=k - 1, values={"list[1]": k / 2, "b": -k / 3, "a": k / 4})
+        found = desk.ask("read", names=names)
+        assert found == expected and list(found.values) == list(expected.values)
+        assert desk.ask("read", names=["a"]) == m.Reading(tick=k - 1, values={"a": k / 4})
+    assert desk.again == 4 * 4  # all but the first of each
+    shown = [(c.tick, c.name, c.old, c.new, c.author) for c in runtime.log()]
+    assert shown[:4] == [
+        (0, "a", 1.0, 0.25, "me"), (0, "b", 2.0, -1 / 3, "you"), (1, "a", 0.25, 0.5, "me"), (1, "b", -1 / 3, -2 / 3, "you"),
+    ]  # fmt: skip
+    assert len(shown) == 10 and all(abs(c.host_time - time.time()) < 60.0 for c in runtime.log())
+
+
+def test_the_acknowledged_sample_of_an_update_follows_repeated_writes(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False)
+    desk = desk_of(runtime)
+    runtime.start()
+    for k in range(50):
+        sequence = desk.write(b=float(k))
+        tick = runtime.wait_applied(sequence, 10.0)
+        desk.service.variables.acknowledged = tick
+        found = desk.ask("read", names=["b"])  # never of the sample before
+        assert found.tick >= tick and found.values == {"b": float(k)}
+    assert desk.again > 49
+
+
+@pytest.mark.parametrize("wrong", [10.5, -11.0, float("nan"), float("inf")])
+def test_a_repeated_write_of_a_wrong_value_is_refused_in_the_same_words(make_runtime: Make, wrong: float) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    first = desk.refusal(a=wrong)
+    assert first.startswith("VariableError: a: ")
+    for k in range(3):
+        assert desk.write(a=float(k)) == k + 1
+        assert desk.refusal(a=wrong) == first
+    samples(runtime)
+    assert [c.new for c in runtime.log()] == [0.0, 1.0, 2.0] and desk.again == 2
+
+
+def test_a_new_program_is_read_and_written_by_its_own_places_and_limits(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk, other = desk_of(runtime), runtime.compile({"other.c": OTHER})
+    for k in range(3):
+        desk.write(a=float(k))
+        samples(runtime)
+        desk.ask("read", names=["a"])
+    desk.write(b=1.0)
+    runtime.load(other.key)  # behind the back of those who could forget
+    with pytest.raises(VariableError, match="b"):
+        desk.write(b=1.0)
+    again = desk.again
+    assert desk.ask("read", names=["a"]).values == {"a": 5.0}
+    assert desk.write(a=999.0) == 1
+    assert "outside" in desk.refusal(a=-10.0) and desk.again == again
+    desk.ask("load", key=other.key)
+    for k in range(1, 4):
+        assert desk.write(a=float(k)) == k
+    assert desk.again == again + 2
+    desk.ask("unload")
+    for ask in (lambda: desk.write(a=1.0), lambda: desk.ask("read", names=["a"])):
+        with pytest.raises(Refused, match="no program"):
+            ask()
+
+
+def test_a_repeated_write_is_refused_while_another_host_commands(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    for by in ("me", "you"):
+        for k in range(2):
+            desk.write(by, a=float(k))
+    desk.ask("drive", "you", action="take")
+    assert "exclusive right" in desk.refusal("me", a=3.0)
+    assert desk.write("you", a=4.0) == 5 and desk.again == 3
+    desk.ask("drive", "you", action="release")
+    assert desk.write("me", a=5.0) == 6
+    samples(runtime)
+    assert [c.new for c in runtime.log()] == [0.0, 1.0, 0.0, 1.0, 4.0, 5.0]
+
+
+def test_only_what_is_plainly_the_same_is_repeated(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    samples(runtime)
+    for _ in range(3):
+        desk.write(a=1)
+        desk.write(k=3)
+        desk.write(a=1.0, b=2.0)
+        desk.ask("write", values={"a": 1.0}, at_tick=0)
+        samples(runtime)
+        desk.ask("read", names=["n"])
+        desk.ask("read", names=["list", "a"])
+    assert desk.again == 0
+    # whatever ends in eight bytes that are no value goes the whole way: here the author comes last
+    for k in range(3):
+        body = {"v": codec.PROTOCOL, "verb": "write", "args": {"values": {"a": k + 0.5}}, "by": "somebody"}
+        request = codec.encode(body)
+        assert desk.repeats.answer(request) is None
+        desk.repeats.learn(request, *codec.decode_request(request, "quick"))
+    assert desk.repeats.answer(codec.encode({"v": 1}) + struct.pack(">d", 1.0)) is None
+
+
+def test_a_repeated_write_for_a_runner_that_is_gone_says_how_it_died(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    desk = desk_of(runtime)
+    for _ in range(3):
+        desk.write(a=1.0)
+    os.kill(runtime.runner_pid(), signal.SIGKILL)
+    end = time.monotonic() + 10.0
+    while runtime.runner_pid():
+        assert time.monotonic() < end
+    with pytest.raises(RunnerDied, match="SIGKILL"):
+        desk.write(a=2.0)
+    assert desk.again == 2
+
+
+def test_repeated_writes_of_several_threads_are_each_applied_once_and_numbered(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM, clock="real", realtime=False)
+    service = desk_of(runtime).service
+    runtime.start()
+    told: list[tuple[int, float]] = []
+
+    def tune(number: int) -> None:
+        desk = Desk(service)  # one for each thread, as in the server
+        for k in range(300):
+            value = number + k / 1000
+            while True:
+                try:
+                    told.append((desk.write(f"host{number}", b=value), value))
+                    break
+                except Refused:  # too many wait for the next sample
+                    time.sleep(0.001)
+            assert desk.ask("read", names=["b"]).tick >= 0
+        assert desk.again > 300
+
+    threads = [threading.Thread(target=tune, args=(number,)) for number in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    told.sort()
+    assert [sequence for sequence, _ in told] == list(range(1, 901))
+    runtime.wait_applied(900, 10.0)
+    log = runtime.log()
+    assert sorted(float(str(c.new)) for c in log) == sorted(value for _, value in told)
+    assert all(c.author == f"host{int(float(str(c.new)))}" for c in log)
