@@ -41,6 +41,7 @@ Progress = Callable[[str], None]
 MIN_TRAIN_GAIN = 40.0  # deviance beyond the price of the parameters
 MIN_HELD_GAIN = 20.0
 MIN_Z = 2.5
+MIN_SIGN = 4.0  # a contact that comes a sample too early loses the track of a block
 PLAIN = 200.0
 MIN_SHARE = 0.0015  # of the RMS torque: smaller effects are called negligible (the figures are measured: docs/diagnosis.md)
 
@@ -56,7 +57,7 @@ class Acceptance:
         if gain < MIN_TRAIN_GAIN:
             return False
         held = compare(before, rival.scored, self.test, rival.joint)
-        if held.gain < MIN_HELD_GAIN or held.z < MIN_Z:
+        if held.gain < MIN_HELD_GAIN or (held.z < MIN_Z and held.sign < MIN_SIGN):
             fitted = sum(rec[0].n for rec in rival.scored.data.records)
             tested = sum(rec[0].n for rec in self.test.records)
             # active in a small part of the record: few blocks speak, but they say as much as in the fit

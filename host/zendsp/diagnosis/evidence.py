@@ -32,6 +32,11 @@ class Evidence:
         """Share of blocks that gain."""
         return float(np.mean(self.blocks > 0)) if len(self.blocks) else 0.0
 
+    @property
+    def sign(self) -> float:
+        """Standard deviations of the sign test: what a few blocks lose, however much, does not outweigh that nearly all gain."""
+        return (2.0 * self.positive - 1.0) * float(np.sqrt(len(self.blocks)))
+
 
 def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
     """-2 log density of each sample that counts, per recording, with the noise scale that suits these recordings best."""

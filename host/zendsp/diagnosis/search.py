@@ -183,7 +183,8 @@ class Searcher:
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
             alone = self.jobs if len(finalists) == 1 else 1
-            full = list(pool.map(lambda r: self._full(current, r, alone), finalists))
+            worth = math.inf if only else 10 * WAIT  # a stand-in need not be at its best
+            full = list(pool.map(lambda r: self._full(current, r, worth, alone), finalists))
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
@@ -281,13 +282,13 @@ class Searcher:
             candidate.replaces,
         )
 
-    def _full(self, current: Scored, rival: Rival, jobs: int) -> Rival:
+    def _full(self, current: Scored, rival: Rival, worth: float, jobs: int) -> Rival:
         scored = fit_scored(
             rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=jobs
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         if rival.effect == "backlash":
-            options.append(refine(options[0], self.joint, current.deviance, 10 * WAIT, jobs))
+            options.append(refine(options[0], self.joint, current.deviance, worth, jobs))
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
                 other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
