@@ -100,7 +100,7 @@ def test_what_no_effect_describes_is_unexplained(tmp_path: Path) -> None:
 
 
 def test_a_torque_that_nothing_predicts_is_not_passed_over(tmp_path: Path) -> None:
-    d = run(Case(reality.Machine(unrest=0.03), [VISCOUS, COULOMB], {}), tmp_path)
+    d = run(Case(reality.Machine(unrest=0.016), [VISCOUS, COULOMB], {}), tmp_path)
     assert d.verdict == "unexplained" and d.findings == ()
     assert "nor any function of the joint's state" in d.unexplained
 
