@@ -30,6 +30,8 @@ class Machine:
     spring: float = 0.0
     wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
+    gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
+    load: float = 0.0
     unrest: float = 0.0  # N m RMS: a random torque below 2 Hz, another one in every run
     delay: float = 0.0
     kp: float = 3.0
@@ -56,6 +58,7 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
     sub = max(4, round(1e4 / rate))
     h = T / sub
     q, v, last, queue = float(reference[0]), 0.0, float(reference[0]), []
+    there, speed = q - 0.5 * m.gap, 0.0  # of the load
     late = round(m.delay / h)
     queue = [0.0] * (late + 1)
     ys, us = [], []
@@ -82,7 +85,15 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
             # dry friction implicitly in its slope: stable at any step
             s = math.tanh(v / 1e-3)
             slope = level / 1e-3 * (1 - s * s)
-            v += h * (torque - f - level * s) / (m.inertia + h * slope)
+            push = 0.0
+            if m.load:
+                apart = q - there
+                deep = apart - math.copysign(0.5 * m.gap, apart)
+                if abs(apart) > 0.5 * m.gap:
+                    push = math.copysign(max(0.0, math.copysign(1.0, apart) * (120.0 * deep + 0.2 * (v - speed))), apart)
+                speed += h * push / m.load
+                there += h * speed
+            v += h * (torque - f - push - level * s) / (m.inertia - m.load + h * slope)
             q += h * v
     n = len(reference)
     return {"t": np.arange(n) * T, "q": np.array(ys), "u": np.array(us), "r": np.asarray(reference, float)}

@@ -71,6 +71,15 @@ def test_missing_effect_is_named_with_its_parameters(name: str, tmp_path: Path) 
     assert h.calibrated - h.improved > 0.9 * (h.calibrated - d.noise_floor)
 
 
+def test_a_gap_is_named_with_its_width_and_the_inertia_behind_it(tmp_path: Path) -> None:
+    d = run(Case(reality.Machine(gap=0.03, load=0.004), [VISCOUS, COULOMB], {}), tmp_path)
+    assert [f.effect for f in d.findings] == ["backlash"]
+    assert d.findings[0].parameters["gap"].value == pytest.approx(0.03, rel=0.03)
+    assert d.findings[0].parameters["load_inertia"].value == pytest.approx(0.004, rel=0.03)
+    # a contact that comes a little too early goes another way: not all of the error can be closed
+    assert d.heldout.improved < 0.25 * d.heldout.calibrated
+
+
 @pytest.mark.parametrize(("size", "high", "counts"), [(1.0, 4.0, 16384), (0.15, 1.0, 4096)])
 def test_complete_model_raises_no_alarm(size: float, high: float, counts: int, tmp_path: Path) -> None:
     resolution = 2 * np.pi / counts

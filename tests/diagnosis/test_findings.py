@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from zendsp.diagnosis.evidence import Evidence
 from zendsp.diagnosis.findings import estimates
 from zendsp.diagnosis.hypothesis import counterpart, vanishes
 from zendsp.diagnosis.reading import Signals, split
@@ -70,3 +71,10 @@ def test_a_swing_that_comes_to_rest_is_judged_on_the_last_third_of_its_motion() 
         assert len(train[0].time) + len(test[0].time) == len(t)
         assert len(train[0].time) == pytest.approx(share * len(t), rel=0.05)
         assert words in notes[0]
+
+
+def test_a_few_blocks_that_lose_much_do_not_outweigh_that_nearly_all_gain() -> None:
+    blocks = np.r_[np.full(80, 10.0), np.full(20, -30.0)]
+    shown = Evidence(float(blocks.sum()), 1.2, blocks)
+    assert shown.positive == 0.8 and shown.sign == pytest.approx(6.0)
+    assert Evidence(0.0, 0.0, np.r_[np.ones(50), -np.ones(50)]).sign == 0.0
