@@ -57,12 +57,13 @@ class Acceptance:
         if gain < MIN_TRAIN_GAIN:
             return False
         held = compare(before, rival.scored, self.test, rival.joint)
-        if held.gain < MIN_HELD_GAIN or (held.z < MIN_Z and held.sign < MIN_SIGN):
+        if held.gain < MIN_HELD_GAIN or held.z < MIN_Z:
             fitted = sum(rec[0].n for rec in rival.scored.data.records)
             tested = sum(rec[0].n for rec in self.test.records)
             # active in a small part of the record: few blocks speak, but they say as much as in the fit
-            strong = gain > 1000 and held.gain > max(300.0, 0.1 * gain * tested / fitted) and held.z > 1.8
-            if not strong:
+            strong = held.gain > max(300.0, 0.1 * gain * tested / fitted) and held.z > 1.8
+            contact = rival.effect == "backlash" and held.gain > 300.0 and held.sign > MIN_SIGN
+            if gain < 1000 or not (strong or contact):
                 return False
         if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0:
             return True  # small as a torque, but plain above the noise: a bearing on a heavy pendulum
