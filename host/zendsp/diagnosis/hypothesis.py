@@ -41,6 +41,7 @@ class Step:
     chosen: Rival
     rivals: tuple[Rival, ...]
     before: Scored
+    alone: bool = True  # it passed by itself, not only together with what came after it
 
 
 @dataclass

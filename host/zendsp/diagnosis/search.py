@@ -111,7 +111,7 @@ class Searcher:
                 found.steps += [*waiting, step]
                 waiting = []
             elif len(waiting) < 3 and _gain(current, chosen) > max(10 * WAIT, LOOK_AHEAD * self.n):
-                waiting.append(step)
+                waiting.append(replace(step, alone=False))
             else:
                 break
             current = rivals[0].scored

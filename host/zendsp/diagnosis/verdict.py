@@ -191,10 +191,12 @@ def _series(search: JointSearch) -> frozenset[str]:
 def uncurved(test: Data, search: JointSearch, n: int, jobs: int) -> JointSearch:
     """The search without a curve that it went on to draw, where what was found before closes nearly all of the held-out gap."""
     series = _series(search) if search.steps else frozenset()
-    first = next((k for k, step in enumerate(search.steps) if step.chosen.effect in series), 0)
-    if not series or first == 0:
+    drawn = [k for k, step in enumerate(search.steps) if step.chosen.effect in series]
+    if len(drawn) > 1 and not any(search.steps[k].alone for k in drawn[1:]):
+        drawn = drawn[1:]  # the first is no part of the curve: the others did not pass by themselves
+    if not drawn or drawn[0] == 0:
         return search
-    shorter = JointSearch(search.joint, search.base, search.steps[:first], search.steps[first].before, tried=search.tried)
+    shorter = JointSearch(search.joint, search.base, search.steps[: drawn[0]], search.steps[drawn[0]].before, tried=search.tried)
     if _error_left(test, shorter) > LARGE:
         return search
     shorter.best, shorter.dropped = simplify(shorter, n, jobs)
