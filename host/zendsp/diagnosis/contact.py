@@ -11,11 +11,11 @@ import itertools
 import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
+from zendsp.diagnosis.hypothesis import with_numbers
 from zendsp.diagnosis.score import SLOWEST, Scored, deviance, tune_bandwidth
 from zendsp.physics.fit import Data, fit
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model
 
 LOSSY = 0.2  # of critical damping
 ROUNDS = 3
@@ -64,7 +64,7 @@ def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
     damping = _moderate(values)
     if damping == values.get("damping", 0.0):
         return scored
-    model = _with(scored.model, joint, {"damping": damping})
+    model = with_numbers(scored.model, "backlash", joint, {"damping": damping})
     return _refitted(scored, scored.data, model, joint, jobs)
 
 
@@ -92,7 +92,7 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
     """Fits from the likeliest points of a grid of gaps and stiffnesses around what was found."""
     values = _values(scored.model, joint)
     points = [
-        _with(scored.model, joint, {"gap": g * values["gap"], "stiffness": k * values["stiffness"], "damping": math.sqrt(k) * _moderate(values)})
+        with_numbers(scored.model, "backlash", joint, {"gap": g * values["gap"], "stiffness": k * values["stiffness"], "damping": math.sqrt(k) * _moderate(values)})
         for g, k in itertools.product(GAPS, STIFFNESSES)
         if (g, k) != (1.0, 1.0)
     ]
@@ -116,14 +116,3 @@ def _refitted(scored: Scored, data: Data, model: Model, joint: int, jobs: int) -
 def _values(model: Model, joint: int) -> dict[str, float]:
     term = next(t for t in model.at(joint) if t.effect == "backlash")
     return {name: q.value for name, q in term.parameters.items()}
-
-
-def _with(model: Model, joint: int, numbers: Mapping[str, float]) -> Model:
-    """The model with some numbers of its backlash set."""
-
-    def changed(term: Term) -> Term:
-        if term.effect != "backlash" or term.joint != joint:
-            return term
-        return Term(term.effect, joint, {**term.parameters, **{n: replace(term.parameters[n], value=v) for n, v in numbers.items()}})
-
-    return model.with_terms(tuple(map(changed, model.terms)))

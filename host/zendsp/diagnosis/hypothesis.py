@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from zendsp.diagnosis.score import Scored
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Fit
-from zendsp.physics.model import Term
+from zendsp.physics.model import Model, Term
 
 UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
 SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
@@ -92,6 +92,17 @@ ESSENCE = {
 def _essence(effect: str) -> tuple[str, ...]:
     entry = get_effect(effect)
     return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
+
+
+def with_numbers(model: Model, effect: str, joint: int, numbers: Mapping[str, float]) -> Model:
+    """The model with some numbers of a joint's (1-based) terms of one effect set."""
+
+    def changed(term: Term) -> Term:
+        if (term.effect, term.joint) != (effect, joint):
+            return term
+        return Term(effect, joint, {**term.parameters, **{n: replace(term.parameters[n], value=v) for n, v in numbers.items()}})
+
+    return model.with_terms(tuple(map(changed, model.terms)))
 
 
 def sizes(effect: str) -> tuple[str, ...]:

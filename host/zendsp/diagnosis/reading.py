@@ -333,7 +333,7 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
         cut = 2 * len(s.time) // 3
         way = _way(s)
         if 1.0 - way[cut] < LITTLE:
-            cut = max(MIN_SAMPLES, int(np.searchsorted(way, 2 / 3)))
+            cut = min(cut, max(MIN_SAMPLES, int(np.searchsorted(way, 2 / 3))))
             notes.append(f"{s.name}: hardly moves in its last third; held out from {s.time[cut] - s.time[0]:.3g} s on, with the last third of its motion")
         else:
             notes.append(f"{s.name}: no other recording given to judge on; the last third is held out")

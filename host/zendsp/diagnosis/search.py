@@ -16,14 +16,23 @@ import numpy as np
 
 from zendsp.diagnosis.candidates import SCANS, coarse, screened, simulated, starts_of
 from zendsp.diagnosis.contact import refine
-from zendsp.diagnosis.hypothesis import SUFFICIENT, UNSETTLED, JointSearch, Rival, Step, price, vanishes
+from zendsp.diagnosis.hypothesis import (
+    SUFFICIENT,
+    UNSETTLED,
+    JointSearch,
+    Rival,
+    Step,
+    price,
+    vanishes,
+    with_numbers,
+)
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
 from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import run
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model
 
 Progress = Callable[[str], None]
 
@@ -291,7 +300,7 @@ class Searcher:
             options.append(refine(options[0], self.joint, current.deviance, worth, jobs))
         for term in rival.terms:
             if term.effect == "hysteresis":  # the exponent is chosen, not estimated
-                other = _set_number(rival.scored.model, term.effect, self.joint, "exponent", 2.0)
+                other = with_numbers(rival.scored.model, term.effect, self.joint, {"exponent": 2.0})
                 options.append(
                     fit_scored(
                         rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=jobs, rounds=2
@@ -348,14 +357,3 @@ def _general(rival: Rival, other: Rival) -> bool:
     return (
         other.effect in get_effect(rival.effect).replaces or rival.effect in get_effect(other.effect).replaces
     )
-
-
-def _set_number(model: Model, effect: str, joint: int, name: str, value: float) -> Model:
-    terms = []
-    for t in model.terms:
-        if t.effect == effect and t.joint == joint:
-            values = dict(t.parameters)
-            values[name] = replace(values[name], value=value)
-            t = Term(t.effect, t.joint, values)
-        terms.append(t)
-    return model.with_terms(tuple(terms))
