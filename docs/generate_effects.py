@@ -62,7 +62,7 @@ FILM = Effect(
 | `experiment` | what to record to confirm it |
 | `compensable` | C expression of the torque that cancels it (`q`, `qd`, `qdd`, `tau`, `sgn()`), empty where none can |
 
-At most six parameters an effect. An effect with a state of its own (a bristle, a gap) belongs into `kernel.c`.
+At most six parameters an effect. An effect with a state of its own (a bristle, a gap) belongs into `observer.c`.
 """
 
 

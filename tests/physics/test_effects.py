@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-from zendsp.errors import ModelError
+from zendsp.errors import ModelError, ZendspError
 from zendsp.physics.effects import get_effect, library, load_effects, unit_of
+from zendsp.physics.native import source_text
 
 ROOT = Path(__file__).parents[2]
 # DIAGNOSIS.md, "Names of physical effects"; a disturbance is a curve, found by what remains
@@ -93,3 +95,10 @@ def test_files_without_effects_are_refused(text: str | None, words: str, tmp_pat
         file.write_text(text)
     with pytest.raises(ModelError, match=words):
         load_effects(file)
+
+
+def test_c_of_an_effect_that_cannot_be_run_for_many_parameter_sets_is_refused_by_name() -> None:
+    odd = replace(get_effect("viscous"), name="mine", c="const double *mine = p; return mine[0] * s -> qd;")
+    with pytest.raises(ZendspError, match=r"'mine': 'p' stands alone"):
+        source_text({"mine": odd})
+    assert "p[(0) * LANES + l] * s->qd[l]" in source_text({"mine": replace(odd, c="return p [0] * s -> qd;")})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ import pytest
 
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
-from zendsp.physics.joint import run
+from zendsp.physics.effects import library
+from zendsp.physics.joint import RAN_AWAY, JointRecord, run, run_many
+from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.model_file import parse_model
 
 J, T, N = 0.01, 0.002, 1000
@@ -52,12 +55,17 @@ def rigid(resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia
     return integrate(derivative, 2, sub)[:, 0]
 
 
-def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J) -> np.ndarray:
-    """The kernel's free simulation of the whole recording from its first sample."""
+def recorded(position: np.ndarray, terms: list[dict[str, Any]], inertia: float = J) -> tuple[Model, JointRecord]:
+    """A model with these terms, and the recording of a position under the command."""
     model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": inertia}}, "effect": terms, "sample_time": T})
     one = np.ascontiguousarray(position)[:, None]
     signals = Signals("reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1))
-    record = prepare([signals], model).records[0][0]
+    return model, prepare([signals], model).records[0][0]
+
+
+def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J) -> np.ndarray:
+    """The kernel's free simulation of the whole recording from its first sample."""
+    model, record = recorded(position, terms, inertia)
     # the reference rests at zero at first; the smoother's guess of that is not what is tested here
     record.motion.states[:, 0] = 0.0
     r = run(record, model, 16.0, inner=inner, free_every=N).innovations
@@ -263,3 +271,42 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
     off = np.abs(run(record, model, 16.0, inner=8, free_every=N).innovations[early])
     bend = np.abs(true[begin, 0] - true[begin, 2])
     assert np.max(off) < 0.15 * bend
+
+
+def varied(model: Model, factor: float) -> Model:
+    """The model with every number of its effects and its inertia times a factor."""
+    terms = tuple(Term(t.effect, t.joint, {k: Quantity(q.value * factor, q.free) for k, q in t.parameters.items()}) for t in model.terms)
+    items = {key: tuple(Quantity(q.value * factor, q.free) for q in values) for key, values in model.mechanism.items()}
+    return replace(model, terms=terms, mechanism=items)
+
+
+# a value of each kind of number that lets the effect act on the recording
+TYPICAL = {
+    "torque": 0.03, "torque/speed": 0.01, "torque/speed2": 0.005, "torque/position": 30.0, "torque/position3": 0.1, "speed": 0.3,
+    "position": 0.01, "time": 0.004, "ratio": 0.2, "angle": 0.5, "order": 3.0, "inertia": 0.003, "command": 0.05, "number": 1.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [e for e in library() if e != "coupling"])
+def test_many_parameter_sets_at_once_predict_what_each_of_them_predicts_alone(name: str) -> None:
+    effect = library()[name]
+    term = {"kind": name, **{p.name: max(TYPICAL[p.size], p.lower) for p in effect.parameters}}
+    needed = [{"kind": "coulomb", "level": 0.03}] if name != "coulomb" else []
+    model, record = recorded(rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF), [*needed, term])
+    models = [varied(model, 1.0 + 0.05 * i) for i in range(11)]  # more than fit into one pass, and not a multiple
+    alone = np.stack([run(record, m, 16.0).innovations for m in models], axis=1)
+    together = run_many(record, [*models, models[3]], 16.0)
+    assert np.all(np.ptp(alone, axis=1)[N // 2 :] > 0)  # they differ, or the comparison says nothing
+    np.testing.assert_allclose(together[:, :11], alone, rtol=1e-6, atol=1e-8 * np.std(alone))
+    np.testing.assert_array_equal(together[:, 11], together[:, 3])
+
+
+def test_a_prediction_that_runs_away_leaves_those_beside_it_alone() -> None:
+    model, record = recorded(rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF), [{"kind": "viscous", "coefficient": 0.01}])
+    away = replace(model, terms=(replace(model.terms[0], parameters={"coefficient": Quantity(-50.0)}),))
+    one, lost, two = run_many(record, [model, away, varied(model, 1.1)], 16.0).T
+    np.testing.assert_allclose(one, run(record, model, 16.0).innovations, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(two, run(record, varied(model, 1.1), 16.0).innovations, rtol=1e-9, atol=1e-12)
+    marked = lost == RAN_AWAY
+    assert marked[-1] and not marked[0]
+    np.testing.assert_array_equal(marked, run(record, away, 16.0).innovations == RAN_AWAY)

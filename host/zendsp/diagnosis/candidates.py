@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.score import deviance
+from zendsp.diagnosis.score import deviances
 from zendsp.diagnosis.screen import Candidate, Screen, make_term
 from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.fit import Data, fit, joint_handles
@@ -176,8 +175,7 @@ def scan(
         listed.append(make_term(effect, joint, values))
     if effect.name == "backlash":
         data = coarse(data)
-    with ThreadPoolExecutor(jobs) as pool:
-        values_of = list(pool.map(lambda term: deviance(data, model.with_terms((*model.terms, term)), (joint,)), listed))
+    values_of = deviances(data, [model.with_terms((*model.terms, term)) for term in listed], joint, jobs)
     order = sorted(range(len(listed)), key=lambda i: (values_of[i], i))
     unlike = {listed[i].value("gap", float(i)): listed[i] for i in reversed(order)}  # of one gap the likeliest: others lead to the same optimum
     return [listed[i] for i in order if unlike.get(listed[i].value("gap", float(i))) is listed[i]][:keep]

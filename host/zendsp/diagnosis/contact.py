@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 from zendsp.diagnosis.hypothesis import with_numbers
-from zendsp.diagnosis.score import SLOWEST, Scored, deviance, tune_bandwidth
+from zendsp.diagnosis.score import SLOWEST, Scored, deviance, deviances, tune_bandwidth
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
 
@@ -96,9 +96,9 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
         for g, k in itertools.product(GAPS, STIFFNESSES)
         if (g, k) != (1.0, 1.0)
     ]
+    likely = deviances(scored.data, points, joint, jobs)
+    order = sorted(range(len(points)), key=lambda i: likely[i])[:TRIED]
     with ThreadPoolExecutor(jobs) as pool:
-        likely = list(pool.map(lambda model: deviance(scored.data, model, (joint,)), points))
-        order = sorted(range(len(points)), key=lambda i: likely[i])[:TRIED]
         return list(pool.map(lambda i: _refitted(scored, scored.data, points[i], joint, 1), order))
 
 

@@ -7,12 +7,13 @@ predicts with a slow observer. The likelihood of the innovations, maximised over
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.fit import Data, Fit, Handle, fit, residual
+from zendsp.physics.fit import Data, Fit, Handle, fit, residual, residuals
 from zendsp.physics.joint import ran_away
 from zendsp.physics.model import Model
 
@@ -69,6 +70,13 @@ def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
         r = residual(data, model, (j,))
         total += deviance_of(data, j, r)
     return total
+
+
+def deviances(data: Data, models: Sequence[Model], joint: int, jobs: int = 1) -> list[float]:
+    """As ``deviance`` of one joint for models that differ in numbers only; ``jobs`` threads."""
+    with ThreadPoolExecutor(jobs) as pool:
+        columns = np.ascontiguousarray(residuals(data, models, (joint,), pool).T)
+    return [deviance_of(data, joint, r) for r in columns]
 
 
 def deviance_of(data: Data, joint: int, r: Array) -> float:

@@ -191,9 +191,8 @@ class Searcher:
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
-            alone = self.jobs if len(finalists) == 1 else 1
             worth = math.inf if only else 10 * WAIT  # a stand-in need not be at its best
-            full = list(pool.map(lambda r: self._full(current, r, worth, alone), finalists))
+            full = list(pool.map(lambda r: self._full(current, r, worth), finalists))
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
@@ -291,7 +290,8 @@ class Searcher:
             candidate.replaces,
         )
 
-    def _full(self, current: Scored, rival: Rival, worth: float, jobs: int) -> Rival:
+    def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
+        jobs = self.jobs  # the longest of them ends alone
         scored = fit_scored(
             rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=jobs
         )

@@ -16,14 +16,16 @@ import numpy.typing as npt
 
 from zendsp.physics.bounds import parameter_bounds
 from zendsp.physics.effects import get_effect
-from zendsp.physics.joint import JointRecord, ran_away, run
+from zendsp.physics.joint import JointRecord, ran_away, run, run_many
 from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.native import LANES
 
 Array = npt.NDArray[np.float64]
 
 # with these the command is not what accelerates the inertia, which Data.ranges takes for granted
 UNLIKE_THE_COMMAND = ("elasticity", "backlash", "saturation")
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
+TRIES = 8  # ever shorter steps before a fit ends
 ENDLESS = 1e30  # a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
@@ -190,6 +192,19 @@ def residual(data: Data, model: Model, joints: Sequence[int]) -> Array:
     return np.concatenate(parts)
 
 
+def residuals(data: Data, models: Sequence[Model], joints: Sequence[int], pool: ThreadPoolExecutor | None = None) -> Array:
+    """As ``residual`` for models that differ in numbers only, (N, models)."""
+    groups = [models[i : i + LANES] for i in range(0, len(models), LANES)]
+    tasks = [(rec[j - 1], group, data.bandwidth[j - 1]) for rec in data.records for j in joints for group in groups]
+
+    def work(task: tuple[JointRecord, Sequence[Model], float]) -> Array:
+        return run_many(*task, inner=data.inner)
+
+    done = list(map(work, tasks) if pool is None or len(tasks) == 1 else pool.map(work, tasks))
+    rows = [np.concatenate(done[i : i + len(groups)], axis=1) for i in range(0, len(done), len(groups))]
+    return np.concatenate(rows)
+
+
 def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tuple[Array, Array, Array]:
     """Lower and upper bounds and the natural size of each number, (p,) each."""
     low, high, size = [], [], []
@@ -282,65 +297,57 @@ def fit(
     prior = np.array([1.0 / (0.3 * size[i]) if h.place == "offset" else 0.0 for i, h in enumerate(handles)])
     centre = get_values(model, handles)
 
-    def evaluate(at: Array) -> Array:
-        return np.concatenate(
-            [
-                residual(data, set_values(model, handles, at), wanted),
-                prior[prior > 0] * (at - centre)[prior > 0],
-            ]
-        )
-
-    r = evaluate(x)
-    cost, damping, done = float(r @ r), 1e-3, not len(handles)
-    jac = np.zeros((len(r), len(handles)))
-    count = 0
     # impacts make the cost rough on a fine scale: differences over a tenth of a percent look past it
     coarse = 2e-3 if any(t.effect == "backlash" for t in model.terms) else 1e-4
     with ThreadPoolExecutor(max(1, jobs)) as pool:
+
+        def evaluate(points: Sequence[Array]) -> Array:
+            columns = residuals(data, [set_values(model, handles, at) for at in points], wanted, pool)
+            known = [prior[prior > 0] * (at - centre)[prior > 0] for at in points]
+            return np.concatenate([columns, np.stack(known, axis=1)])
 
         def jacobian(at: Array, base: Array) -> Array:
             step = coarse * np.maximum(np.abs(at), size)
             step = np.where(at + step > high, -step, step)
             points = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
-            if central:
-                points += [np.clip(at - step[i] * np.eye(len(at))[i], low, high) for i in range(len(at))]
-            columns = list(pool.map(evaluate, points))
-            if not columns:
-                return jac
-            ahead, behind = columns[: len(at)], columns[len(at) :] or [base] * len(at)
-            back = points[len(at) :] or [at] * len(at)
-            return np.stack([(c - b) / (points[i] - back[i])[i] for i, (c, b) in enumerate(zip(ahead, behind, strict=True))], axis=1)
+            back = [np.clip(at - step[i] * np.eye(len(at))[i], low, high) for i in range(len(at))] if central else []
+            if not points:
+                return np.zeros((len(base), 0))
+            columns = evaluate([*points, *back])
+            behind = columns[:, len(at) :] if central else base[:, None]
+            widths = np.array([(p - q)[i] for i, (p, q) in enumerate(zip(points, back or [at] * len(at), strict=True))])
+            return np.asarray((columns[:, : len(at)] - behind) / widths)
 
-        if handles:
-            jac = jacobian(x, r)
+        r = evaluate([x])[:, 0]
+        cost, damping, done = float(r @ r), 1e-3, not len(handles)
+        jac, count = jacobian(x, r), 0
         while not done and count < iterations:
             count += 1
             unit = np.maximum(np.abs(x), size)  # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
             scaled = jac * unit
             gradient, normal = scaled.T @ r, scaled.T @ scaled
             diagonal = np.maximum(np.diag(normal), 1e-12 * max(float(np.max(np.diag(normal))), 1e-300))
-            pinned = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
-            better = False
-            for _ in range(8):
-                use = ~pinned
-                step = np.zeros_like(x)
-                if use.any():
-                    a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
-                    step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
-                trial = np.clip(x + step, low, high)
-                r_new = evaluate(trial)
-                new = float(r_new @ r_new)
-                if np.isfinite(new) and new < cost:
-                    better = True
+            use = ~(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
+            better: tuple[float, Array, Array] | None = None
+            for dampings in ([damping], [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]):  # then shorter steps, all of them at once
+                trials = []
+                for value in dampings:
+                    step = np.zeros_like(x)
+                    if use.any():
+                        a = normal[np.ix_(use, use)] + value * np.diag(diagonal[use])
+                        step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
+                    trials.append(np.clip(x + step, low, high))
+                tried = zip(dampings, trials, np.ascontiguousarray(evaluate(trials).T), strict=True)
+                better = next((t for t in tried if float(t[2] @ t[2]) < cost), None)
+                if better:
                     break
-                damping = max(damping * 6, 1e-6)
             if not better:
                 done = True
                 break
-            gain = (cost - new) / max(cost, 1e-300)
-            x, r, cost = trial, r_new, new
-            damping = max(damping / 8, 1e-9)
-            done = gain < tolerance
+            before = cost
+            damping, x, r = better
+            cost, damping = float(r @ r), max(damping / 8, 1e-9)
+            done = (before - cost) / max(before, 1e-300) < tolerance
             if not brief or not (done or count == iterations):
                 jac = jacobian(x, r)
     covariance = robust_covariance(jac, r, block_count(data))

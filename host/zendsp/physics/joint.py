@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model, Term, per_joint
-from zendsp.physics.native import native
+from zendsp.physics.native import LANES, native
 from zendsp.physics.rigid import Basis
 from zendsp.physics.signals import Measurement, Motion
 
@@ -208,40 +210,91 @@ def run(
     Run
     """
     lib, n = native(), record.n
-    p, ffi = lib.doubles, lib.ffi
-    kinds, table = pack(model.at(record.joint))
-    inertia, bias = record.inertia_and_bias(model)
-    k1, k2, w = record.gains(bandwidth)
-    shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
-    value = record.measurement.value + shift if shift else record.measurement.value
-    half = record.measurement.half
+    p = lib.doubles
+    m = lib.ffi.new("zk_model *")
+    alive = _fill(m, record, model, bandwidth, inner)
     if free_every:
-        value, half, w = record.position + shift, np.zeros(n), np.ones(n)
-    rq, rqd = (
-        np.ascontiguousarray(record.motion.states[0] + shift),
-        np.ascontiguousarray(record.motion.states[1]),
-    )
-    value = np.ascontiguousarray(value)
+        value, half, w = record.position, np.zeros(n), np.ones(n)
+        m.m, m.half, m.w, m.reset = p(value), p(half), p(w), free_every
+    if extra is not None:
+        m.extra = p(extra)
     r = np.empty(n)
     xq, xqd, torque = (np.empty(n), np.empty(n), np.empty(n)) if states else (None, None, None)
-    m = ffi.new("zk_model *")
+    out = [p(a) if a is not None else lib.ffi.NULL for a in (xq, xqd, torque)]
+    diverged = int(lib.lib.zk_run(m, p(r), *out))
+    del alive
+    return Run(r, xq, xqd, torque, diverged)
+
+
+def run_many(record: JointRecord, models: Sequence[Model], bandwidth: float, *, inner: int = 2) -> Array:
+    """Weighted innovations of several models that differ in numbers only, (n, models): eight take little longer than two.
+
+    Parameters
+    ----------
+    record : JointRecord
+    models : sequence of Model
+        Of the same terms in the same order, in kernel form. Those that are the same for this joint are run once.
+    bandwidth, inner
+        As for ``run``.
+    """
+    lib, n = native(), record.n
+    places: dict[bytes, int] = {}
+    place = [places.setdefault(_numbers(record, model), len(places)) for model in models]
+    unlike = [models[place.index(i)] for i in range(len(places))]
+    out = np.empty((n, len(unlike)))
+    for begin in range(0, len(unlike), LANES):
+        some = unlike[begin : begin + LANES]
+        if len(some) == 1:
+            out[:, begin] = run(record, some[0], bandwidth, inner=inner).innovations
+            continue
+        m = lib.ffi.new("zk_model[]", LANES)
+        known: dict[tuple[float, ...], tuple[Array, Array]] = {}
+        alive = [_fill(m[i], record, model, bandwidth, inner, known) for i, model in enumerate(some)]
+        for i in range(len(some), LANES):
+            m[i] = m[0]  # idle
+        r = np.empty((n, LANES))
+        lib.lib.zk_run_lanes(m, lib.doubles(r))
+        out[:, begin : begin + len(some)] = r[:, : len(some)]
+        del alive
+    return out if len(unlike) == len(models) else out[:, place]
+
+
+def _numbers(record: JointRecord, model: Model) -> bytes:
+    """All numbers of a model that one joint's prediction depends on."""
+    j = record.joint
+    numbers = [mechanism_value(model, key, j) for key in record.basis]
+    numbers += [mechanism_value(model, "gravity", j), per_joint(model.actuator.gain, j, 1.0), per_joint(model.actuator.limit, j, 0.0)]
+    numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
+    return pack(model.at(j))[1].tobytes() + np.array(numbers).tobytes()
+
+
+def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: int, known: dict[tuple[float, ...], tuple[Array, Array]] | None = None) -> list[Any]:
+    """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia and bias by mechanism values."""
+    lib, n = native(), record.n
+    p, ffi = lib.doubles, lib.ffi
+    kinds, table = pack(model.at(record.joint))
+    values = tuple(1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis)
+    known = {} if known is None else known
+    if values not in known:
+        known[values] = record.inertia_and_bias(model)
+    inertia, bias = known[values]
+    k1, k2, w = record.gains(bandwidth)
+    rq, rqd = record.motion.states[0], record.motion.states[1]
     m.n, m.sub, m.T, m.ucum, m.delay = n, inner, record.sample_time, p(record.integral), model.actuator.delay
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
-    m.m, m.half, m.k1, m.k2, m.w = p(value), p(half), p(k1), p(k2), p(w)
+    m.shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
+    m.m, m.half, m.k1, m.k2, m.w = p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w)
     m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model)
     m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
-    m.other = p(record.others)
-    m.extra = p(extra) if extra is not None else ffi.NULL
+    m.other, m.extra = p(record.others), ffi.NULL
     m.nfx, m.kind, m.p = len(model.at(record.joint)), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
-    m.q0, m.qd0 = float(rq[0]), float(rqd[0])
+    m.q0, m.qd0 = float(rq[0] + m.shift), float(rqd[0])
     soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
     m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
     m.load_sensor = 1 if model.sensor.side == "load" else 0
-    m.reset, m.rq, m.rqd, m.t0 = free_every, p(rq), p(rqd), record.t0
-    out = [p(a) if a is not None else ffi.NULL for a in (xq, xqd, torque)]
-    diverged = int(lib.lib.zk_run(m, p(r), *out))
-    return Run(r, xq, xqd, torque, diverged)
+    m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.t0
+    return [kinds, table, inertia, bias, k1, k2, w]
 
 
 def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floor: float) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import subprocess
 import tempfile
 from importlib import resources
@@ -17,18 +18,19 @@ from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
 from zendsp_isr.compiler import find_compiler
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=c11")
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=c11", "-fopenmp-simd")
 
 CDEF = """
 typedef struct {
     int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
-    const double *m; const double *half; const double *k1; const double *k2; const double *w;
+    const double *m; double shift; const double *half; const double *k1; const double *k2; const double *w;
     const double *inertia; const double *bias; double reference; double gravity; const double *other; const double *extra;
     int nfx; const int *kind; const double *p; double q0; double qd0; double a0; int load_sensor; int reset;
     const double *rq; const double *rqd; double t0;
     double kp; double kd; const double *ref; double resolution; double *uloop;
 } zk_model;
 int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque);
+int zk_run_lanes(const zk_model *M, double *r);
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out);
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *active,
                const double *inertia, const double *damp, int cols, const double *d, int meas, double *out);
@@ -37,51 +39,56 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
                  double q0, double v0, double *work, double *out, double *var);
 """
 
-_CASES = {
-    "torque": "case {i}: {look} f->torque += fx_{name}(p, &o); break;",
-    "viscous": "case {i}: visc += fx_{name}(p, s); break;",
-    "dry": "case {i}: if (dry) {{ f->dry_pos += fx_{name}(p, s, 1); f->dry_neg += fx_{name}(p, s, -1); }} break;",
-    "scale": "case {i}: {{ double c = fx_{name}(p, s); f->dry_scale *= c; f->visc_scale *= c; }} break;",
+LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once; see kernel.c
+
+# what observer.c does for each lane with an effect
+_TORQUE = "case {i}: {look}EACH torque[l] += OF(fx_{name})(p, S, l); break;"
+_VISCOUS = "case {i}: EACH visc[l] += OF(fx_{name})(p, S, l); break;"
+_SCALE = "case {i}: EACH scale[l] *= OF(fx_{name})(p, S, l); break;"
+_DRY = "case {i}: EACH level[l] += OF(fx_{name})(p, S, l, v[l] > 0 ? 1 : -1); break;"
+_ACTUATOR = "case {i}: EACH u[l] = OF(fx_{name})(p, l, u[l]); break;"
+_SENSOR = "case {i}: EACH out[l] += OF(fx_{name})(p, S, l); break;"
+_PLACES = {  # of an effect: the mark in observer.c and the case
+    "torque": ("FORCE", _TORQUE),
+    "viscous": ("FORCE", _VISCOUS),
+    "scale": ("FORCE", _SCALE),
+    "dry": ("DRY", _DRY),
+    "actuator": ("ACTUATOR", _ACTUATOR),
+    "sensor": ("SENSOR", _SENSOR),
+    "setup": ("SETUP", "case {i}: {c} break;"),
 }
 
 
 def source_text(effects: dict[str, Effect]) -> str:
     """The complete C source for a library of effects; the index of an effect is its place in the mapping."""
-    functions, force, actuator, sensor, setup = [], [], [], [], []
+    functions: list[str] = []
+    cases: dict[str, list[str]] = {mark: [] for mark, _ in _PLACES.values()}
     for i, effect in enumerate(effects.values()):
-        head = {
-            "dry": "(const double *p, const zs *s, int dir)",
-            "actuator": "(const double *p, double u)",
-        }.get(effect.site, "(const double *p, const zs *s)")
-        if effect.site == "setup":
-            setup.append(f"case {i}: {effect.c} break;")
-            continue
-        unused = (
-            "(void)p; "
-            + ("(void)s; " if effect.site != "actuator" else "")
-            + ("(void)dir; " if effect.site == "dry" else "")
-        )
-        functions.append(f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}")
-        if effect.site in _CASES:
-            look = "look_at(M, (int)p[0], k, &o);" if effect.name == "coupling" else ""
-            force.append(_CASES[effect.site].format(i=i, name=effect.name, look=look))
-        elif effect.site == "actuator":
-            actuator.append(f"case {i}: u = fx_{effect.name}(p, u); break;")
-        elif effect.site == "sensor":
-            sensor.append(f"case {i}: out += fx_{effect.name}(p, &s); break;")
-        else:
+        if effect.site not in _PLACES:
             raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
+        mark, case = _PLACES[effect.site]
+        look = "LOOK_AT((int)p[0]) " if effect.name == "coupling" else ""
+        cases[mark].append(case.format(i=i, name=effect.name, look=look, c=effect.c))
+        if effect.site == "setup":
+            continue
+        more = {"dry": ", int dir", "actuator": ", double u"}.get(effect.site, "")
+        state = "" if effect.site == "actuator" else "const OF(state) *s, "
+        functions.append(f"static inline double OF(fx_{effect.name})(const double *p, {state}int l{more}) {{ {_of_lane(effect)} }}")
     room = resources.files("zendsp.physics")
-    text = (room / "kernel.c").read_text() + (room / "filter.c").read_text()
-    for mark, lines in (
-        ("EFFECT_FUNCTIONS", functions),
-        ("EFFECT_CASES_FORCE", force),
-        ("EFFECT_CASES_ACTUATOR", actuator),
-        ("EFFECT_CASES_SENSOR", sensor),
-        ("EFFECT_CASES_SETUP", setup),
-    ):
-        text = text.replace(f"/* {mark} */", "\n".join(lines))
-    return text
+    observer = (room / "observer.c").read_text()
+    for mark, lines in cases.items():
+        observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
+    observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))
+    return (room / "kernel.c").read_text().replace("/* OBSERVER */", observer) + (room / "filter.c").read_text()
+
+
+def _of_lane(effect: Effect) -> str:
+    """The C of an effect with its parameters and its state taken from lane l."""
+    other = re.search(r"\bp\b(?!\s*\[)|\bs\b(?!\s*->)", effect.c)
+    if other:
+        raise ZendspError(f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1], … and s->q, s->qd, s->qdd, s->t, s->u, s->tau")
+    body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
+    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau)\b", r"s->\1[l]", body)
 
 
 def cache_folder() -> Path:

@@ -97,7 +97,7 @@ class Effect:
         level, per direction. ``scale``: a factor on all friction. ``actuator``: a map of the command. ``sensor``: a map of the
         measured position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
     c : str
-        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see kernel.c), ``dir`` the direction for ``dry``.
+        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c), ``dir`` the direction for ``dry``.
     linear : tuple of str
         Parameters in which the torque is linear: screened by one least squares.
     grid : mapping
