@@ -7,13 +7,14 @@ the innovations. What the calibrated parameters can imitate is projected out fir
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.effects import Effect, library
+from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.fit import Data, Fit, Handle
 from zendsp.physics.joint import JointRecord, effective_inertia, response, trace
 from zendsp.physics.model import Model, Quantity, Term
@@ -30,6 +31,8 @@ FRICTION = (
     "load_friction",
 )
 HARMONICS = 60
+TOGETHER = 8  # grid points whose columns are computed at once
+ADDED = ("torque", "viscous", "dry")  # where an effect acts whose torque is the same beside others
 
 
 @dataclass(frozen=True)
@@ -57,16 +60,13 @@ def make_term(effect: Effect, joint: int, values: dict[str, float]) -> Term:
     return Term(effect.name, joint, out)
 
 
+def _phase_of(effect: Effect) -> str:
+    """Name of the parameter that is a phase of a sine with a linear amplitude, empty where there is none."""
+    return next((n for n in effect.names if n in ("phase", "angle")), "") if effect.linear else ""
+
+
 def _unit_values(effect: Effect, values: dict[str, float], linear: str) -> dict[str, float]:
     return {**values, **{name: (1.0 if name == linear else 0.0) for name in effect.linear}}
-
-
-@dataclass(frozen=True)
-class _Column:
-    values: dict[str, float]
-    linear: str
-    series: Array  # (n of all recordings,)
-    sensor: bool = False
 
 
 def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str, float]]:
@@ -124,6 +124,7 @@ class Screen:
         self.left = self.r - self.q @ (self.q.T @ self.r)
         self.base = [trace(rec, self.model, self.model.at(joint), self._floor(rec)) for rec in self.records]
         self.cost = float(self.left @ self.left)
+        self.scaled = any(get_effect(t.effect).site == "scale" for t in self.model.at(joint))
 
     @staticmethod
     def _rows(data: Data, joint: int, joints: tuple[int, ...]) -> npt.NDArray[np.bool_]:
@@ -134,44 +135,44 @@ class Screen:
     def _floor(record: JointRecord) -> float:
         return max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed)
 
-    def series(self, terms: tuple[Term, ...]) -> Array:
-        """Weighted response to the torque of some added terms, (n of all recordings,)."""
+    def series(self, columns: Sequence[tuple[Term, ...]], *, alone: bool = False) -> Array:
+        """Weighted responses to the torques of some added terms, a row a column, (columns, n of all recordings).
+
+        ``alone``: as if the model had no other terms, for one that would replace some of them.
+        """
+        on_sensor = columns[0][0].effect == "encoder_eccentricity"
         parts = []
         for rec, base in zip(self.records, self.base, strict=True):
-            if any(t.effect == "inertia" for t in terms):
-                column = rec.motion.states[2] * terms[0].value("amount")
-            elif any(t.effect in ("delay", "lag") for t in terms):
-                t = terms[0]
-                late = t.value("time") or t.value("time_constant")
-                column = (
-                    np.diff(rec.command, prepend=rec.command[0]) * (late / rec.sample_time) * self._gain(rec)
-                )
-            elif any(t.effect == "encoder_eccentricity" for t in terms):
-                t = terms[0]
-                column = -t.value("amplitude") * np.sin(rec.motion.states[0] + t.value("phase"))
-                parts.append(self._respond(rec, column, on_sensor=True))
-                continue
-            else:
-                column = trace(rec, self.model, (*self.model.at(self.joint), *terms), self._floor(rec)) - base
-            parts.append(self._respond(rec, column))
-        return np.concatenate(parts)
+            torques = np.stack([self._torque(rec, base, terms, alone) for terms in columns])
+            parts.append(self._respond(rec, torques, on_sensor=on_sensor))
+        return np.concatenate(parts, axis=1)
+
+    def _torque(self, rec: JointRecord, base: Array, terms: tuple[Term, ...], alone: bool) -> Array:
+        """What some added terms resist along the measured motion, (n,); of what acts on the sensor, what it shifts."""
+        first = terms[0]
+        if first.effect == "inertia":
+            return np.asarray(rec.motion.states[2] * first.value("amount"))
+        if first.effect in ("delay", "lag"):
+            late = first.value("time") or first.value("time_constant")
+            return np.diff(rec.command, prepend=rec.command[0]) * (late / rec.sample_time) * self._gain(rec)
+        if first.effect == "encoder_eccentricity":
+            return np.asarray(-first.value("amplitude") * np.sin(rec.motion.states[0] + first.value("phase")))
+        if alone or (not self.scaled and get_effect(first.effect).site in ADDED):
+            return trace(rec, self.model, terms, self._floor(rec))
+        return np.asarray(trace(rec, self.model, (*self.model.at(self.joint), *terms), self._floor(rec)) - base)
 
     def _gain(self, rec: JointRecord) -> float:
         gain = self.model.actuator.gain
         return gain[self.joint - 1] if self.joint - 1 < len(gain) else gain[0]
 
-    def _respond(self, rec: JointRecord, column: Array, *, on_sensor: bool = False) -> Array:
+    def _respond(self, rec: JointRecord, columns: Array, *, on_sensor: bool = False) -> Array:
         inertia = effective_inertia(rec, self.model)
         b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
-        found: Array = response(rec, self.bandwidth, inertia, np.full(rec.n, b), column, on_sensor=on_sensor)[
-            0
-        ]
-        return found
+        return response(rec, self.bandwidth, inertia, np.full(rec.n, b), columns, on_sensor=on_sensor)
 
-    def group(self, columns: list[Array]) -> tuple[float, Array]:
-        """Decrease of the cost by some columns, and their coefficients."""
-        b = np.stack(columns)
-        b = b - (b @ self.q) @ self.q.T
+    def group(self, columns: Array) -> tuple[float, Array]:
+        """Decrease of the cost by some columns, a row each, and their coefficients."""
+        b = columns - (columns @ self.q) @ self.q.T
         norm = np.linalg.norm(b, axis=1)
         norm[norm == 0] = 1.0
         b /= norm[:, None]
@@ -198,88 +199,58 @@ class Screen:
             return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
 
     def _best(self, effect: Effect) -> list[Candidate]:
-        best: tuple[float, dict[str, float]] | None = None
-        keep: list[tuple[float, dict[str, float]]] = []
-        for point in grid_of(effect, self.records[0], self.model):
-            gain, values = self._at(effect, point)
-            keep.append((gain, values))
-            if best is None or gain > best[0]:
-                best = (gain, values)
-        if best is None:
+        points = grid_of(effect, self.records[0], self.model)
+        needs = set(effect.needs) - {"friction"} - {t.effect for t in self.model.at(self.joint)}
+        if not points or needs:
             return []
-        needs = tuple(
-            n
-            for n in effect.needs
-            if n != "friction" and n not in {t.effect for t in self.model.at(self.joint)}
-        )
-        if needs:
-            return []
-        return [self._candidate(effect, *best)]
+        return [self._candidate(effect, *max(self._at(effect, points), key=lambda found: found[0]))]
 
-    def _at(self, effect: Effect, point: dict[str, float]) -> tuple[float, dict[str, float]]:
+    def _at(self, effect: Effect, points: Sequence[dict[str, float]]) -> Iterator[tuple[float, dict[str, float]]]:
+        """At each grid point, the decrease of the cost and all values."""
+        wanted = [[(make_term(effect, self.joint, values),) for values in self._directions(effect, point)] for point in points]
+        if effect.name == "stiffness":  # its neutral point is a constant torque
+            wanted = [[*columns, (make_term(get_effect("torque_offset"), self.joint, {"level": 1.0}),)] for columns in wanted]
+        each = len(wanted[0])
+        for begin in range(0, len(points), TOGETHER):
+            some = slice(begin, begin + TOGETHER)
+            rows = self.series(list(itertools.chain.from_iterable(wanted[some])), alone=bool(effect.replaces))
+            for k, point in enumerate(points[some]):
+                yield self._judge(effect, point, rows[k * each : (k + 1) * each])
+
+    def _directions(self, effect: Effect, point: dict[str, float]) -> list[dict[str, float]]:
+        """The values whose torques, together, are all that the effect can be at a grid point."""
         if effect.name in ("delay", "lag"):
-            name = effect.parameters[0].name
-            unit = self.records[0].sample_time
-            gain, theta = self.group([self.series((make_term(effect, self.joint, {name: unit}),))])
-            return gain, {name: float(np.clip(theta[0] * unit, 0.2 * unit, 0.05))}
-        amplitude = effect.linear[0] if effect.linear else ""
-        phase = next((n for n in effect.names if n in ("phase", "angle")), "")
-        if phase and amplitude:
-            second = -np.pi / 2 if phase == "angle" else np.pi / 2
-            columns = [
-                self.series((make_term(effect, self.joint, {**point, amplitude: 1.0, phase: a}),))
-                for a in (0.0, second)
-            ]
-            gain, (a, b) = self.group(columns)
-            size = float(np.hypot(a, b))
-            angle = float(np.arctan2(b, a)) * (-1 if phase == "angle" else 1)
-            return gain, {**point, amplitude: size, phase: angle}
+            return [{effect.parameters[0].name: self.records[0].sample_time}]
         if effect.name == "stiffness":
-            one = [np.concatenate([self._respond(rec, np.ones(rec.n)) for rec in self.records])]
-            gain, (k, c) = self.group(
-                [self.series((make_term(effect, self.joint, {"coefficient": 1.0}),)), *one]
-            )
-            only, _ = self.group(one)
-            k = k if k > 0 else 1e-3 * self.records[0].scale.of("torque/position")
-            return (
-                (gain, {"coefficient": float(k), "neutral": float(-c / k)})
-                if gain > only
-                else (gain, {"coefficient": float(k)})
-            )
-        if not effect.linear:
-            gain, theta = self.group([self.series((make_term(effect, self.joint, point),))])
-            return (gain if theta[0] > 0 else 0.0), point
-        columns = [
-            self.series((make_term(effect, self.joint, _unit_values(effect, point, name)),))
-            for name in effect.linear
-        ]
-        if effect.replaces:
-            columns = [
-                self.series_without(effect, _unit_values(effect, point, name)) for name in effect.linear
-            ]
+            return [{"coefficient": 1.0}]
+        phase = _phase_of(effect)
+        if phase:
+            second = -np.pi / 2 if phase == "angle" else np.pi / 2
+            return [{**point, effect.linear[0]: 1.0, phase: angle} for angle in (0.0, second)]
+        return [_unit_values(effect, point, name) for name in effect.linear] or [point]
+
+    def _judge(self, effect: Effect, point: dict[str, float], columns: Array) -> tuple[float, dict[str, float]]:
         gain, theta = self.group(columns)
+        if effect.name in ("delay", "lag"):
+            unit = self.records[0].sample_time
+            return gain, {effect.parameters[0].name: float(np.clip(theta[0] * unit, 0.2 * unit, 0.05))}
+        if effect.name == "stiffness":
+            k = float(theta[0]) if theta[0] > 0 else 1e-3 * self.records[0].scale.of("torque/position")
+            better = gain > self.group(columns[1:])[0]
+            return gain, {"coefficient": k, "neutral": float(-theta[1] / k)} if better else {"coefficient": k}
+        phase = _phase_of(effect)
+        if phase:
+            angle = float(np.arctan2(theta[1], theta[0])) * (-1 if phase == "angle" else 1)
+            return gain, {**point, effect.linear[0]: float(np.hypot(*theta)), phase: angle}
+        if not effect.linear:
+            return (gain if theta[0] > 0 else 0.0), point
         values = {**point, **{name: float(v) for name, v in zip(effect.linear, theta, strict=True)}}
         if effect.replaces:
-            values = self._add_replaced(effect, values)
-        elif any(values[n] < effect.parameter(n).lower for n in effect.linear):
-            gain, values = (
-                0.0,
-                {
-                    n: max(v, 1e-3 * self.records[0].scale.of(effect.parameter(n).size))
-                    if n in effect.linear
-                    else v
-                    for n, v in values.items()
-                },
-            )
-        return gain, values
-
-    def series_without(self, effect: Effect, values: dict[str, float]) -> Array:
-        """As ``series``, for a term that would replace one of the model's: evaluated beside it."""
-        parts = []
-        for rec in self.records:
-            column = trace(rec, self.model, (make_term(effect, self.joint, values),), self._floor(rec))
-            parts.append(self._respond(rec, column))
-        return np.concatenate(parts)
+            return gain, self._add_replaced(effect, values)
+        if all(values[n] >= effect.parameter(n).lower for n in effect.linear):
+            return gain, values
+        least = {n: 1e-3 * self.records[0].scale.of(effect.parameter(n).size) for n in effect.linear}
+        return 0.0, {n: max(v, least.get(n, v)) for n, v in values.items()}
 
     def _add_replaced(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
         size = self.records[0].scale
@@ -301,8 +272,7 @@ class Screen:
             for law in range(4):
                 smooth = 0.05 * self.records[0].scale.speed
                 point = {"from_joint": float(other), "law": float(law), "smooth": smooth}
-                gain, values = self._at(effect, point)
-                found.append(self._candidate(effect, gain, values))
+                found += [self._candidate(effect, *at) for at in self._at(effect, [point])]
         return found
 
 

@@ -55,8 +55,10 @@ static inline double sgn(double x) { return (x > 0) - (x < 0); }
 static inline double soft(double v, double lim) { return v > lim ? v - lim : v < -lim ? v + lim : 0.0; }
 static inline double clip(double v, double lim) { return v > lim ? lim : v < -lim ? -lim : v; }
 
-/* the other joint's measured motion at sample k, for couplings; S: a state of observer.c */
-#define LOOK_AT(joint) { const double *j = M->other + (size_t)(joint) * 3 * M->n + k; S->oq = j[0]; S->oqd = j[M->n]; S->oqdd = j[2 * (size_t)M->n]; }
+/* the other joint's measured motion, for couplings; S: a state of observer.c */
+#define LOOK_AT(joint) for (int l = 0; l < LANES; l++) { \
+        const double *j = M->other + (size_t)(joint) * 3 * M->n + k + stride * l; \
+        S->oq[l] = j[0]; S->oqd[l] = j[M->n]; S->oqdd[l] = j[2 * (size_t)M->n]; }
 
 static inline double cum(const zk_model *M, double t) /* integral of the held command up to t */
 {
@@ -104,43 +106,57 @@ int zk_run_lanes(const zk_model *M, double *r)
     return pass_8(M, r, 0, 0, 0);
 }
 
-/* Resisting torque of one effect along a measured motion (dry friction with sign smoothed over v0): the column that a screen needs. */
+/* Resisting torque of some effects along a measured motion (dry friction with sign smoothed over v0): the column that a screen needs.
+ * Nothing depends on the sample before, so eight samples of one parameter set are the lanes. */
+#define LANES 8
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out)
 {
-    numbers_1 numbers, *N = &numbers;
-    state_1 state, *S = &state;
+    zk_model same[LANES];
+    numbers_8 numbers, *N = &numbers;
+    state_8 state, *S = &state;
     memset(S, 0, sizeof *S);
-    set_up_1(M, N);
-    for (int k = 0; k < M->n; k++) {
-        double torque, scale, level, acted;
-        S->q[0] = motion[k]; S->qd[0] = motion[M->n + k]; S->qdd[0] = motion[2 * (size_t)M->n + k];
-        S->t = M->t0 + k * M->T; S->u[0] = u[k]; S->tau[0] = M->gain * u[k];
-        gather_1(M, N, S, k, &torque, &scale);
-        dry_1(M, N, S, S->qd, &scale, &level);
-        act_1(M, N, &u[k], &acted);
-        out[k] = torque + level * tanh(S->qd[0] / v0) + (M->gain * u[k] - acted);
+    for (int l = 0; l < LANES; l++) same[l] = *M;
+    set_up_8(same, N);
+    const int n = M->n;
+    for (int first = 0; first < n; first += LANES) {
+        const int k = n < LANES ? 0 : first < n - LANES ? first : n - LANES, some = n < LANES ? n : LANES; /* the last ones twice */
+        double torque[LANES], scale[LANES], level[LANES], acted[LANES], in[LANES] = {0};
+        for (int l = 0; l < some; l++) {
+            S->q[l] = motion[k + l]; S->qd[l] = motion[n + k + l]; S->qdd[l] = motion[2 * (size_t)n + k + l];
+            S->t[l] = M->t0 + (k + l) * M->T; in[l] = S->u[l] = u[k + l]; S->tau[l] = M->gain * u[k + l];
+        }
+        gather_8(M, N, S, k, some == LANES, torque, scale);
+        dry_8(M, N, S, S->qd, scale, level);
+        act_8(M, N, in, acted);
+        for (int l = 0; l < some; l++)
+            out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) + (S->tau[l] - acted[l]);
     }
 }
+#undef LANES
 
 /* What added torque columns d (cols x n) do to the innovations, to first order: the observer's error dynamics, out (cols x n).
  * meas: columns act on the measurement instead. */
+#define LANES 8
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *e_active,
                const double *inertia, const double *damp, int cols, const double *d, int meas, double *out)
 {
-    for (int c = 0; c < cols; c++) {
-        double q = 0, v = 0;
-        const double *dc = d + (size_t)c * n;
-        double *oc = out + (size_t)c * n;
+    for (int first = 0; first < cols; first += LANES) {
+        const int some = cols - first < LANES ? cols - first : LANES;
+        const double *dc = d + (size_t)first * n;
+        double *oc = out + (size_t)first * n, q[LANES] = {0}, v[LANES] = {0}, in[LANES] = {0}, r[LANES];
         for (int k = 0; k < n; k++) {
-            double e = 0;
-            if (w[k] > 0 && e_active[k] != 0.0) e = (meas ? dc[k] : 0.0) - q;
-            oc[k] = w[k] * e;
-            q += k1[k] * e; v += k2[k] * e;
-            double a = (meas ? 0.0 : -dc[k]) / inertia[k];
-            double ex = 1.0 / (1.0 + damp[k] * T / inertia[k]);
-            double vn = (v + a * T) * ex;
-            q += 0.5 * T * (v + vn);
-            v = vn;
+            const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0, per = 1.0 / inertia[k], ex = 1.0 / (1.0 + damp[k] * T * per);
+            for (int l = 0; l < some; l++) in[l] = dc[(size_t)l * n + k];
+            EACH {
+                double e = on * ((meas ? in[l] : 0.0) - q[l]);
+                r[l] = w[k] * e;
+                q[l] += k1[k] * e; v[l] += k2[k] * e;
+                double vn = (v[l] - (meas ? 0.0 : in[l]) * per * T) * ex;
+                q[l] += 0.5 * T * (v[l] + vn);
+                v[l] = vn;
+            }
+            for (int l = 0; l < some; l++) oc[(size_t)l * n + k] = r[l];
         }
     }
 }
+#undef LANES

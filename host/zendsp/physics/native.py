@@ -88,7 +88,7 @@ def _of_lane(effect: Effect) -> str:
     if other:
         raise ZendspError(f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1], … and s->q, s->qd, s->qdd, s->t, s->u, s->tau")
     body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
-    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau)\b", r"s->\1[l]", body)
+    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|oq|oqd|oqdd)\b", r"s->\1[l]", body)
 
 
 def cache_folder() -> Path:

@@ -15,7 +15,7 @@ typedef struct {
 typedef struct { /* what an effect may look at */
     double q[LANES], qd[LANES], qdd[LANES]; /* of the joint; qdd only where a trace is asked for */
     double u[LANES], tau[LANES];            /* command (its own unit) and actuator torque */
-    double t, oq, oqd, oqdd;                /* time; motion of the other joint, for couplings */
+    double t[LANES], oq[LANES], oqd[LANES], oqdd[LANES]; /* time; motion of the other joint, for couplings */
 } OF(state);
 
 /* EFFECT_FUNCTIONS */
@@ -43,8 +43,8 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
     }
 }
 
-/* torque without dry friction, and what friction is multiplied by */
-static inline void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k, double *torque, double *scale)
+/* torque without dry friction, and what friction is multiplied by; lane l looks at sample k + stride l of the other joints */
+static inline void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k, int stride, double *torque, double *scale)
 {
     double visc[LANES];
     EACH { torque[l] = 0; scale[l] = 1; visc[l] = 0; }
@@ -56,7 +56,7 @@ static inline void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state)
         }
     }
     EACH torque[l] += visc[l] * scale[l];
-    (void)k;
+    (void)k; (void)stride;
 }
 
 /* dry friction for motion in the direction of v */
@@ -129,7 +129,6 @@ static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, doubl
     }
     for (int k = 0; k < n; k++) {
         double *out = r + (size_t)k * LANES;
-        S->t = M->t0 + k * M->T;
         OF(sense)(M, N, S, side ? ql : q, y);
         if (M->kp > 0) { /* simulated in closed loop: the innovations are the measured position */
             double at = M->resolution > 0 ? M->resolution * floor(y[0] / M->resolution + 0.5) : y[0];
@@ -184,7 +183,7 @@ static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, doubl
         if (steady) { EACH u[l] = (M->ucum[k + 1] - M->ucum[k]) / M->T; OF(act)(M, N, u, tau); }
         for (int i = 0; i < sub; i++) {
             const double tl = k * M->T + i * h; /* record time for the command, absolute time for effects */
-            S->t = M->t0 + tl + 0.5 * h;
+            EACH S->t[l] = M->t0 + tl + 0.5 * h;
             if (!steady) {
                 for (int l = 0; l < LANES; l++) u[l] = (cum(M, tl + h - N->delay[l]) - cum(M, tl - N->delay[l])) * per_h;
                 if (N->lag_on)
@@ -225,9 +224,9 @@ static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, doubl
             } else if (N->pulled)
                 EACH push[l] -= N->gravity[l] * sin(S->q[l]);
             EACH push[l] -= spring[l];
-            OF(gather)(M, N, S, k, f, scale);
+            OF(gather)(M, N, S, k, 0, f, scale);
             EACH S->qd[l] = qd[l] + 0.5 * h * (push[l] - f[l] - rub[l]) * per_jm[l];
-            OF(gather)(M, N, S, k, f, scale);
+            OF(gather)(M, N, S, k, 0, f, scale);
             EACH free[l] = push[l] - f[l];
             if (N->bent) /* Bouc-Wen, |z| <= 1 */
                 EACH {
