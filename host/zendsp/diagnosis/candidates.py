@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model, Term
 
 COARSE = 1e-3  # s
+SAME_INERTIA = 0.05  # change, as a logarithm, that is within the basin of a gap
 DRY = ("coulomb", "coulomb_asymmetry", "stribeck", "load_friction", "position_friction")
 
 
@@ -95,9 +96,12 @@ def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
 
 
 def simulated(
-    data: Data, model: Model, joint: int, only: frozenset[str] = frozenset(), jobs: int = 1
+    data: Data, model: Model, joint: int, only: frozenset[str] = frozenset(), jobs: int = 1, given: Model | None = None
 ) -> list[list[Candidate]]:
-    """Hypotheses with states of their own, each with its start values; ``jobs`` threads."""
+    """Hypotheses with states of their own, each with its start values; ``jobs`` threads.
+
+    A gap is also begun from the numbers of the ``given`` model: calibrated without it, an inertia takes a good part of the gap upon itself.
+    """
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     present = {t.effect for t in model.at(joint)}
     out = []
@@ -110,10 +114,28 @@ def simulated(
             continue
         if effect.name == "presliding" and not present & set(DRY):
             continue
-        terms = scan(data, model, joint, effect, record, jobs=jobs)
-        if terms:
-            out.append([Candidate(effect.name, joint, (term,), (), math.nan) for term in terms])
+        beneath = [model]
+        if effect.name == "backlash" and given is not None:
+            before = as_given(model, given)
+            change = float(np.mean(effective_inertia(record, before))) / float(np.mean(effective_inertia(record, model)))
+            if abs(math.log(change)) > SAME_INERTIA:
+                beneath.append(before)
+        starts = scan(data, beneath, joint, effect, record, jobs=jobs)
+        if starts:
+            out.append([Candidate(effect.name, joint, (term,), (), math.nan, None if base is model else base) for term, base in starts])
     return out
+
+
+def as_given(model: Model, given: Model) -> Model:
+    """The model with the numbers that the given model had, where it had them."""
+    left = list(given.terms)
+    terms = []
+    for term in model.terms:
+        same = next((t for t in left if t.effect == term.effect and t.joint == term.joint), None)
+        if same is not None:
+            left.remove(same)
+        terms.append(same or term)
+    return replace(model, mechanism=given.mechanism, terms=tuple(terms))
 
 
 SCANS: dict[
@@ -138,16 +160,25 @@ def coarse(data: Data) -> Data:
 
 
 def scan(
-    data: Data, model: Model, joint: int, effect: Effect, record: JointRecord, keep: int = 2, jobs: int = 1
-) -> list[Term]:
-    """The most likely start values on a coarse grid, one simulation each, the rest of the model as it stands."""
-    grid = SCANS.get(effect.name)
-    if grid is None:
-        return list(starts(effect, joint, record, model))
-    s = record.scale
+    data: Data, models: Sequence[Model], joint: int, effect: Effect, record: JointRecord, keep: int = 2, jobs: int = 1
+) -> list[tuple[Term, Model]]:
+    """The most likely start values on a coarse grid, one simulation each, beneath them any of some models as they stand."""
+    if effect.name not in SCANS:
+        return [(term, models[0]) for term in starts(effect, joint, record, models[0])]
+    listed = [(term, model) for model in models for term in _grid(model, joint, effect, record)]
+    if effect.name == "backlash":
+        data = coarse(data)
+    values_of = deviances(data, [model.with_terms((*model.terms, term)) for term, model in listed], joint, jobs)
+    order = sorted(range(len(listed)), key=lambda i: (values_of[i], i))
+    unlike = {listed[i][0].value("gap", float(i)): i for i in reversed(order)}  # of one gap the likeliest: others lead to the same optimum
+    return [listed[i] for i in order if unlike.get(listed[i][0].value("gap", float(i))) == i][:keep]
+
+
+def _grid(model: Model, joint: int, effect: Effect, record: JointRecord) -> Iterable[Term]:
+    """A term for each point of the grid of an effect, in SI units."""
+    grid, s = SCANS[effect.name], record.scale
     inertia = float(np.mean(effective_inertia(record, model)))
     dry = sum(t.value("level") for t in model.at(joint) if t.effect == "coulomb") or 0.2 * s.torque
-    listed: list[Term] = []
     for numbers in itertools.product(*grid.values()):
         point = dict(zip(grid, numbers, strict=True))
         values = {}
@@ -164,21 +195,11 @@ def scan(
                 values[name] = share * inertia
             else:
                 values[name] = number * s.of(effect.parameter(name).size)
-        if (
-            "load_inertia" in grid
-        ):  # a gap is found from a lossy contact: a bouncing one has no gradient to follow
-            values["damping"] = (0.1 if effect.name == "elasticity" else 0.8) * math.sqrt(
-                values["stiffness"] * values["load_inertia"]
-            )
+        if "load_inertia" in grid:  # a gap is found from a lossy contact: a bouncing one has no gradient to follow
+            values["damping"] = (0.1 if effect.name == "elasticity" else 0.8) * math.sqrt(values["stiffness"] * values["load_inertia"])
         if effect.name == "presliding":
             values["damping"] = 0.1 * math.sqrt(values["stiffness"] * inertia)
-        listed.append(make_term(effect, joint, values))
-    if effect.name == "backlash":
-        data = coarse(data)
-    values_of = deviances(data, [model.with_terms((*model.terms, term)) for term in listed], joint, jobs)
-    order = sorted(range(len(listed)), key=lambda i: (values_of[i], i))
-    unlike = {listed[i].value("gap", float(i)): listed[i] for i in reversed(order)}  # of one gap the likeliest: others lead to the same optimum
-    return [listed[i] for i in order if unlike.get(listed[i].value("gap", float(i))) is listed[i]][:keep]
+        yield make_term(effect, joint, values)
 
 
 def starts(effect: Effect, joint: int, record: JointRecord, model: Model) -> Iterable[Term]:

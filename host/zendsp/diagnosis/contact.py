@@ -51,10 +51,10 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
             break
         softer = lossy(best, joint, jobs)
         moved = [*([softer] if softer is not best else []), *around(best, joint, jobs)]
-        trial = descend(min(moved, key=lambda s: s.deviance), joint, jobs)
-        if not trial.deviance < best.deviance - PROGRESS:
+        start = min(moved, key=lambda s: s.deviance)
+        if not start.deviance < best.deviance - PROGRESS:
             break
-        best = trial
+        best = min(start, descend(start, joint, jobs), key=lambda s: s.deviance)
     return best
 
 

@@ -247,7 +247,7 @@ def _search_joint(
 ) -> JointSearch:
     tell(f"joint {joint}: calibrating the given model")
     base = calibrate_joint(train, given, joint, jobs)
-    searcher = Searcher(train, joint, Acceptance(test), jobs, tell)
+    searcher = Searcher(train, joint, Acceptance(test), jobs, tell, given)
     return settled(test, uncurved(test, searcher.search(base), searcher.n, jobs))
 
 

@@ -44,6 +44,7 @@ class Candidate:
     terms: tuple[Term, ...]
     replaces: tuple[str, ...]
     gain: float  # decrease of the cost that the screen promises; nan where only a fit can tell
+    beneath: Model | None = None  # numbers to begin from in place of the calibrated ones
 
     @property
     def key(self) -> tuple[str, int]:
@@ -278,6 +279,7 @@ class Screen:
 
 def with_candidate(model: Model, candidate: Candidate) -> Model:
     """The model with the candidate's terms added and what they replace removed."""
+    model = candidate.beneath or model
     kept = tuple(
         t for t in model.terms if not (t.joint == candidate.joint and t.effect in candidate.replaces)
     )

@@ -59,8 +59,15 @@ class Searcher:
     """Searches one joint; ``accept`` decides whether a step counts (held-out evidence is its business)."""
 
     def __init__(
-        self, data: Data, joint: int, accept: Callable[[Scored, Rival], bool], jobs: int, progress: Progress
+        self,
+        data: Data,
+        joint: int,
+        accept: Callable[[Scored, Rival], bool],
+        jobs: int,
+        progress: Progress,
+        given: Model | None = None,
     ) -> None:
+        self.given = given
         self.data, self.joint, self.accept, self.jobs, self.progress = data, joint, accept, jobs, progress
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
@@ -113,8 +120,8 @@ class Searcher:
             paid = sum(step.chosen.price for step in waiting)
             passing = (r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price)))
             holds = next(passing, None)
-            chosen = holds or rivals[0]
-            rivals = [chosen, *[r for r in rivals if r is not chosen]]
+            chosen = self._in_gap(current, holds or rivals[0])
+            rivals = [chosen, *[r for r in rivals if r.effect != chosen.effect]]
             step = Step(chosen, tuple(rivals[1:]), current)
             if holds is not None:
                 found.steps += [*waiting, step]
@@ -130,6 +137,12 @@ class Searcher:
             found.best = current if not waiting else found.steps[-1].chosen.scored
             found.best, found.dropped = simplify(found, self.n, self.jobs)
         return found
+
+    def _in_gap(self, current: Scored, chosen: Rival) -> Rival:
+        """A step beside a gap found before, with the gap found again: its optimum is so narrow that the step moved it out of reach."""
+        if chosen.effect == "backlash" or not any(t.effect == "backlash" for t in chosen.scored.model.at(self.joint)):
+            return chosen
+        return replace(chosen, scored=refine(chosen.scored, self.joint, current.deviance, 10 * WAIT, self.jobs))
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
@@ -161,7 +174,7 @@ class Searcher:
             starts_of(c, current.data) for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
         ]
         hidden = frozenset(e for e in seen if e in SCANS)
-        listed += simulated(current.data, current.model, self.joint, hidden, self.jobs) if hidden else []
+        listed += simulated(current.data, current.model, self.joint, hidden, self.jobs, self.given) if hidden else []
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
         return min((r.value for r in quick), default=math.inf)
@@ -184,7 +197,7 @@ class Searcher:
             first = {c.effect for group in listed for c in group}
             listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
         # what takes longest comes first, so that no thread is left with it at the end
-        listed = [*simulated(current.data, current.model, self.joint, only, self.jobs), *listed]
+        listed = [*simulated(current.data, current.model, self.joint, only, self.jobs, self.given), *listed]
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]

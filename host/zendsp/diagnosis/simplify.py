@@ -15,6 +15,7 @@ from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.model import Model, Term
 
 PLAIN = 0.1  # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not fitted away any more
+SYMMETRIC = {"coulomb_asymmetry": ("coulomb", "level"), "viscous_asymmetry": ("viscous", "coefficient")}
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
 
 
@@ -76,6 +77,21 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
     return other if other.deviance - best.deviance < (1.0 - SUFFICIENT) * loss else best
 
 
+def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
+    """An asymmetry that was found whose two directions are as good as equal is the symmetric effect in whose place it stands."""
+    for name, (plain, number) in SYMMETRIC.items():
+        term = next((t for t in best.model.at(found.joint) if t.effect == name), None)
+        if term is None or name in {t.effect for t in found.base.model.at(found.joint)}:
+            continue
+        mean = 0.5 * sum(q.value for q in term.parameters.values())
+        one = make_term(get_effect(plain), found.joint, {number: mean})
+        model = best.model.with_terms(tuple(one if t is term else t for t in best.model.terms))
+        other = _refitted(best.data, model, found.joint, jobs, 1)
+        if other.deviance < best.deviance + price((term,), n, (name,)):
+            best = other
+    return best
+
+
 def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
     """More inertia and a weaker actuator together are a payload, which adds inertia and gravity: name it so where that explains as much."""
     had = {t.effect for t in found.base.model.at(found.joint)}
@@ -121,6 +137,7 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
     """Drop every term, given or found, that the recording does not need any more."""
     best = _as_coulomb(_resolved(found.final, found.joint, jobs), found.joint, jobs)
     best = _as_spring(found, _as_payload(found, best, jobs), jobs)
+    best = _as_symmetric(found, best, n, jobs)
     dropped: list[str] = []
     added = {t.effect for s in found.steps for t in s.chosen.terms}
     while True:
