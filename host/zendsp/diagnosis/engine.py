@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.assemble import Assembled, assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.evidence import compare, torque_share, unmodelled_torque
+from zendsp.diagnosis.evidence import compare, compare_errors, torque_share, unmodelled_torque
 from zendsp.diagnosis.findings import file_model, kernel_model
 from zendsp.diagnosis.fine import fine_ripples, fixed
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
@@ -61,7 +61,9 @@ class Acceptance:
             fitted = sum(rec[0].n for rec in rival.scored.data.records)
             tested = sum(rec[0].n for rec in self.test.records)
             # active in a small part of the record: few blocks speak, but they say as much as in the fit
-            strong = held.gain > max(300.0, 0.1 * gain * tested / fitted) and held.z > 1.8
+            strong = held.gain > max(300.0, 0.1 * gain * tested / fitted) and (
+                held.z > 1.8 or compare_errors(before, rival.scored, self.test, rival.joint).z > MIN_Z
+            )
             contact = rival.effect == "backlash" and held.gain > 300.0 and held.sign > MIN_SIGN
             if gain < 1000 or not (strong or contact):
                 return False

@@ -76,10 +76,28 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     """
     a = _points(before, test, joint)
     b = _points(after, test, joint)
-    two_mass = any(
-        t.effect in ("elasticity", "backlash") for m in (before.model, after.model) for t in m.at(joint)
-    )
-    return evidence([x - y for x, y in zip(a, b, strict=True)], test, settle=0.3 if two_mass else 0.1)
+    return evidence([x - y for x, y in zip(a, b, strict=True)], test, settle=_settling(before, after, joint))
+
+
+def compare_errors(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
+    """As ``compare`` by the squared errors alone, both predicted by the observer of ``after`` (Diebold and Mariano 1995).
+
+    What acts at a few instants only is spread by a likelihood over all the others, through the scale of the noise; here, what both
+    predict alike counts for nothing.
+    """
+    data = test.at_bandwidth(joint, after.data.bandwidth[joint - 1])
+    errors = []
+    for scored in (before, after):
+        r = [run(rec[joint - 1], scored.model, data.bandwidth[joint - 1], inner=data.inner).innovations for rec in data.records]
+        errors.append([np.minimum(np.abs(x), LOST * max(1.0, float(np.median(np.abs(x))))) ** 2 for x in r])
+    count = sum(int(rec[joint - 1].counted.sum()) for rec in data.records)
+    scale = max(sum(float(x.sum()) for x in errors[1]) / max(count, 1), 1e-9)
+    return evidence([(x - y) / scale for x, y in zip(*errors, strict=True)], data, settle=_settling(before, after, joint))
+
+
+def _settling(before: Scored, after: Scored, joint: int) -> float:
+    """Share of a recording in which an observer settles; a load behind a spring, whose own state nobody measured, rings longer."""
+    return 0.3 if any(t.effect in ("elasticity", "backlash") for m in (before.model, after.model) for t in m.at(joint)) else 0.1
 
 
 def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
@@ -99,10 +117,7 @@ def _points(scored: Scored, test: Data, joint: int) -> list[Array]:
 
 
 def evidence(differences: Sequence[Array], data: Data, settle: float = 0.1) -> Evidence:
-    """Blocks of summed differences, their total and z; at most the share ``settle`` of each recording is left out at its beginning.
-
-    The observer has to settle; a load behind a spring, whose own state nobody measured, rings longer.
-    """
+    """Blocks of summed differences, their total and z; at most the share ``settle`` of each recording is left out at its beginning."""
     blocks = []
     seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
     block = min(BLOCK, max(0.05, seconds / 40))
