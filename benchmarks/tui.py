@@ -173,11 +173,9 @@ def terminal(seconds: float, soak: float) -> dict[str, float]:
         t = Terminal(["tui", "--local", "imi_planar", "--folder", folder, "--source", _source(), "--channels", CURVES])
         try:
             _wait(t, b"imi_planar")
-            time.sleep(1.0)
             # the drives stay automatic: with a commander, a busy machine that cuts this one off would stop the program
             for key, event in (("b", "→ loaded"), ("s", "→ running")):
-                t.keys(key)
-                _wait(t, event.encode())
+                _press(t, key, event.encode())
             time.sleep(3.0)
             cpu, written, begin = t.cpu(), t.bytes, time.perf_counter()
             time.sleep(seconds)
@@ -201,10 +199,11 @@ def _soak(t: Terminal, soak: float) -> dict[str, float]:
     x, y = np.array(times), np.array(sizes)
     half = x > soak / 3.0  # the first third is warming up: histories fill, caches find their size
     x, y = x[half], y[half]
-    slope, offset = np.polyfit(x, y, 1)
-    spread = np.std(y - slope * x - offset, ddof=2) / (np.std(x) * np.sqrt(len(x)))
+    # sizes of one moment and the next are much alike: the error of the slope is that of the means of ten blocks
+    blocks = np.array_split(np.arange(len(x)), 10)
+    (slope, _), error = np.polyfit([x[i].mean() for i in blocks], [y[i].mean() for i in blocks], 1, cov=True)
     busy = {"soak_kB_per_s": (t.bytes - written) / lasted / 1e3, "soak_cpu_share": (t.cpu() - cpu) / lasted}  # it was not asleep
-    return busy | {"soak_s": soak, "rss_first_MB": y[0] / 1e3, "rss_last_MB": y[-1] / 1e3, "slope_kB_per_h": float(slope * 3600.0), "slope_2sigma_kB_per_h": float(2.0 * spread * 3600.0)}
+    return busy | {"soak_s": soak, "rss_first_MB": y[0] / 1e3, "rss_last_MB": y[-1] / 1e3, "slope_kB_per_h": float(slope * 3600.0), "slope_2sigma_kB_per_h": float(2.0 * np.sqrt(error[0, 0]) * 3600.0)}
 
 
 def _wait(t: Terminal, words: bytes) -> None:
@@ -213,6 +212,18 @@ def _wait(t: Terminal, words: bytes) -> None:
         if time.monotonic() > deadline:
             raise TimeoutError(f"{words!r} did not appear")
         time.sleep(0.05)
+
+
+def _press(t: Terminal, key: str, words: bytes) -> None:
+    """Press a key until it has had its effect: the target that is started here may not answer yet."""
+    deadline = time.monotonic() + 60.0
+    while words not in t.seen:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{words!r} did not appear after {key!r}")
+        t.keys(key)
+        patience = time.monotonic() + 5.0
+        while words not in t.seen and time.monotonic() < patience:
+            time.sleep(0.05)
 
 
 def _source() -> str:

@@ -26,6 +26,7 @@ Array = npt.NDArray[np.float64]
 UNLIKE_THE_COMMAND = ("elasticity", "backlash", "saturation")
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
 TRIES = 8  # ever shorter steps before a fit ends
+FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
 ENDLESS = 1e30  # a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
@@ -201,8 +202,9 @@ def residuals(data: Data, models: Sequence[Model], joints: Sequence[int], pool: 
         return run_many(*task, inner=data.inner)
 
     done = list(map(work, tasks) if pool is None or len(tasks) == 1 else pool.map(work, tasks))
-    rows = [np.concatenate(done[i : i + len(groups)], axis=1) for i in range(0, len(done), len(groups))]
-    return np.concatenate(rows)
+    if len(groups) > 1:
+        done = [np.concatenate(done[i : i + len(groups)], axis=1) for i in range(0, len(done), len(groups))]
+    return np.concatenate(done) if len(done) > 1 else done[0]
 
 
 def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tuple[Array, Array, Array]:
@@ -303,6 +305,8 @@ def fit(
 
         def evaluate(points: Sequence[Array]) -> Array:
             columns = residuals(data, [set_values(model, handles, at) for at in points], wanted, pool)
+            if not prior.any():
+                return columns
             known = [prior[prior > 0] * (at - centre)[prior > 0] for at in points]
             return np.concatenate([columns, np.stack(known, axis=1)])
 
@@ -359,7 +363,8 @@ def fit(
 def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     """Covariance of least squares that stays honest when residuals are correlated within blocks (sandwich), (p, p).
 
-    The larger of the classical and the block-wise variance counts for each parameter.
+    Where the blocks vary more than white innovations would, their variance counts. Where they vary less, because what a fast observer
+    gets wrong in one sample it makes good in the next, it counts as much as there are blocks, beside the classical one.
     """
     n, p = jac.shape
     if not p:
@@ -376,8 +381,9 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
     count = len(scores)
     sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
-    small = np.maximum(np.diag(classic), 1e-300)
-    grow = np.sqrt(np.maximum(1.0, small / np.maximum(np.diag(sandwich), 1e-6 * small)))
+    alone = np.maximum(np.diag(classic), 1e-300)
+    blocks = np.maximum(np.diag(sandwich), 1e-6 * alone)
+    grow = np.sqrt(np.where(blocks < alone, (count * blocks + FEW_BLOCKS * alone) / (count + FEW_BLOCKS), blocks) / blocks)
     honest: Array = sandwich * np.outer(grow, grow)
     honest[idle, :], honest[:, idle] = 0.0, 0.0
     honest[idle, idle] = ENDLESS
