@@ -16,7 +16,7 @@ LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 COUPLED = ("inertia", "torque/speed2", "torque/speed", "torque")  # what their coefficients measure
 # Beside the statistical uncertainty and that of the integration's step stands what the equations of any two simulators do differently: of the value,
 # or rad for angles (measured on concealed cases: docs/diagnosis.md, uncertainty).
-NUMERIC = 0.001
+NUMERIC = 3e-4
 
 
 def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
