@@ -22,6 +22,7 @@ ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 STIFFNESSES = (0.5, 0.7, 1.0, 1.4, 2.0)
+IDLE = 2  # slower observers one after the other that lead to nothing better: so did all after them, in the cases looked at
 TRIED = 3  # points of the grid that are fitted
 
 
@@ -70,15 +71,16 @@ def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
 
 def descend(scored: Scored, joint: int, jobs: int) -> Scored:
     """Refit with ever slower observers, then with central differences where that was likeliest."""
-    best, model = scored, scored.model
+    best, model, idle = scored, scored.model, 0
     bandwidth = scored.data.bandwidth[joint - 1]
-    while bandwidth / 2 >= SLOWEST:
+    while bandwidth / 2 >= SLOWEST and idle < IDLE:
         bandwidth /= 2
         slow = _refitted(scored, scored.data.at_bandwidth(joint, bandwidth), model, joint, jobs)
         model = slow.model
         data, value = tune_bandwidth(slow.data, model, (joint,))
+        idle += 1
         if value < best.deviance:
-            best = Scored(slow.fit, data, value, (joint,))
+            best, idle = Scored(slow.fit, data, value, (joint,)), 0
     for _ in range(2):
         result = fit(best.data, best.model, scored.fit.handles, joints=(joint,), iterations=6, jobs=jobs, central=True)
         data, value = tune_bandwidth(best.data, result.model, (joint,))
