@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from zendsp.diagnosis.assemble import Assembled, assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.evidence import compare, compare_errors, torque_share, unmodelled_torque
-from zendsp.diagnosis.findings import file_model, kernel_model
+from zendsp.diagnosis.findings import NUMERIC, file_model, kernel_model
 from zendsp.diagnosis.fine import fine_ripples, fixed
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.naming import name_findings
@@ -67,9 +67,9 @@ class Acceptance:
             contact = rival.effect == "backlash" and held.gain > 300.0 and held.sign > MIN_SIGN
             if gain < 1000 or not (strong or contact):
                 return False
-        if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0:
-            return True  # small as a torque, but plain above the noise: a bearing on a heavy pendulum
         share = torque_share(before, rival.scored, rival.joint)
+        if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0 and share > NUMERIC:
+            return True  # small as a torque, but plain above the noise: a bearing on a heavy pendulum
         return share > max(
             MIN_SHARE, 0.5 * unmodelled_torque(rival.scored, rival.joint) if gain < 400 else 0.0
         )
