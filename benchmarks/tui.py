@@ -1,6 +1,6 @@
 """The terminal, measured: what a picture costs, how long a key takes, whether memory grows.
 
-    python benchmarks/tui.py [--only picture key lost terminal] [--seconds 20] [--soak 300] [--json]
+    python benchmarks/tui.py [--only picture key lost terminal] [--seconds 20] [--soak 300] [--trace soak.csv] [--json]
 
 Everything is measured on a real ``zendsp tui`` in a pseudo-terminal of 160 × 48 against a real target process (planar arm, 1 kHz,
 real clock), with eight curves, except the cost of one picture, which is also timed alone in this process.
@@ -167,7 +167,7 @@ def host_lost() -> dict[str, float]:
     return {"median": float(np.median(times)), "max": float(max(times))}
 
 
-def terminal(seconds: float, soak: float) -> dict[str, float]:
+def terminal(seconds: float, soak: float, trace: Path | None = None) -> dict[str, float]:
     """CPU share, output and memory slope of ``zendsp tui`` with eight live curves."""
     with tempfile.TemporaryDirectory() as folder:
         t = Terminal(["tui", "--local", "imi_planar", "--folder", folder, "--source", _source(), "--channels", CURVES])
@@ -182,19 +182,22 @@ def terminal(seconds: float, soak: float) -> dict[str, float]:
             wall = time.perf_counter() - begin
             result = {"cpu_share": (t.cpu() - cpu) / wall, "kB_per_s": (t.bytes - written) / wall / 1e3, "rss_MB": t.memory() / 1e3}
             if soak > 0:
-                result |= _soak(t, soak)
+                result |= _soak(t, soak, trace)
         finally:
             t.close()
     return result
 
 
-def _soak(t: Terminal, soak: float) -> dict[str, float]:
-    times, sizes = [], []
+def _soak(t: Terminal, soak: float, trace: Path | None) -> dict[str, float]:
+    times, sizes, output = [], [], []
     begin, written, cpu = time.monotonic(), t.bytes, t.cpu()
     while time.monotonic() - begin < soak:
         times.append(time.monotonic() - begin)
         sizes.append(t.memory())
+        output.append(t.bytes - written)
         time.sleep(min(2.0, soak / 20.0))
+    if trace is not None:
+        np.savetxt(trace, np.stack([times, sizes, output], axis=1), delimiter=",", header="t [s],memory [kB],written [B]", comments="", fmt="%.10g")
     lasted = time.monotonic() - begin
     x, y = np.array(times), np.array(sizes)
     half = x > soak / 3.0  # the first third is warming up: histories fill, caches find their size
@@ -237,13 +240,14 @@ def main() -> None:
     p.add_argument("--only", nargs="+", choices=("picture", "key", "lost", "terminal"), help="leave out the others")
     p.add_argument("--seconds", type=float, default=20.0)
     p.add_argument("--soak", type=float, default=300.0, help="s; 0 leaves it out")
+    p.add_argument("--trace", type=Path, help="CSV of the soak: memory and what was written, every two seconds")
     p.add_argument("--json", action="store_true")
     args = p.parse_args()
     parts: dict[str, tuple[str, Callable[[], dict[str, float]]]] = {
         "picture": ("picture_ms", one_picture),
         "key": ("key_to_applied_ms", key_to_applied),
         "lost": ("host_lost_ms", host_lost),
-        "terminal": ("terminal", lambda: terminal(args.seconds, args.soak)),
+        "terminal": ("terminal", lambda: terminal(args.seconds, args.soak, args.trace)),
     }
     result: dict[str, dict[str, float] | float] = {
         name: measure() for part, (name, measure) in parts.items() if args.only is None or part in args.only

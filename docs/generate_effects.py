@@ -54,7 +54,7 @@ FILM = Effect(
 |---|---|
 | `site` | where it acts: `torque`, `viscous` (also scaled by a friction drift), `dry` (returns a level; `dir` is the direction, the kernel does the sticking), `scale` (a factor on friction), `actuator` (maps the command `u`), `sensor` (added to the measured position) |
 | `parameters` | name, what it measures (from which unit, scale and step follow: `torque`, `torque/speed`, `torque/speed2`, `torque/position`, `torque/position3`, `speed`, `position`, `time`, `ratio`, `angle`, `order`, `inertia`, `command`, `number`), bounds in SI units, default |
-| `c` | body of a C function: `p` are the parameters in order; `s->q`, `s->qd`, `s->t` [rad, rad/s, s], `s->u` the command, `s->tau` the actuator's torque. No state, no allocation, no branch on time |
+| `c` | body of a C function: `p[0]`, `p[1]`, … are the parameters in order; `s->q`, `s->qd`, `s->t` [rad, rad/s, s], `s->u` the command, `s->tau` the actuator's torque. No state, no allocation, no branch on time |
 | `linear` | parameters in which it is linear: one least squares screens them |
 | `grid` | values of the other parameters to screen, in units of the recording's own scales |
 | `needs`, `replaces` | effects without which it means nothing; effects that it contains as special cases |
