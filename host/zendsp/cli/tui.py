@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
+import signal
 import sys
 from pathlib import Path
 
@@ -69,6 +70,7 @@ def command(
         frames=frames,
         channels=[name.strip() for name in channels.split(",") if name.strip()],
     )
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # started with nohup, it would look for keys in a terminal that is gone, for ever
     app.run()
 
 
