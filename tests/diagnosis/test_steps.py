@@ -12,6 +12,7 @@ from zendsp.diagnosis.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
 from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative
+from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.search import calibrate_joint
 from zendsp.diagnosis.simplify import simplify
 from zendsp.physics.fit import Data, joint_handles
@@ -62,8 +63,8 @@ def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> N
     begun = [c.beneath for c in group if c.beneath is not None]
     assert begun and all(b.mechanism["inertia"][0] == moved for b in begun)
 
-    def best(candidates: list) -> float:  # type: ignore[type-arg]
-        return min(deviance(data, (c.beneath or calibrated).with_terms((*(c.beneath or calibrated).terms, *c.terms)), (1,)) for c in candidates)
+    def best(candidates: list[Candidate]) -> float:
+        return min(deviance(data, with_candidate(calibrated, c), (1,)) for c in candidates)
 
     assert best(group) < best(plain) - 100.0
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.score import Scored, fastest
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import effective_inertia, run
+from zendsp.physics.joint import JointRecord, effective_inertia, run
 from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
@@ -43,8 +43,7 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
     runs, total, count = [], 0.0, 0
     for rec in data.records:
         record = rec[joint - 1]
-        r = np.abs(run(record, model, data.bandwidth[joint - 1], inner=data.inner).innovations)
-        r = np.minimum(r, LOST * max(1.0, float(np.median(r[record.counted])) if record.counted.any() else 1.0))
+        r = _sizes(data, record, model)
         runs.append((record, r))
         total += float(r @ r)
         count += int(record.counted.sum())
@@ -57,6 +56,13 @@ def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
         value[counted] += np.log(scale) - 2 * np.log(w[counted])
         out.append(value)
     return out
+
+
+def _sizes(data: Data, record: JointRecord, model: Model) -> Array:
+    """Absolute innovations, drawn in where the prediction has left the track, (n,)."""
+    r = np.abs(run(record, model, data.bandwidth[record.joint - 1], inner=data.inner).innovations)
+    usual = float(np.median(r[record.counted])) if record.counted.any() else 1.0
+    return np.asarray(np.minimum(r, LOST * max(1.0, usual)))
 
 
 def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
@@ -88,8 +94,7 @@ def compare_errors(before: Scored, after: Scored, test: Data, joint: int) -> Evi
     data = test.at_bandwidth(joint, after.data.bandwidth[joint - 1])
     errors = []
     for scored in (before, after):
-        r = [run(rec[joint - 1], scored.model, data.bandwidth[joint - 1], inner=data.inner).innovations for rec in data.records]
-        errors.append([np.minimum(np.abs(x), LOST * max(1.0, float(np.median(np.abs(x))))) ** 2 for x in r])
+        errors.append([_sizes(data, rec[joint - 1], scored.model) ** 2 for rec in data.records])
     count = sum(int(rec[joint - 1].counted.sum()) for rec in data.records)
     scale = max(sum(float(x.sum()) for x in errors[1]) / max(count, 1), 1e-9)
     return evidence([(x - y) / scale for x, y in zip(*errors, strict=True)], data, settle=_settling(before, after, joint))

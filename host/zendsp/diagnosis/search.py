@@ -47,6 +47,7 @@ QUICK = 1e-4  # relative gain of a step below which a first look ends: in a narr
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
+WORTH = 10 * WAIT  # of a step that may wait for another, and of a gap whose narrow optimum is searched
 LOOK_AHEAD = 0.1  # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for behind a first
 
 
@@ -126,7 +127,7 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < 3 and _gain(current, chosen) > max(10 * WAIT, LOOK_AHEAD * self.n):
+            elif len(waiting) < 3 and _gain(current, chosen) > max(WORTH, LOOK_AHEAD * self.n):
                 waiting.append(replace(step, alone=False))
             else:
                 break
@@ -142,7 +143,7 @@ class Searcher:
         """A step beside a gap found before, with the gap found again: its optimum is so narrow that the step moved it out of reach."""
         if chosen.effect == "backlash" or not any(t.effect == "backlash" for t in chosen.scored.model.at(self.joint)):
             return chosen
-        return replace(chosen, scored=refine(chosen.scored, self.joint, current.deviance, 10 * WAIT, self.jobs))
+        return replace(chosen, scored=refine(chosen.scored, self.joint, current.deviance, WORTH, self.jobs))
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
@@ -204,7 +205,7 @@ class Searcher:
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
             finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
-            worth = math.inf if only else 10 * WAIT  # a stand-in need not be at its best
+            worth = math.inf if only else WORTH  # a stand-in need not be at its best
             full = list(pool.map(lambda r: self._full(current, r, worth), finalists))
         rivals = [
             r

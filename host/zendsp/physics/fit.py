@@ -381,9 +381,9 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     scores = np.add.reduceat(jac * r[:, None], starts, axis=0)
     count = len(scores)
     sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
-    alone = np.maximum(np.diag(classic), 1e-300)
-    blocks = np.maximum(np.diag(sandwich), 1e-6 * alone)
-    grow = np.sqrt(np.where(blocks < alone, (count * blocks + FEW_BLOCKS * alone) / (count + FEW_BLOCKS), blocks) / blocks)
+    white = np.maximum(np.diag(classic), 1e-300)
+    blocks = np.maximum(np.diag(sandwich), 1e-6 * white)
+    grow = np.sqrt(np.where(blocks < white, (count * blocks + FEW_BLOCKS * white) / (count + FEW_BLOCKS), blocks) / blocks)
     honest: Array = sandwich * np.outer(grow, grow)
     honest[idle, :], honest[:, idle] = 0.0, 0.0
     honest[idle, idle] = ENDLESS

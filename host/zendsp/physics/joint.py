@@ -233,7 +233,7 @@ def run_many(record: JointRecord, models: Sequence[Model], bandwidth: float, *, 
     ----------
     record : JointRecord
     models : sequence of Model
-        Of the same terms in the same order, in kernel form. Those that are the same for this joint are run once.
+        Of the same terms in the same order, in kernel form; a coupling's joint and law are the same too. Those that are the same for this joint are run once.
     bandwidth, inner
         As for ``run``.
     """

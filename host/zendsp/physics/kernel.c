@@ -90,8 +90,8 @@ enum { CONTACT_STEPS = 2 };
 #undef LANES
 #undef OF
 
-#define LANES 8
-#define OF(name) name##_8
+#define LANES MANY /* given at build time: native.py has to know it too */
+#define OF(name) name##_many
 /* OBSERVER */
 
 /* One parameter set: innovations r[n], and where asked for states and torque (see pass). */
@@ -103,20 +103,19 @@ int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque
 /* LANES parameter sets M[LANES] of one recording: innovations r[n x LANES]. */
 int zk_run_lanes(const zk_model *M, double *r)
 {
-    return pass_8(M, r, 0, 0, 0);
+    return pass_many(M, r, 0, 0, 0);
 }
 
 /* Resisting torque of some effects along a measured motion (dry friction with sign smoothed over v0): the column that a screen needs.
- * Nothing depends on the sample before, so eight samples of one parameter set are the lanes. */
-#define LANES 8
+ * Nothing depends on the sample before, so the lanes are samples of one parameter set. */
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out)
 {
     zk_model same[LANES];
-    numbers_8 numbers, *N = &numbers;
-    state_8 state, *S = &state;
+    numbers_many numbers, *N = &numbers;
+    state_many state, *S = &state;
     memset(S, 0, sizeof *S);
     for (int l = 0; l < LANES; l++) same[l] = *M;
-    set_up_8(same, N);
+    set_up_many(same, N);
     const int n = M->n;
     for (int first = 0; first < n; first += LANES) {
         const int k = n < LANES ? 0 : first < n - LANES ? first : n - LANES, some = n < LANES ? n : LANES; /* the last ones twice */
@@ -125,18 +124,15 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
             S->q[l] = motion[k + l]; S->qd[l] = motion[n + k + l]; S->qdd[l] = motion[2 * (size_t)n + k + l];
             S->t[l] = M->t0 + (k + l) * M->T; in[l] = S->u[l] = u[k + l]; S->tau[l] = M->gain * u[k + l];
         }
-        gather_8(M, N, S, k, some == LANES, torque, scale);
-        dry_8(M, N, S, S->qd, scale, level);
-        act_8(M, N, in, acted);
+        gather_many(M, N, S, k, some == LANES, torque, scale);
+        dry_many(M, N, S, S->qd, scale, level);
+        act_many(M, N, in, acted);
         for (int l = 0; l < some; l++)
             out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) + (S->tau[l] - acted[l]);
     }
 }
-#undef LANES
-
 /* What added torque columns d (cols x n) do to the innovations, to first order: the observer's error dynamics, out (cols x n).
  * meas: columns act on the measurement instead. */
-#define LANES 8
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *e_active,
                const double *inertia, const double *damp, int cols, const double *d, int meas, double *out)
 {
@@ -159,4 +155,3 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
         }
     }
 }
-#undef LANES

@@ -39,7 +39,7 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
                  double q0, double v0, double *work, double *out, double *var);
 """
 
-LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once; see kernel.c
+LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
 # what observer.c does for each lane with an effect
 _TORQUE = "case {i}: {look}EACH torque[l] += OF(fx_{name})(p, S, l); break;"
@@ -79,7 +79,8 @@ def source_text(effects: dict[str, Effect]) -> str:
     for mark, lines in cases.items():
         observer = observer.replace(f"/* EFFECT_CASES_{mark} */", "\n".join(lines))
     observer = observer.replace("/* EFFECT_FUNCTIONS */", "\n".join(functions))
-    return (room / "kernel.c").read_text().replace("/* OBSERVER */", observer) + (room / "filter.c").read_text()
+    kernel = (room / "kernel.c").read_text().replace("/* OBSERVER */", observer)
+    return f"#define MANY {LANES}\n" + kernel + (room / "filter.c").read_text()
 
 
 def _of_lane(effect: Effect) -> str:
