@@ -1,0 +1,67 @@
+"""Journeys: what users do, from an empty folder, with the installed wheel and real processes; nothing is mocked.
+
+A journey is named after the promise that the user relies on. It starts `zendsp` and scripts through the fixture
+`installed`, never by importing zendsp in the test's own process.
+"""
+
+from __future__ import annotations
+
+import os
+import site
+import subprocess
+import sys
+import venv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from journey import Installed
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="session")
+def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A virtual environment with the built wheel; the libraries are those of the tests' own environment."""
+    folder = tmp_path_factory.mktemp("journeys")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder / "dist")]
+    _checked(build, ROOT)
+    (wheel,) = (folder / "dist").glob("*.whl")
+    home = folder / "venv"
+    venv.create(home, with_pip=False)
+    python = home / "bin" / "python"
+    shared = [path for path in sys.path if path.endswith("site-packages")] or site.getsitepackages()
+    (packages,) = home.glob("lib/python*/site-packages")
+    (packages / "shared.pth").write_text("\n".join(shared) + "\n")
+    _checked([sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps", "--no-index",
+              "--ignore-installed", str(wheel)], folder)  # fmt: skip
+    return home
+
+
+def _checked(command: Sequence[str], cwd: Path) -> None:
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.fixture
+def installed(environment_of_the_wheel: Path, tmp_path: Path) -> Iterator[Installed]:
+    """The installed wheel and an empty folder."""
+    home = environment_of_the_wheel
+    folder, runtime = tmp_path / "home", tmp_path / "run"
+    folder.mkdir()
+    runtime.mkdir(mode=0o700)
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("ZENDSP_", "PYTHON", "VIRTUAL"))}
+    env = {
+        **kept,
+        "PATH": f"{home / 'bin'}:{os.environ['PATH']}",
+        "HOME": str(folder),
+        "ZENDSP_RUNTIME_DIR": str(runtime),
+        "TERM": "xterm-256color",
+        "PYTHONUNBUFFERED": "1",
+    }
+    user = Installed(home / "bin" / "python", home / "bin" / "zendsp", folder, env)
+    yield user
+    user.end()

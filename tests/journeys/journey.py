@@ -1,0 +1,124 @@
+"""The user of a journey: an installed wheel, an empty folder, and the processes that were started."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+LIMIT_S = 60.0  # for one command of a journey, on a machine that is busy with everything else
+
+
+@dataclass
+class Installed:
+    """The wheel in an environment of its own, and an empty folder to work in.
+
+    Attributes
+    ----------
+    python, zendsp : Path
+        The environment's interpreter and the command that the wheel installs.
+    folder : Path
+        Empty at first; the working directory and home of all that is started.
+    env : dict
+        The environment of all that is started; no target of the developer is seen or disturbed.
+    """
+
+    python: Path
+    zendsp: Path
+    folder: Path
+    env: dict[str, str]
+    processes: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def run(
+        self, *command: str | Path, timeout: float = LIMIT_S, env: Mapping[str, str] | None = None, **options: object
+    ) -> subprocess.CompletedProcess[str]:
+        """Run `zendsp …` to its end; output as text."""
+        return subprocess.run(
+            [str(self.zendsp), *map(str, command)],
+            cwd=self.folder,
+            env={**self.env, **(env or {})},
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+            **options,  # type: ignore[call-overload]
+        )
+
+    def script(self, text: str, *arguments: str, timeout: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
+        """Run a Python script of the user's to its end."""
+        path = self.write("script.py", text)
+        return subprocess.run(
+            [str(self.python), str(path), *arguments],
+            cwd=self.folder,
+            env=self.env,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+        )
+
+    def write(self, name: str, text: str) -> Path:
+        """Write a file of the user's."""
+        path = self.folder / name
+        path.write_text(text)
+        return path
+
+    def start(self, *command: str | Path, env: Mapping[str, str] | None = None) -> subprocess.Popen[str]:
+        """Start a program beside the test, in a process group of its own; it is ended with the test.
+
+        The first word is `zendsp`, `python`, or a path.
+        """
+        first = {"zendsp": self.zendsp, "python": self.python}.get(str(command[0]), command[0])
+        process = subprocess.Popen(
+            [str(first), *map(str, command[1:])],
+            cwd=self.folder,
+            env={**self.env, **(env or {})},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self.processes.append(process)
+        return process
+
+    def target(self, name: str = "imi", machine: str = "imi_planar", *options: str) -> subprocess.Popen[str]:
+        """Start `zendsp target` and wait until `zendsp ls` finds it."""
+        process = self.start("zendsp", "target", "--machine", machine, "--name", name, *options)
+        until(lambda: name in self.run("ls").stdout, f"target {name} listed", alive=process)
+        return process
+
+    def end(self) -> None:
+        """End all that was started and is still there."""
+        for process in self.processes:
+            if process.poll() is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGTERM)
+                try:
+                    process.wait(10)
+                except subprocess.TimeoutExpired:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait(10)
+            if process.stdout is not None:
+                process.stdout.close()
+
+
+def until(
+    done: Callable[[], object], what: str, timeout: float = LIMIT_S, alive: subprocess.Popen[str] | None = None
+) -> None:
+    """Wait until `done`; fail by name when it takes longer than `timeout` s or `alive` has ended."""
+    deadline = time.monotonic() + timeout
+    while not done():
+        if alive is not None and alive.poll() is not None:
+            said = alive.stdout.read() if alive.stdout else ""
+            pytest.fail(f"waiting for {what}: the process ended with {alive.returncode}: {said}")
+        if time.monotonic() > deadline:
+            pytest.fail(f"waiting for {what}: not within {timeout:g} s")
+        time.sleep(0.02)
