@@ -120,6 +120,8 @@ class Motion(Core):
                 self._living()  # switching on needs somebody who obeys
             self._drive_wish = mode
             if self._session is not None:
+                if mode == "off":
+                    self._session.control.off = (int(self._session.control.off) + 1) & 0xFFFFFFFF
                 self._session.control.drive = safety.DRIVE_MODES.get(mode, int(self._session.control.drive))
 
     def home(self) -> None:

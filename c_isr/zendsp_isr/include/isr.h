@@ -75,6 +75,13 @@ typedef struct table {
 #define JOINTS (zendsp->joints)        /* joints of the machine */
 #define DRIVE_ENABLED (zendsp->enabled != 0) /* false: outputs are being ignored (hold your integrators) */
 
+/* True in the first sample after load, and in the first one after homing, an acknowledged trip or STOP, a switching off of the
+ * drives during a pause, and any pause of hardware: nothing remembered from before holds, positions may have jumped. Estimates of
+ * speed begin again: qd = FIRST_SAMPLE ? 0.0 : …. Except after load, DRIVE_ENABLED is false in this sample and stays so for 20 ms
+ * (RUN_IN_S of the runtime): filters settle, and a motion starts from where the machine stands, before any output is taken.
+ * The pause of a simulated machine stops its time: the program goes on as if there had been none. */
+#define FIRST_SAMPLE (zendsp->first != 0)
+
 /* Store one row of every running acquisition here and now; without a call it is done after UserISR_INT2. Never blocks. */
 #define Acquire() (zendsp->acquire())
 
@@ -92,7 +99,7 @@ static inline double TableValue(const table *source, double row, int32_t column)
 
 /* ---- Beneath: how the macros reach the runtime ------------------------------------------------------------------------------ */
 
-enum { ZENDSP_ISR_ABI = 1 }; /* raised when anything below changes; checked at load */
+enum { ZENDSP_ISR_ABI = 2 }; /* raised when anything below changes; checked at load */
 enum { ZENDSP_PARAMETER = 1, ZENDSP_SIGNAL = 2, ZENDSP_TABLE = 3 };
 enum { ZENDSP_DOUBLE = 1, ZENDSP_FLOAT = 2, ZENDSP_INT32 = 3, ZENDSP_BOOL = 4 };
 
@@ -114,6 +121,7 @@ typedef struct zendsp_io {
     int32_t enc[8];
     double adc[8], aout[8];
     double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
+    int32_t first, reserved;
     void (*declare)(const zendsp_declaration *declaration);
     void (*acquire)(void);
 } zendsp_io;

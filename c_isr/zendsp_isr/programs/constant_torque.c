@@ -38,7 +38,9 @@ void UserInit(void) {
 void UserISR_INT2(void) {
     MotionStep();
     const int32_t k = joint - 1;
-    if (gone != go && DRIVE_ENABLED) {
+    if (!DRIVE_ENABLED) {
+        running = false; /* a run that was cut short does not go on by itself */
+    } else if (gone != go) {
         gone = go;
         running = true;
     }

@@ -42,7 +42,7 @@ static double play_time;           /* s since the first row; negative while appr
 static bool playing;
 
 static struct motion {
-    bool known, begun;
+    bool tabled;    /* use_table, as it was */
     double last[N], start[N], t0; /* positions one sample ago and at the beginning, and when that was */
     double pace; /* of the reference's time: 1 runs, 0 stands */
     uint32_t seen;
@@ -91,21 +91,20 @@ static inline void MotionMeasure(void) {
     const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
     for (int32_t j = 0; j < N; j++) {
         q[j] = READ_POSITION(j);
-        qd[j] = motion.known ? qd[j] + a * ((q[j] - motion.last[j]) / SAMPLE_PERIOD - qd[j]) : 0.0;
+        qd[j] = FIRST_SAMPLE ? 0.0 : qd[j] + a * ((q[j] - motion.last[j]) / SAMPLE_PERIOD - qd[j]);
         motion.last[j] = q[j];
     }
-    motion.known = true;
 }
 
 static inline void MotionBegin(void) {
     for (int32_t j = 0; j < N; j++) /* while the drives are on, from the reference, so that nothing jumps */
-        motion.start[j] = motion.begun && DRIVE_ENABLED ? r[j] : q[j];
+        motion.start[j] = !FIRST_SAMPLE && DRIVE_ENABLED ? r[j] : q[j];
     motion.t0 = SAMPLE_TIME;
     motion.seen = ref.version;
     motion.played = play;
-    if (!motion.begun || !DRIVE_ENABLED)
+    motion.tabled = use_table;
+    if (FIRST_SAMPLE || !DRIVE_ENABLED)
         motion.pace = hold ? 0.0 : 1.0;
-    motion.begun = true;
 }
 
 /* Returns the rate at which the pace changes, 1/s. */
@@ -118,7 +117,7 @@ static inline double MotionPace(void) {
 
 static inline void MotionStep(void) {
     MotionMeasure();
-    if (!motion.begun || !DRIVE_ENABLED || motion.seen != ref.version || motion.played != play)
+    if (FIRST_SAMPLE || !DRIVE_ENABLED || motion.seen != ref.version || motion.played != play || motion.tabled != use_table)
         MotionBegin();
     const double slowing = MotionPace(), pace = motion.pace;
     const double t = SAMPLE_TIME - motion.t0, h = 1.0 / row_rate;

@@ -22,7 +22,7 @@ static double rd1, rd2;
 static double start[N], last_q[N], last_r[N], t0;
 static double pace; /* of the reference's time: 1 runs, 0 stands */
 static uint32_t seen;
-static bool running, tabled;
+static bool tabled;
 
 void UserInit(void) {
     PARAMETER(Kp1, 2000.0, "N m/rad", 0.0, 20000.0, "proportional gain, joint 1");
@@ -80,12 +80,16 @@ static void reference(double t) {
 /* The drives come on: begin from where the arm stands. A new table, or from circle to table and back: lead over to it from the
  * present reference, without a step. */
 static void begin(void) {
-    const bool fresh = !running || !DRIVE_ENABLED;
+    const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED;
+    if (FIRST_SAMPLE) {
+        last_q[0] = q1;
+        last_q[1] = q2;
+        qd1 = qd2 = 0.0;
+    }
     if (fresh) {
-        r1 = last_q[0] = last_r[0] = q1;
-        r2 = last_q[1] = last_r[1] = q2;
-        qd1 = qd2 = rd1 = rd2 = 0.0;
-        running = true;
+        r1 = last_r[0] = q1;
+        r2 = last_r[1] = q2;
+        rd1 = rd2 = 0.0;
         pace = hold ? 0.0 : 1.0;
     }
     if (fresh || use_table != tabled || (use_table && seen != ref.version)) {

@@ -14,6 +14,7 @@ static int32_t go;
 static double tau[N];
 static double begin; /* s */
 static int32_t gone;
+static bool running;
 
 void UserInit(void) {
     MotionInit();
@@ -31,15 +32,18 @@ void UserInit(void) {
 }
 
 static double law(double t) {
-    if (gone == 0 || t < 0.0 || t > duration)
+    if (!running || t < 0.0 || t > duration)
         return 0.0;
     return level * (1.0 - exp(-rate * t)) + a1 * sin(w1 * t + phi1) + a2 * sin(w2 * t + phi2);
 }
 
 void UserISR_INT2(void) {
     MotionStep();
-    if (gone != go && DRIVE_ENABLED) {
+    if (!DRIVE_ENABLED) {
+        running = false; /* a law that was cut short does not go on by itself */
+    } else if (gone != go) {
         gone = go;
+        running = true;
         begin = SAMPLE_TIME;
     }
     tau[0] = ref_tau.rows > 0 ? tau_ff[0] : law(SAMPLE_TIME - begin);

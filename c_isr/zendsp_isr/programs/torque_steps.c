@@ -43,7 +43,9 @@ static void begin(void) {
 
 void UserISR_INT2(void) {
     position = READ_POSITION(joint - 1);
-    if (gone != go && DRIVE_ENABLED)
+    if (!DRIVE_ENABLED)
+        running = false; /* a staircase that was cut short does not go on by itself */
+    else if (gone != go)
         begin();
     if (running && fabs(position - start) > threshold) {
         moved = true;

@@ -199,7 +199,7 @@ typedef struct control {
     int32_t drive;       /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
     uint64_t run_until;  /* pause when `tick` has come so far; 0: no end */
     uint32_t simulated_din; /* OR-ed into the digital inputs of a simulated machine */
-    uint32_t reserved;
+    uint32_t off;           /* increments each time the drives are switched off */
 
     /* batches: single producer, single consumer */
     uint64_t ring_head; /* by the monitor */

@@ -112,9 +112,8 @@ static void idle(runner *r) {
         if (first)
             r->machine->safe(r->handle);
         r->machine->read(r->handle, &r->sensors);
-        r->held.mode = MACHINE_OFF; /* a command from before the pause shall not act after it */
+        safety_anew(r); /* a command from before the pause shall not act after it */
         c->drive_mode = MACHINE_OFF;
-        c->gain = 0.0;
         r->speed_known = 0;
         fill_inputs(r);
         publish(r, c->tick);
@@ -228,7 +227,7 @@ void loop(runner *r) {
             first_tick = c->tick;
             deadline = began + c->period_ns;
             if (run == RUN_HOME)
-                r->held.mode = MACHINE_OFF; /* nothing of the program's acts while homing */
+                safety_anew(r); /* nothing of the program's acts while homing, nor anything of before after it */
         }
         if (c->clock == CLOCK_REAL) {
             run_real(r, &deadline, spin);

@@ -14,6 +14,7 @@
 #include "machine.h"
 
 enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
+#define RUN_IN_S 0.02 /* s that a program which begins afresh runs before its outputs are taken: filters from 8 Hz on settle to 1/e */
 
 /* What every program can read and record without declaring it; doubles, so that channels treat all alike. */
 typedef struct builtins {
@@ -95,6 +96,9 @@ typedef struct runner {
     uint32_t speed_place, speed_window, speed_known;
     double lowest[MACHINE_JOINTS], highest[MACHINE_JOINTS]; /* rad, limits in force (wider while a joint is brought back) */
     uint32_t overruns_in_row;
+    bool anew;        /* the program begins afresh at its next sample: FIRST_SAMPLE, and outputs are not taken during the run-in */
+    uint32_t run_in;  /* samples left of the run-in */
+    uint32_t off_seen;
     uint64_t busy_ns; /* from the start of a sample to its end, machine included; smoothed over eight samples */
     bool input_seen;
 } runner;
@@ -130,6 +134,7 @@ void stream_skip(runner *r, uint64_t samples);
 
 /* safety.c */
 void safety_reset(runner *r);
+void safety_anew(runner *r);
 void safety_requests(runner *r);
 void safety_output(runner *r);
 bool safety_inputs(runner *r);

@@ -42,6 +42,7 @@ void safety_reset(runner *r) {
     r->speed_known = 0;
     r->control->homed = !info->needs_homing;
     r->held.mode = MACHINE_OFF;
+    r->io.first = 1; /* of a program that has just been loaded */
 }
 
 /* A joint that was stopped outside its limits may be brought back: until it is inside, it may not go further out. */
@@ -54,18 +55,28 @@ static void widen(runner *r) {
     }
 }
 
+/* What the program remembers no longer holds: it begins afresh, and its outputs are taken only after the run-in. */
+void safety_anew(runner *r) {
+    r->anew = true;
+    r->held.mode = MACHINE_OFF;
+    r->control->gain = 0.0;
+}
+
 /* Requests of the monitor, at the start of a sample and while paused. */
 void safety_requests(runner *r) {
     control *c = r->control;
     const uint32_t acknowledge = load32(&c->acknowledge);
     if (acknowledge != c->acknowledged) {
         store32(&c->trip.reason, TRIP_NONE);
-        c->gain = 0.0;
         r->overruns_in_row = 0;
-        r->held.mode = MACHINE_OFF; /* what was computed before the trip shall not act */
+        safety_anew(r); /* what was computed before the trip shall not act */
         widen(r);
         store32(&c->acknowledged, acknowledge);
     }
+    const uint32_t off = load32(&c->off);
+    if (off != r->off_seen && c->running == RUN_PAUSED)
+        safety_anew(r); /* while it runs, the program sees for itself that the drives go off */
+    r->off_seen = off;
     /* after the acknowledgement: a STOP pressed meanwhile wins */
     const uint32_t stop = __atomic_exchange_n(&c->stop, TRIP_NONE, __ATOMIC_ACQ_REL);
     if (stop != TRIP_NONE)
@@ -91,11 +102,28 @@ static void move_gain(runner *r) {
     }
 }
 
+/* The first samples of a program that begins afresh: it runs with the drives off. */
+static bool running_in(runner *r) {
+    if (r->control->running != RUN_ISR)
+        return false;
+    if (r->anew) {
+        const double samples = RUN_IN_S * r->control->rate_hz;
+        r->run_in = samples < 1.0 ? 1u : (uint32_t)ceil(samples);
+        r->anew = false;
+        r->io.first = 1;
+        r->speed_known = 0; /* homing may have moved the zero of the encoders */
+    }
+    return r->run_in > 0;
+}
+
 /* What acts from this sample on: the held command, or the safe state. */
 void safety_output(runner *r) {
     control *c = r->control;
     if (latched(r)) {
         c->drive_mode = MACHINE_VELOCITY;
+        c->gain = 0.0;
+    } else if (running_in(r)) {
+        c->drive_mode = MACHINE_OFF;
         c->gain = 0.0;
     } else {
         move_gain(r);
@@ -196,6 +224,9 @@ void safety_command(runner *r) {
         r->now.cmd[j] = r->io.aout[j];
         r->held.aout[j] = enabled ? checked(r, j, r->io.aout[j]) : 0.0;
     }
+    r->io.first = 0;
+    if (r->run_in > 0)
+        r->run_in--;
 }
 
 /* The machine's homing routine has filled `held`; see what it says. */
@@ -206,9 +237,11 @@ void safety_home(runner *r, int answer) {
     if (answer == MACHINE_HOME_FAILED)
         safety_trip(r, TRIP_HOMING, 0, 0.0, 0.0);
     if (answer == MACHINE_HOME_BUSY && !latched(r))
-        return;
+        return; /* cut short by a pause or a STOP: idle() and the acknowledgement see to it */
     if (answer == MACHINE_HOME_DONE && !latched(r))
         c->homed = 1;
+    r->speed_known = 0;
+    safety_anew(r);
     uint32_t home = RUN_HOME;
     __atomic_compare_exchange_n(&c->run, &home, RUN_PAUSED, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
 }

@@ -153,6 +153,7 @@ int host_run(host *h, sim *S, int ticks, int decimation, int background, const h
         }
         h->io.tick = (uint64_t)k;
         h->io.t = k * S->c.period;
+        h->io.first = k == 0;
         h->tick = k;
         h->t = h->io.t;
         h->stored = 0;

@@ -28,7 +28,7 @@ void UserISR_INT2(void) {
     const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
     ModelTorque(r, rd, rdd, tau);
     for (int32_t j = 0; j < N; j++) {
-        rd_late[j] += a * (rd[j] - rd_late[j]);
+        rd_late[j] = FIRST_SAMPLE || !DRIVE_ENABLED ? rd[j] : rd_late[j] + a * (rd[j] - rd_late[j]);
         tau_comp[j] = Compensation(j, r, rd, rdd, tau[j]);
         tau[j] += tau_comp[j] + Kp[j] * e[j] + Kd[j] * (rd_late[j] - qd[j]);
         WRITE_TORQUE(j, tau[j]);

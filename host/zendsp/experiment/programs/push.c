@@ -44,16 +44,15 @@ static void measure(void) {
     const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
     for (int32_t j = 0; j < JOINTS; j++) {
         q[j] = READ_POSITION(j);
-        qd[j] = known ? qd[j] + a * ((q[j] - last[j]) / SAMPLE_PERIOD - qd[j]) : 0.0;
+        qd[j] = FIRST_SAMPLE ? 0.0 : qd[j] + a * ((q[j] - last[j]) / SAMPLE_PERIOD - qd[j]);
         last[j] = q[j];
-        if (!known || !DRIVE_ENABLED)
+        if (FIRST_SAMPLE || !DRIVE_ENABLED)
             start[j] = q[j];
     }
-    if (!known || !DRIVE_ENABLED) {
+    if (FIRST_SAMPLE || !DRIVE_ENABLED) {
         begun = SAMPLE_TIME;
         phase = 0;
     }
-    known = true;
 }
 
 /* Fifth-order way from where the joint stood to its start position. */

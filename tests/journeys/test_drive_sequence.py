@@ -1,0 +1,142 @@
+"""The drive sequence in every order, with every shipped program on every machine: no trip without a reason.
+
+Fast clock by default; ``ZENDSP_JOURNEYS=all`` runs the whole matrix on the real clock too.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from journey import Installed
+
+PROGRAMS = {
+    "imi_planar": ("pd.c", "inverse_dynamics.c", "torque_steps.c", "constant_torque.c", "template.c"),
+    "pendulum": ("pendulum_track.c", "pendulum_compensation.c", "pendulum_torque.c", "pendulum_current.c",
+                 "constant_torque.c", "template.c"),
+    "wam7": ("wam_pd_gravity.c",),
+}  # fmt: skip
+MATRIX = [(machine, program) for machine, programs in PROGRAMS.items() for program in programs]
+# On the real clock each order takes seconds of real time: one program a machine, unless all are asked for.
+REAL = MATRIX if os.environ.get("ZENDSP_JOURNEYS") == "all" else [(m, p[0]) for m, p in PROGRAMS.items()]
+
+SCRIPT = r"""
+import itertools, sys, time
+import numpy as np
+import zendsp
+from zendsp.errors import Refused
+
+machine, program, clock, ms = sys.argv[1], sys.argv[2], sys.argv[3], int(sys.argv[4])
+flags = ["-DN=1"] if (machine, program) == ("pendulum", "constant_torque.c") else []
+options = ["--machine-option", "drive=voltage"] if program == "pendulum_current.c" else []
+
+target = zendsp.local(machine, clock=clock, options=options)
+
+
+def load():
+    target.download(program, flags)
+    names = target.variables()
+    if "ref" in names:  # away from home, and back
+        n = names["ref"].columns
+        t = np.arange(2001) / 2000
+        target.upload("ref_tau", np.zeros((1, n))) if "ref_tau" in names else None
+        target.upload("ref", 0.15 * (1 - np.cos(2 * np.pi * t))[:, None] * np.ones(n))
+        if "row_rate" in names:
+            target.update(use_table=True, row_rate=1000)
+    if "go" in names:
+        target.update(go=1, **({"level": 12.0} if program == "constant_torque.c" and machine != "pendulum" else {}))
+
+
+def run():
+    target.start(ms)
+    said = target.wait()
+    assert said.trip is None, f"{said.trip.text}"
+
+
+def pressed(what):
+    # a reason is given: STOP, or the emergency stop of the machine where it has one
+    pin = target.machine().stop_input
+    target.start()
+    target.stop() if what == "stop" or pin < 0 else target.set_inputs(1 << pin)
+    end = time.monotonic() + 20
+    while target.status().trip is None and time.monotonic() < end:
+        time.sleep(0.002)
+    assert target.status().trip.reason in ("stop", "stop input")
+    target.set_inputs(0)
+    refused(target.start, "acknowledge")
+    target.acknowledge()
+
+
+def refused(call, word):
+    try:
+        call()
+    except Refused as error:
+        assert word in str(error), f"refused, but without saying {word!r}: {error}"
+    else:
+        raise AssertionError(f"not refused: {call}, expected a word of {word!r}")
+
+
+def reload():
+    load()
+    refused(target.start, "enable")
+
+
+MIDDLES = {
+    "nothing": lambda: None,
+    "stop": lambda: pressed("stop"),
+    "trip": lambda: pressed("trip"),
+    "disable": target.disable,
+    "reload": reload,
+    "power": lambda: (target.power_off(), refused(target.enable, "power"), target.power_on()),
+}
+BEFORE = {"fresh": lambda: None, "started": lambda: (target.start(ms), target.wait())}
+HOMED = {"not homed": lambda: None, "homed": target.home_and_wait,
+         "homed twice": lambda: (target.home_and_wait(), target.home_and_wait())}
+bad = []
+orders = [  # each thing that may come between two runs, with and without homing before and after it
+    (before, home, middle, again)
+    for middle in MIDDLES
+    for before, home, again in (("started", "homed", "not homed"), ("fresh", "not homed", "homed twice"))
+]
+for order in orders:
+    try:
+        load()
+        if target.drive_status().explicit:
+            target.drive_auto()
+        BEFORE[order[0]]()
+        assert target.status().trip is None, "before the sequence: " + target.status().trip.text
+        target.power_on()
+        HOMED[order[1]]()
+        refused(target.start, "enable")
+        target.enable()
+        run()
+        MIDDLES[order[2]]()
+        HOMED[order[3]]()
+        target.enable()
+        run()
+        target.disable(), target.enable()
+        run()
+    except Exception as error:
+        bad.append(f"{' / '.join(order)}: {type(error).__name__}: {error}")
+        if target.status().trip is not None:
+            target.acknowledge()
+print(f"{len(orders)} orders, {len(bad)} bad")
+print("\n".join(bad))
+target.close()
+sys.exit(bool(bad))
+"""
+
+
+def journey(installed: Installed, machine: str, program: str, clock: str, ms: int) -> None:
+    said = installed.script(SCRIPT, machine, program, clock, str(ms), timeout=110.0)
+    assert said.returncode == 0, said.stdout + said.stderr
+
+
+@pytest.mark.parametrize(("machine", "program"), MATRIX)
+def test_no_order_of_the_sequence_trips_a_shipped_program(installed: Installed, machine: str, program: str) -> None:
+    journey(installed, machine, program, "fast", 700)
+
+
+@pytest.mark.parametrize(("machine", "program"), REAL)
+def test_nor_on_the_real_clock(installed: Installed, machine: str, program: str) -> None:
+    journey(installed, machine, program, "real", 300)
