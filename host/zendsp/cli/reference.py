@@ -34,6 +34,7 @@ def _print_table(summary: dict[str, Any]) -> None:
     click.echo(
         f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s, {summary['samples']} samples, "
         f"mode {summary['mode']}{', cyclic' if summary['cyclic'] else ''}"
+        f", within {100 * summary['parameters'].get('headroom', 1.0):g} % of the limits"
     )
     click.echo(f"{'joint':>6} {'q min rad':>10} {'q max rad':>10} {'rad/s':>9} {'rad/s^2':>9} {'N m':>9}")
     columns = zip(*(summary[k] for k in ("position_min", "position_max", "speed", "acceleration", "torque")), strict=True)
@@ -101,7 +102,9 @@ def _make_command(kind: Any) -> click.Command:
         _finish(reference, machine, out, plot, as_json, not no_check)
 
     options: list[click.Parameter] = []
-    for parameter in kind.parameters:
+    from zendsp.reference.registry import HEADROOM
+
+    for parameter in (*kind.parameters, HEADROOM):
         unit = f" [{parameter.unit}]" if parameter.unit else ""
         default = f"default {_default_text(parameter)}" if _default_text(parameter) else "required"
         bounds = "" if parameter.choices or not parameter.describe_bounds() else f"; {parameter.describe_bounds()}"

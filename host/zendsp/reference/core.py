@@ -156,6 +156,11 @@ class Reference:
         return np.arange(len(self.q), dtype=np.float64) * self.sample_time
 
     @property
+    def headroom(self) -> float:
+        """Share of the speed, acceleration and torque limits that it was planned to stay within; 1 where nobody said."""
+        return float(self.parameters.get("headroom", 1.0))
+
+    @property
     def joints(self) -> int:
         """Number of joints."""
         return int(self.q.shape[1])

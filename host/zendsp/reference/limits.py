@@ -48,6 +48,18 @@ class Limits:
         if len(sizes) != 1:
             raise ReferenceError_(f"limits: lists of {sorted(sizes)} joints; every limit needs one value per joint")
 
+    def scaled(self, share: float) -> Limits:
+        """Return limits of which speed, acceleration and torque are a share of these; positions stay.
+
+        Examples
+        --------
+        >>> float(Limits([-1.0], [1.0], [2.0], [10.0], [5.0]).scaled(0.5).torque[0])
+        2.5
+        """
+        return Limits(
+            self.position_min, self.position_max, share * self.speed, share * self.acceleration, share * self.torque
+        )
+
     @property
     def joints(self) -> int:
         """Number of joints."""
@@ -64,12 +76,18 @@ class Violation:
     value: float
     limit: float
     unit: str
+    headroom: float = 1.0  # share of the machine's limit that `limit` is
 
     def __str__(self) -> str:
         return (
             f"joint {self.joint}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.t:.3f} s, "
-            f"limit {self.limit:.4g} {self.unit}"
+            f"limit {self.limit:.4g} {self.unit}{self._share()}"
         )
+
+    def _share(self) -> str:
+        if self.headroom == 1.0 or self.quantity == "position":
+            return ""
+        return f" ({100 * self.headroom:g} % of {self.limit / self.headroom:.4g}: headroom {self.headroom:g})"
 
 
 # A limit that is met exactly, as a trapezoid does at its cruise speed, must not fail by the last bit of a sum.
@@ -154,5 +172,5 @@ def raise_violations(found: Sequence[Violation], machine: str) -> None:
         lines = "\n".join(f"  {violation}" for violation in found)
         raise ReferenceError_(
             f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n"
-            "  slow it down, make it smaller or move its centre"
+            "  slow it down, make it smaller, move its centre, or use more of the limits (headroom up to 1)"
         )

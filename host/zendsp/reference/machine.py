@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -40,6 +40,8 @@ class Machine:
         What a reference may ask.
     parameters : mapping
         Numbers of the model, SI units.
+    headroom : float
+        Share of the speed, acceleration and torque limits that motions planned for it may use.
 
     Examples
     --------
@@ -56,6 +58,22 @@ class Machine:
     home: Array
     limits: Limits
     parameters: Mapping[str, Any]
+    headroom: float = 1.0
+
+    @property
+    def allowed(self) -> Limits:
+        """Limits that motions are planned within: those of the machine times ``headroom``."""
+        return self.limits.scaled(self.headroom)
+
+    def with_headroom(self, headroom: float) -> Machine:
+        """Return the same machine, for motions that use this share of its limits.
+
+        Examples
+        --------
+        >>> float(load_machine("imi_planar").with_headroom(0.5).allowed.torque[0])
+        122.5
+        """
+        return replace(self, headroom=headroom)
 
     @property
     def dynamics(self) -> Dynamics:
@@ -77,7 +95,7 @@ class Machine:
         return self.dynamics.inverse(reference.q, reference.qd, reference.qdd)
 
     def find_violations(self, reference: Reference) -> list[Violation]:
-        """Limits of this machine that a reference breaks, torque included.
+        """Limits of this machine that a reference breaks, torque included; of each limit the share ``reference.headroom`` counts.
 
         Examples
         --------
@@ -90,7 +108,9 @@ class Machine:
                 f"reference has {reference.joints} joint(s), {self.name} has {self.joints}: "
                 "choose the machine that it was planned for"
             )
-        return find_violations(reference, self.limits, self.torque(reference))
+        share = reference.headroom
+        found = find_violations(reference, self.limits.scaled(share), self.torque(reference))
+        return [replace(violation, headroom=share) for violation in found]
 
     def check(self, reference: Reference) -> None:
         """Raise ReferenceError_ naming limit, value, time and joint unless this machine may play the reference.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Reference
-from zendsp.reference.kind import Kind
+from zendsp.reference.kind import Kind, Parameter
 from zendsp.reference.kinds import (
     chirp,
     circle,
@@ -31,8 +32,20 @@ KINDS: dict[str, Kind] = {
     )
 }  # fmt: skip
 
+HEADROOM = Parameter(
+    "headroom", "float", "", 0.7,
+    "Share of the speed, acceleration and torque limits that the motion may use; the rest is the controller's.",
+    0.05, 1.0,
+)  # fmt: skip
 
-def make_reference(kind: str, machine: Machine | str, sample_time: float | None = None, **parameters: Any) -> Reference:
+
+def make_reference(
+    kind: str,
+    machine: Machine | str,
+    sample_time: float | None = None,
+    headroom: float | str = 0.7,
+    **parameters: Any,
+) -> Reference:
     """Plan a reference of any kind; parameters left out take the kind's defaults for the machine.
 
     Parameters
@@ -43,6 +56,9 @@ def make_reference(kind: str, machine: Machine | str, sample_time: float | None 
         The machine, or its name.
     sample_time : float, optional
         s; the machine's where not given.
+    headroom : float
+        Share of the machine's speed, acceleration and torque limits that the motion is planned within, and checked
+        against; what is left is for the controller. It goes into the reference's parameters.
     **parameters
         Numbers, lists, or the text of a form ("0.1, 0.2"); checked against type, bounds and choices.
 
@@ -75,4 +91,6 @@ def make_reference(kind: str, machine: Machine | str, sample_time: float | None 
         expected = ", ".join(p.name for p in chosen.parameters)
         raise ReferenceError_(f"{kind} has no parameter {', '.join(sorted(unknown))}; expected {expected}")
     values = {p.name: p.parse(parameters.get(p.name, p.default_for(machine)), machine) for p in chosen.parameters}
-    return chosen.make(machine, sample_time=sample_time, **values)
+    share = float(HEADROOM.parse(headroom, machine))
+    planned = chosen.make(machine.with_headroom(share), sample_time=sample_time, **values)
+    return replace(planned, parameters={**planned.parameters, "headroom": share})

@@ -230,7 +230,7 @@ def make_swing(
     problem = _Problem(
         theta1=n["theta1"], gravity=n["theta2"] * G, friction=n["theta3"], viscous=n.get("viscous", 0.0), beta=n["beta"],
         q0=start, q1=goal, torque=torque_limit, k_a=n["k_a"], R_a=n["R_a"], supply=n["supply"],
-        speed=float(machine.limits.speed[0]), intervals=intervals,
+        speed=float(machine.allowed.speed[0]), intervals=intervals,
     )  # fmt: skip
     u, hold = _solve(problem, objective, duration, dt)
     tau = np.append(np.repeat(u, round(hold / dt)), 0.0)[:, None]

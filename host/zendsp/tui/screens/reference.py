@@ -25,8 +25,10 @@ from zendsp.reference import (
     Violation,
     load_machine,
     load_reference,
+    make_reference,
     save_reference,
 )
+from zendsp.reference.registry import HEADROOM
 from zendsp.tui.actions import bindings
 from zendsp.tui.dialogs import Choose, Field, Form, Option, not_empty
 from zendsp.tui.preview import curves_of, limits_of, path_of, peaks_of, views_of
@@ -97,8 +99,12 @@ class ReferenceScreen(LabScreen):
         self.query_one("#about", Static).update(kind.description)
         fields = self.query_one("#fields", VerticalScroll)
         await fields.remove_children()
-        await fields.mount(*[self._line(p, (values or {}).get(p.name)) for p in kind.parameters])
+        await fields.mount(*[self._line(p, (values or {}).get(p.name)) for p in self._parameters()])
         self._plan_soon()
+
+    def _parameters(self) -> tuple[Parameter, ...]:
+        """Return the lines of the form: the kind's own parameters, and how much of the limits the motion may use."""
+        return (*KINDS[self.kind].parameters, HEADROOM)
 
     def _line(self, p: Parameter, value: Any = None) -> Horizontal:
         value = p.default_for(self.machine) if value is None else value
@@ -116,7 +122,7 @@ class ReferenceScreen(LabScreen):
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
         """Say what the field means that is being edited."""
-        names = [p for p in KINDS[self.kind].parameters if p.name == event.widget.name]
+        names = [p for p in self._parameters() if p.name == event.widget.name]
         bounds = f" ({names[0].describe_bounds()})" if names and names[0].describe_bounds() else ""
         text = f"{names[0].name}: {names[0].description}{bounds}" if names else KINDS[self.kind].description
         self.query_one("#about", Static).update(text)
@@ -152,7 +158,7 @@ class ReferenceScreen(LabScreen):
     def values(self) -> dict[str, Any]:
         """Return the parameters as typed, parsed; raises ReferenceError_ with the reason."""
         values = {}
-        for p in KINDS[self.kind].parameters:
+        for p in self._parameters():
             for widget in self.query("#fields .parameter > *"):
                 if widget.name == p.name and isinstance(widget, Input | Select | Switch):
                     raw = widget.value
@@ -175,7 +181,7 @@ class ReferenceScreen(LabScreen):
 
         def work() -> None:
             try:
-                reference = kind.make(machine, sample_time=machine.sample_time, **values)
+                reference = make_reference(kind.name, machine, machine.sample_time, **values)
                 plan = Plan(reference, machine.torque(reference), tuple(machine.find_violations(reference)))
             except ZendspError as error:
                 self.app.call_from_thread(self._show_problem, str(error))
@@ -233,7 +239,7 @@ class ReferenceScreen(LabScreen):
         for violation in plan.violations:
             text.append(f"✖ {violation}\n", f"bold {c['error']}")
         if not plan.violations:
-            text.append("✔ within every limit of the machine", c["success"])
+            text.append(f"✔ within {100 * r.headroom:g} % of every limit of the machine", c["success"])
         text.rstrip()
         return text
 
