@@ -15,6 +15,7 @@ _LAZY = {
     "Target": "zendsp.link",
     "Trigger": "zendsp.link",
     "ParameterSet": "zendsp.link",
+    "rehearse": "zendsp.link",
     "Recording": "zendsp.recording",
     "read_table": "zendsp.recording",
     "diagnose": "zendsp.diagnosis",
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from zendsp.link import connect as connect
     from zendsp.link import discover as discover
     from zendsp.link import local as local
+    from zendsp.link import rehearse as rehearse
     from zendsp.matdsp import MatDSPAcquireConfig as MatDSPAcquireConfig
     from zendsp.matdsp import MatDSPAcquireLoad as MatDSPAcquireLoad
     from zendsp.matdsp import MatDSPclose as MatDSPclose

@@ -173,7 +173,7 @@ def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -
         "[parameters]\np1 = 1.0\np2 = 0.2\np3 = 0.1\nl1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
     )
     machine = load_machine(str(file))
-    reference = make_reference("point_to_point", machine, goal=0.8)
+    reference = make_reference("point_to_point", machine, headroom=1.0, goal=0.8)
     machine.check(reference)
     assert reference.sample_time == 0.002 and 0.45 < abs(reference.qd).max() <= 0.5, "the shortest within its limits"
     file.write_text(file.read_text().replace("coulomb", "colomb"))

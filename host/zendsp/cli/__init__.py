@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "reveal": ("zendsp.cli.reveal:command", "Tell what a simulated machine conceals, after the fact."),
     "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),
     "tui": ("zendsp.cli.tui:command", "Console, Execute and Reference in the terminal, or in a browser."),
+    "rehearse": ("zendsp.cli.rehearse:command", "Try a planned motion on a simulated twin; nothing moves."),
     "simulate": ("zendsp.cli.simulate:command", "Run a control program against a model of the machine, here."),
     "model2c": ("zendsp.cli.codegen:command", "Turn a model into C for control programs."),
     "experiment": ("zendsp.cli.experiment:command", "Measure a machine: friction, motor, tracking; all results in one report."),

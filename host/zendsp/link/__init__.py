@@ -5,6 +5,7 @@ from zendsp.link.connect import connect, local
 from zendsp.link.find import Found, discover
 from zendsp.link.live import LiveView
 from zendsp.link.parameters import ParameterSet
+from zendsp.link.rehearse import Rehearsal, rehearse
 from zendsp.link.target import Target
 
-__all__ = ["Found", "LiveView", "ParameterSet", "Target", "Trigger", "connect", "discover", "local"]
+__all__ = ["Found", "LiveView", "ParameterSet", "Rehearsal", "Target", "Trigger", "connect", "discover", "local", "rehearse"]

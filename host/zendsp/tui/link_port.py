@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
-from zendsp.link import Target, Trigger, connect, discover, local
+from zendsp.link import Rehearsal, Target, Trigger, connect, discover, local, rehearse
 from zendsp.link.live import LiveBlock
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
@@ -167,6 +167,16 @@ class LinkPort:
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int:
         """Send a table."""
         return self.target.upload(name, rows)
+
+    def rehearse(
+        self,
+        tables: Mapping[str, npt.NDArray[np.float64]],
+        values: Mapping[str, Any],
+        seconds: float,
+        tell: Callable[[float], None],
+    ) -> Rehearsal:
+        """Try a run on a simulated twin of the machine; this one does not move."""
+        return rehearse(self.target, tables, values, seconds, tell)
 
     # -- drives -------------------------------------------------------------------------------------------------------
 

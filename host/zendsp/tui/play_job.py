@@ -17,6 +17,7 @@ from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import (
     Player,
+    Playlist,
     Setup,
     find_player,
     lead_time,
@@ -104,18 +105,20 @@ class PlayJob:
         if player is None or here is None:
             raise Refused("the loaded program cannot play a table: see the preflight list")
         playlist = make_playlist(self._references, self._machine, here, self._setup, player)
+        values = player_values(player, playlist)
+        lead = lead_time(player)
+        total = lead + playlist.duration + 0.1
+        if not self._rehearse(port, player, playlist, values, total):
+            return None
         if snapshot.state == "running":
             port.pause()
         if player.torque_table:  # first: the motion begins when `ref` switches over
             port.fill(player.torque_table, playlist.torque)
         port.fill(player.table, playlist.rows)
-        values = player_values(player, playlist)
         if values:
             port.update(values)
         before = port.snapshot()
         begins, ends = playlist.play
-        lead = lead_time(player)
-        total = lead + playlist.duration + 0.1
         if self._setup.acquire:
             port.arm(self._shot(snapshot, total))
         ticks = round(total * before.rate_hz) if before.clock == "fast" else None
@@ -125,6 +128,22 @@ class PlayJob:
         if not self._setup.acquire:
             return None
         return self._keep(port, player, before, outcome, (begins + lead, ends + lead))
+
+    def _rehearse(
+        self, port: Port, player: Player, playlist: Playlist, values: dict[str, Any], seconds: float
+    ) -> bool:
+        """Try the run on a simulated twin before anything moves; False where it was aborted meanwhile."""
+
+        def tell(share: float) -> None:
+            self.progress = Progress("simulating", share)
+
+        tell(0.0)
+        tables = {player.torque_table: playlist.torque} if player.torque_table else {}
+        found = port.rehearse({**tables, player.table: playlist.rows}, values, seconds, tell)
+        if found.trip is not None:
+            raise Refused(f"nothing was moved: {found.text}")
+        self._session.events.add(f"run: {found.text}", "info" if found.good else "warning")
+        return not self._abort.is_set()
 
     def _shot(self, snapshot: Snapshot, total: float) -> Shot:
         s = self._setup

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.link import Rehearsal
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
 
@@ -67,4 +68,11 @@ class Port(Protocol):
     def end_acquisition(self) -> None: ...
     def acquire(self, shot: Shot, note: str = "") -> Recording: ...  # arm, wait, load
     def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int: ...  # a table; the tick at which it took effect
+    def rehearse(
+        self,
+        tables: Mapping[str, npt.NDArray[np.float64]],
+        values: Mapping[str, Any],
+        seconds: float,
+        tell: Callable[[float], None],
+    ) -> Rehearsal: ...
     def close(self) -> None: ...

@@ -1,0 +1,74 @@
+"""Plan with the defaults, play with the default program, look: no trip; and what would trip is said before it moves."""
+
+from __future__ import annotations
+
+import pytest
+from journey import Installed
+
+DEFAULT = {"imi_planar": "pd.c", "pendulum": "pendulum_track.c", "wam7": "wam_pd_gravity.c"}
+# A step of position is a jump: with the stiff gains of pd.c it asks for more torque than there is. `zendsp rehearse` says so.
+KINDS = {
+    "imi_planar": ("point_to_point", "line", "circle", "lspb", "trapezoid", "triangle", "chirp", "multisine", "prbs"),
+    "pendulum": ("point_to_point", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
+    "wam7": ("point_to_point", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
+}
+
+SCRIPT = r"""
+import sys
+import zendsp
+from zendsp.reference import make_reference
+
+machine, program, *kinds = sys.argv[1:]
+bad = []
+with zendsp.local(machine, clock="fast") as target:
+    for kind in kinds:
+        reference = make_reference(kind, machine)
+        target.download(program)
+        names = target.variables()
+        for name, rows in reference.tables().items():
+            if name in names:
+                target.upload(name, rows)
+        target.update(use_table=True, row_rate=round(1 / reference.sample_time))
+        status = target.run_for(min(reference.duration, 12.0) + 2.0, timeout=60)
+        if status.trip is not None:
+            bad.append(f"{kind}: {status.trip.text}")
+            target.acknowledge()
+print("\n".join(bad))
+sys.exit(bool(bad))
+"""
+
+
+@pytest.mark.parametrize("machine", DEFAULT)
+def test_default_motions_do_not_trip_the_default_program(installed: Installed, machine: str) -> None:
+    if machine == "wam7":
+        pytest.importorskip("pinocchio")
+    said = installed.script(SCRIPT, machine, DEFAULT[machine], *KINDS[machine], timeout=110.0)
+    assert said.returncode == 0, said.stdout + said.stderr
+
+
+REHEARSE = r"""
+import subprocess, sys
+import zendsp
+from zendsp.reference import make_reference, save_reference
+
+save_reference(make_reference("point_to_point", "imi_planar"), "gentle.mat")
+save_reference(make_reference("point_to_point", "imi_planar", headroom=1.0), "hasty.mat")
+target = zendsp.connect()
+target.download("pd.c")
+before = target.status().tick
+for name, expected in (("gentle.mat", 0), ("hasty.mat", 1)):
+    said = subprocess.run(["zendsp", "rehearse", name], capture_output=True, text=True)
+    print(name, said.returncode, said.stdout, said.stderr)
+    assert said.returncode == expected, name
+    if expected:
+        for word in ("in the simulation", "exceeds the limit of", " s, ", "headroom"):
+            assert word in said.stdout, word
+assert target.status().tick == before and target.status().trip is None
+target.close()
+"""
+
+
+def test_what_would_trip_is_said_before_it_moves(installed: Installed) -> None:
+    installed.target("imi", "imi_planar", "--clock", "fast")
+    said = installed.script(REHEARSE)
+    assert said.returncode == 0, said.stdout + said.stderr
