@@ -77,8 +77,8 @@ typedef struct table {
 
 /* True in the first sample after load, and in the first one after homing, an acknowledged trip or STOP, a switching off of the
  * drives during a pause, and any pause of hardware: nothing remembered from before holds, positions may have jumped. Estimates of
- * speed begin again: qd = FIRST_SAMPLE ? 0.0 : …. Except after load, DRIVE_ENABLED is false in this sample and stays so for 20 ms
- * (RUN_IN_S of the runtime): filters settle, and a motion starts from where the machine stands, before any output is taken.
+ * speed begin again: qd = FIRST_SAMPLE ? 0.0 : …. Except after load, DRIVE_ENABLED is false in this sample:
+ * its outputs are not taken, and a motion starts from where the machine stands.
  * The pause of a simulated machine stops its time: the program goes on as if there had been none. */
 #define FIRST_SAMPLE (zendsp->first != 0)
 

@@ -14,7 +14,6 @@
 #include "machine.h"
 
 enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
-#define RUN_IN_S 0.02 /* s that a program which begins afresh runs before its outputs are taken: filters from 8 Hz on settle to 1/e */
 
 /* What every program can read and record without declaring it; doubles, so that channels treat all alike. */
 typedef struct builtins {

@@ -107,8 +107,7 @@ static bool running_in(runner *r) {
     if (r->control->running != RUN_ISR)
         return false;
     if (r->anew) {
-        const double samples = RUN_IN_S * r->control->rate_hz;
-        r->run_in = samples < 1.0 ? 1u : (uint32_t)ceil(samples);
+        r->run_in = 1;
         r->anew = false;
         r->io.first = 1;
         r->speed_known = 0; /* homing may have moved the zero of the encoders */
