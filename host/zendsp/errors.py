@@ -13,6 +13,7 @@ from zendsp_protocol.errors import (
     VariableError,
     VersionMismatch,
     ZendspError,
+    did_you_mean,
 )
 
 __all__ = [
@@ -28,4 +29,5 @@ __all__ = [
     "VariableError",
     "VersionMismatch",
     "ZendspError",
+    "did_you_mean",
 ]
