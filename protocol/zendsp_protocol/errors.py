@@ -76,6 +76,10 @@ class RunnerDied(ZendspError, RuntimeError):
     """User code crashed or never returned; the runner is gone, the target lives on."""
 
 
+class StaleValues(UserWarning):
+    """Values were read of a program that no longer runs: they are its last ones."""
+
+
 class AcquisitionError(ZendspError, RuntimeError):
     """An acquisition cannot be configured, filled or loaded as asked."""
 
