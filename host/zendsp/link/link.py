@@ -51,7 +51,8 @@ class Link:
     ) -> None:
         self.target = target
         self.endpoints = tuple(endpoints)
-        self.author = _author()
+        self.identity = credentials.identity
+        self.author = _author(self.identity)
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
@@ -193,7 +194,7 @@ class Link:
     def _querier(self, lane: str) -> zenoh.Querier:
         stop = lane == "stop"
         return self._session.declare_querier(
-            keys.rpc(self.target, lane),
+            keys.rpc(self.target, lane, self.identity),
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=VERBS["status"].timeout,
             priority=zenoh.Priority.REAL_TIME if stop else zenoh.Priority.INTERACTIVE_HIGH,
@@ -214,7 +215,7 @@ class Link:
         self._waiting.add(giving_up)
         try:
             replies = self._session.get(
-                keys.rpc(self.target, row.lane),
+                keys.rpc(self.target, row.lane, self.identity),
                 zenoh.handlers.FifoChannel(WAITING),
                 payload=payload,
                 consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
@@ -288,10 +289,10 @@ def _not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) ->
     return f"no target named {target!r} at {', '.join(endpoints)}; {there}"
 
 
-def _author() -> str:
+def _author(identity: str = "") -> str:
     """Name this connection: user, machine, process, and a number from the second one on; fit for a key."""
     try:
-        user = getpass.getuser()
+        user = identity or getpass.getuser()
     except (KeyError, OSError):  # a container without an entry for its user
         user = str(os.getuid())
     number = next(_numbers)
