@@ -28,6 +28,7 @@ _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 _Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
 STEP_S = 0.2  # for the news of a death to arrive
+STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
 END_S = 1.0  # for saying goodbye when the process ends
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
 
@@ -124,7 +125,7 @@ class Link:
             else:
                 reply = self._patient(row, payload, timeout or row.timeout)
         except zenoh.ZError as error:
-            raise self.silence(verb, row.timeout) from error
+            raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
         sample = reply.ok
         return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
 
@@ -208,7 +209,7 @@ class Link:
         return self._session.declare_querier(
             keys.rpc(self.target, lane),
             consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=VERBS["status"].timeout,
+            timeout=STOP_S if stop else VERBS["status"].timeout,
             priority=zenoh.Priority.REAL_TIME if stop else zenoh.Priority.INTERACTIVE_HIGH,
             express=True,
         )

@@ -90,7 +90,7 @@ class LiveView:
         self._rate = self._arguments["decimation"] / opened.sample_time
         self._stream = opened.stream
         # A ring: a slow callback loses its own oldest rows (counted as lost), and never holds up the link.
-        ring = zenoh.handlers.RingChannel(WAITING)
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(WAITING)
         subscriber = self._requests.link.session.declare_subscriber(opened.key, ring)
         self._subscriber = Listener(subscriber, self._take, "live")
 
