@@ -19,10 +19,10 @@ from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.keys import with_stop
 from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
+from zendsp.tui.stopper import with_stop
 from zendsp.tui.workspace import Workspace
 
 HELD_S = 5.0  # that keys wait for a dialog that is on its way
@@ -117,7 +117,9 @@ class ZendspApp(App[None]):
 
     async def action_stop(self) -> None:
         """STOP."""
-        self.session.stop()
+        stopper = self.session.stopper
+        if stopper is None or not stopper.stop():
+            self.session.stop()
 
     async def action_show(self, name: str) -> None:
         """Show a screen; not while a dialog waits for an answer."""
@@ -197,8 +199,8 @@ class ZendspApp(App[None]):
     # -- keys -----------------------------------------------------------------------------------------------------------
 
     def get_driver_class(self) -> type[Driver]:
-        """Have the thread that reads the keys do STOP itself."""
-        return with_stop(super().get_driver_class(), lambda: self.session.stop())
+        """Read the keys that the process of STOP hands on."""
+        return with_stop(super().get_driver_class(), lambda: self.session.stopper, lambda: self.session.stop())
 
     def expect_dialog(self) -> None:
         """Hold back the keys from now on until a dialog is there to take them, for :data:`HELD_S` at the most."""

@@ -19,10 +19,9 @@ from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.stopper import EMERGENCY, STOPPERS, Stopper
 
 T = TypeVar("T")
-EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
-STOPPERS = 2  # a second STOP does not wait for the end of the first
 SHOWN_S = 5.0  # at the least, of the word that the machine stopped
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
@@ -59,6 +58,7 @@ class Session:
         self._closing = threading.Event()
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
         self.verdict: Verdict | None = None
+        self.stopper: Stopper | None = None
         self._stops: queue.SimpleQueue[Future[str]] = queue.SimpleQueue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
@@ -95,6 +95,7 @@ class Session:
             self._name = name
         self.snapshot = Snapshot(link="connecting", target=name)
         self.verdict = None
+        self._ready_stopper(name)
         self._wake.set()
 
     def adopt(self, port: Port, name: str) -> None:
@@ -103,8 +104,30 @@ class Session:
         with self._lock:
             self._name, self._port = name, port
         self.verdict = None
+        self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
         self._wake.set()
+
+    def guard_keys(self) -> None:
+        """From now on a process of its own reads the keys first and does STOP; see :mod:`zendsp.tui.stopper`."""
+        self.stopper = Stopper(self._told)
+
+    def release_keys(self) -> None:
+        """End the process that reads the keys."""
+        if self.stopper is not None:
+            self.stopper.close()
+
+    def _told(self, state: str, text: str, detail: str = "") -> None:
+        self.verdict = Verdict(state, text, time.monotonic())
+        if state == "stopped":
+            self.events.add(f"STOP: {text}", "warning")
+        elif state == "not stopped":
+            self.events.add(detail, "error")
+        self._wake.set()
+
+    def _ready_stopper(self, name: str) -> None:
+        if self.stopper is not None:
+            self.stopper.want(name)
 
     # -- what the user asks ---------------------------------------------------------------------------------------------
 
@@ -131,21 +154,18 @@ class Session:
         while True:
             future = self._stops.get()
             port = self._port
-            asked = Verdict("asked", "STOP asked: no word yet that it stopped", time.monotonic())
-            self.verdict = asked
+            self._told("asked", "STOP asked: no word yet that it stopped")
             try:
                 if port is None:
                     raise NotStopped(f"{EMERGENCY} (there is no link to a target)")
                 text = port.stop()
             except Exception as error:
-                self.verdict = Verdict("not stopped", EMERGENCY, time.monotonic())
-                self.events.add(str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})", "error")
+                detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
+                self._told("not stopped", EMERGENCY, detail)
                 future.set_exception(error)
             else:
-                self.verdict = Verdict("stopped", text, time.monotonic())
-                self.events.add(f"STOP: {text}", "warning")
+                self._told("stopped", text)
                 future.set_result(text)
-            self._wake.set()
 
     def acknowledged(self) -> None:
         """Take the word about the last STOP away."""
@@ -243,6 +263,7 @@ class Session:
                 return
             self._port = port
         self._complaint = ""
+        self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
         self.events.add(f"link to {name} is {'back' if lost else 'up'}", "good")
         self._wake.set()
