@@ -32,10 +32,17 @@ if TYPE_CHECKING:
 
     from zendsp.link import Target
 
-STOP_KEYS = ("f9", "ctrl+@")
+F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
 EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
 STOPPERS = 2  # a second STOP does not wait for the end of the first
-RETRY_S = 0.4  # between attempts to connect
+RETRY_S = 0.4  # between attempts to connect, or to stop what did not answer
+INSIST_S = 10.0  # that a STOP without an answer is asked again
+PASTE_S = 2.0  # of silence, after which a paste whose end did not come is over
+
+
+def is_stop(key: str) -> bool:
+    """Whether a key, by Textual's name, is STOP: F9 whatever is held with it, and Ctrl+Space by both its names."""
+    return key.rpartition("+")[2] == "f9" or key in ("ctrl+@", "ctrl+space")
 
 
 # -- the process ----------------------------------------------------------------------------------------------------------
@@ -76,7 +83,7 @@ def _stop(stops: queue.SimpleQueue[float], links: Links, tell: Callable[..., Non
     from zendsp.link.programs import stopped
 
     while True:
-        stops.get()
+        until = stops.get() + INSIST_S
         target = links.target
         tell("asked", "STOP asked: no word yet that it stopped")
         try:
@@ -86,6 +93,11 @@ def _stop(stops: queue.SimpleQueue[float], links: Links, tell: Callable[..., Non
         except Exception as error:
             detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
             tell("not stopped", EMERGENCY, detail)
+            while target is not None and target is links.target and time.monotonic() < until:
+                time.sleep(RETRY_S)
+                with contextlib.suppress(ZendspError):
+                    tell("stopped", stopped(target.stop()))
+                    break
 
 
 def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
@@ -99,7 +111,24 @@ def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
     parser, packets = XTermParser(), ByteStream()
     decode = getincrementaldecoder("utf-8")("replace").decode
 
+    silent_since, pasting = 0.0, False
+
     def keys(data: bytes) -> Iterator[str]:
+        nonlocal parser, packets, silent_since, pasting
+        if data:
+            if pasting and time.monotonic() > silent_since + PASTE_S:
+                parser, pasting = XTermParser(), False
+            begin, end = data.rfind(b"\x1b[200~"), data.rfind(b"\x1b[201~")
+            pasting = begin > end if begin != end else pasting
+            silent_since = time.monotonic()
+        try:
+            yield from parsed(data)
+        except Exception:  # a sequence that Textual cannot read must not be the end of STOP
+            parser, packets = XTermParser(), ByteStream()
+            if any(mark in data for mark in F9_MARKS):
+                yield "f9"
+
+    def parsed(data: bytes) -> Iterator[str]:
         parts: Iterable[Any] = (p for kind, p in packets.feed(data) if kind == "D" and p) if web else (data,)
         for part in parts if data else ():  # nothing means the end to the parser
             for event in parser.feed(decode(part)):
@@ -138,12 +167,12 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             if not data:
                 return
             for key in keys(data):
-                if key in STOP_KEYS:
+                if is_stop(key):
                     stops.put(time.monotonic())
             waiting += data
         elif not readable:
             for key in keys(b""):  # an Escape that nothing followed
-                if key in STOP_KEYS:
+                if is_stop(key):
                     stops.put(time.monotonic())
         if control in readable:
             data = os.read(control, 4096)
@@ -249,7 +278,7 @@ def with_stop(base: type[Driver], stopper: Callable[[], Stopper | None], stop: C
             self._fileno = value
 
         def process_message(self, message: Message) -> None:
-            if isinstance(message, events.Key) and message.key in STOP_KEYS:
+            if isinstance(message, events.Key) and is_stop(message.key):
                 process = stopper()
                 if process is None or not process.alive:
                     stop()
