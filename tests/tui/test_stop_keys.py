@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Awaitable, Callable
+from concurrent.futures import Future
 
 import pytest
 from textual.pilot import Pilot
@@ -48,7 +49,12 @@ def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.Mon
 
 async def test_what_is_typed_before_a_dialog_opens_is_no_command(lab: ZendspApp, until: Until) -> None:
     asked: list[str] = []
-    lab.session.do = lambda label, job: asked.append(label)  # type: ignore[method-assign, assignment, func-returns-value]
+
+    def do(label: str, job: object) -> Future[None]:
+        asked.append(label)
+        return Future()
+
+    lab.session.do = do  # type: ignore[method-assign, assignment]
 
     def slow() -> list[tuple[str, str]]:
         time.sleep(0.5)
