@@ -3,6 +3,7 @@
     ZendspError
     ├── LinkError (ConnectionError)        the link: no target, no answer, wrong version
     │   ├── NoAnswer (TimeoutError)
+    │   ├── NotStopped                     STOP was asked and nothing says that the machine stands
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
@@ -54,6 +55,10 @@ class LinkError(ZendspError, ConnectionError):
 
 class NoAnswer(LinkError, TimeoutError):
     """A request was sent and nothing came back in time."""
+
+
+class NotStopped(LinkError):
+    """STOP was asked, and no word came that the machine stopped: use its own emergency stop."""
 
 
 class VersionMismatch(LinkError):
