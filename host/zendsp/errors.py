@@ -10,9 +10,11 @@ from zendsp_protocol.errors import (
     ReferenceError_,
     Refused,
     RunnerDied,
+    StaleValues,
     VariableError,
     VersionMismatch,
     ZendspError,
+    did_you_mean,
 )
 
 __all__ = [
@@ -25,7 +27,9 @@ __all__ = [
     "ReferenceError_",
     "Refused",
     "RunnerDied",
+    "StaleValues",
     "VariableError",
     "VersionMismatch",
     "ZendspError",
+    "did_you_mean",
 ]

@@ -18,6 +18,31 @@ Every message names what, the value, the limit and what to do next.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Say what somebody who wrote ``name`` may have meant, and what there is.
+
+    Parameters
+    ----------
+    name : str
+        As it was written.
+    known : iterable of str
+        What could stand there.
+
+    Returns
+    -------
+    str
+        For example ``did you mean 'delay'? (known: delay, gain)``.
+    """
+    import difflib
+
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, 1, 0.6)
+    listed = f"known: {', '.join(names)}" if names else "nothing can stand there"
+    return f"did you mean {close[0]!r}? ({listed})" if close else listed
+
 
 class ZendspError(Exception):
     """Root of every error that zendsp raises on purpose."""
@@ -49,6 +74,10 @@ class CompileFailed(ZendspError, RuntimeError):
 
 class RunnerDied(ZendspError, RuntimeError):
     """User code crashed or never returned; the runner is gone, the target lives on."""
+
+
+class StaleValues(UserWarning):
+    """Values were read of a program that no longer runs: they are its last ones."""
 
 
 class AcquisitionError(ZendspError, RuntimeError):

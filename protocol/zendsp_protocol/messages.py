@@ -230,6 +230,7 @@ class Reading(Message, frozen=True, kw_only=True):
 
     tick: int  # the sample
     values: dict[str, WireValue]  # by name
+    ended: str = ""  # empty, or how the program ended whose last values these are
 
 
 class Written(Message, frozen=True, kw_only=True):

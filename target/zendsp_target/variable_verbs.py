@@ -49,7 +49,10 @@ class VariableVerbs:
                 break  # the loop has stopped in the middle of a sample
             time.sleep(0.0001)
             tick, found = self.runtime.read(args.names)
-        return {"tick": tick, "values": found}
+        reply: dict[str, Any] = {"tick": tick, "values": found}
+        if not self.runtime.alive():
+            reply["ended"] = self.runtime.status().crash or "its runner is gone"
+        return reply
 
     def do_write(self, args: verbs.Write, by: str) -> dict[str, int]:
         given: Any = args.values

@@ -124,6 +124,9 @@ class FakeRuntime:
         with self.lock:
             self.state, self.key = "empty", ""
 
+    def alive(self) -> bool:
+        return self.state != "crashed"
+
     def status(self) -> Status:
         counts = np.zeros(4, dtype=np.int64)
         timing = Timing(self.tick, 0, 0, 1.0, 2, 0.5, 3, counts, counts, np.geomspace(100, 1e6, 5))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
-from zendsp.errors import VariableError
+from zendsp.errors import StaleValues, VariableError
 from zendsp.link.requests import Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Packed, Value, from_wire, to_wire
@@ -20,6 +21,7 @@ class Reading(msgspec.Struct, frozen=True):
 
     tick: int
     values: Mapping[str, Value]
+    ended: str = ""  # how the program ended whose last values these are
 
     def __getitem__(self, name: str) -> Value:
         return self.values[name]
@@ -57,6 +59,11 @@ class Variables(Requests):
         ----------
         names : sequence of str
             Variables, or elements ``"q[1]"``.
+
+        Warns
+        -----
+        StaleValues
+            The program crashed: these are its last values, and ``ended`` says how it ended.
         """
         if isinstance(names, str):
             names = [names]
@@ -64,7 +71,9 @@ class Variables(Requests):
         values: dict[str, Any] = found.values
         if not _FLOATS.issuperset(map(type, values.values())):
             values = {name: from_wire(value) for name, value in values.items()}
-        return Reading(found.tick, values)
+        if found.ended:
+            warnings.warn(f"these are the last values of a program that no longer runs: {found.ended}", StaleValues, stacklevel=2)
+        return Reading(found.tick, values, found.ended)
 
     def write(self, **values: Any) -> int:
         """Write variables asynchronously; the reply does not wait for the sample. Returns the sequence number."""

@@ -4,17 +4,33 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from zendsp.errors import ModelError
+from zendsp.errors import ModelError, did_you_mean
 from zendsp.physics.effects import get_effect
 from zendsp.physics.model import KINDS, REQUIRED, Actuator, Model, Quantity, Sensor, Term
 
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
+
+# What may stand in each table. A key that is not here is refused: a mistyped one would be ignored silently.
+KEYS: dict[str, tuple[str, ...]] = {
+    "": ("name", "description", "sample_time", "mechanism", "effect", "actuator", "sensor", "controller", "columns",
+         "limits"),
+    "[mechanism]": ("kind", "parameters", "file", "entry", "folder"),
+    "[actuator]": ("gain", "limit", "hold", "delay", "matrix", "unit"),
+    "[sensor]": ("position_resolution", "matrix", "offset", "side"),
+    "[controller]": ("kind", "kp", "kd", "ki", "cutoff"),
+    "[columns]": ("time", "position", "command", "reference", "velocity", "current", "temperature", "position_load",
+                  "torque_measured"),
+    "[limits]": ("position", "velocity", "torque"),
+}  # fmt: skip
+# Of [mechanism.parameters] beside REQUIRED; a Python simulator has parameters of its own.
+OPTIONAL = {"rotary": ("gravity",), "linear": ("gravity",), "planar2r": ("l1", "l2"), "urdf": ()}
+QUANTITY = ("value", "free", "unit", "std")
 
 
 class _Reader:
@@ -29,6 +45,13 @@ class _Reader:
         if not isinstance(value, Mapping):
             raise self.fail(f"[{key}]", "a table", value)
         return value
+
+    def only(self, where: str, data: Mapping[str, Any], known: Sequence[str]) -> None:
+        """Refuse a key that is not known."""
+        for key in data:
+            if key not in known:
+                place = f"{where} {key}".strip()
+                raise ModelError(f"{self.path}: {place}: no such key; {did_you_mean(key, known)}")
 
     def number(self, key: str, value: Any, positive: bool = False) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -56,6 +79,7 @@ class _Reader:
 
     def quantities(self, key: str, value: Any) -> tuple[Quantity, ...]:
         table = value if isinstance(value, Mapping) else {"value": value}
+        self.only(key, table, QUANTITY)
         if "value" not in table:
             raise self.fail(key, "{ value = … }", value)
         free = table.get("free", True)
@@ -114,6 +138,11 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         Which key, what was expected, what stands there.
     """
     read = _Reader(path)
+    read.only("", data, KEYS[""])
+    for table, known in KEYS.items():
+        inside = read.table(data, table.strip("[]")) if table else {}
+        if table != "[controller]" or inside.get("kind", "pd") in ("pd", "pid"):
+            read.only(table, inside, known)
     mechanism = read.table(data, "mechanism")
     kind = mechanism.get("kind")
     if kind not in KINDS:
@@ -122,6 +151,8 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     values = {
         key: read.quantities(f"[mechanism.parameters] {key}", value) for key, value in parameters.items()
     }
+    if kind in OPTIONAL:
+        read.only("[mechanism.parameters]", parameters, (*REQUIRED[kind], *OPTIONAL[kind]))
     for key in REQUIRED[kind]:
         if key not in values:
             raise ModelError(f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs")
@@ -190,6 +221,7 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
     joint = data.get("joint", 1)
     if not isinstance(joint, int) or isinstance(joint, bool) or not 1 <= joint <= joints:
         raise read.fail(f"{where} joint", f"1 … {joints}", joint)
+    read.only(where, data, ("kind", "joint", *(parameter.name for parameter in effect.parameters)))
     values: dict[str, Quantity] = {}
     for parameter in effect.parameters:
         raw = data.get(parameter.name)
