@@ -22,6 +22,7 @@ class Blocker:
 sys.meta_path.insert(0, Blocker())
 """
 
+SLOW = ("--period", "10", "--f-max", "0.9", "--periods", "1")
 RECORD = """
 import sys, zendsp
 from pathlib import Path
@@ -69,15 +70,20 @@ def test_the_link_records_a_csv_and_refuses_parquet_by_name(slim: Installed) -> 
 
 
 @pytest.mark.parametrize(
-    ("machine", "program"),
-    [("imi_planar", "pd.c"), ("pendulum", "pd.c"), ("wam7", "wam_pd_gravity.c")],
+    ("machine", "program", "amplitude"),
+    [
+        ("imi_planar", "pd.c", "0.05"),
+        ("pendulum", "pendulum_track.c", "0.5"),
+        ("wam7", "wam_pd_gravity.c", "0.05"),
+    ],
 )
 def test_a_shipped_machine_is_simulated_and_diagnosed(
-    slim: Installed, machine: str, program: str
+    slim: Installed, machine: str, program: str, amplitude: str
 ) -> None:
     for file in MODELS.glob(f"{machine}.*"):
         shutil.copy(file, slim.folder)
-    planned = slim.run("reference", "point_to_point", "--machine", machine, "--out", "motion.mat")
+    plan = ("reference", "multisine", "--machine", machine, "--out", "motion.mat")
+    planned = slim.run(*plan, "--amplitude", amplitude, *SLOW)
     assert planned.returncode == 0, planned.stderr
     made = slim.script(RECORD, machine, program)
     assert made.returncode == 0, made.stderr
