@@ -3,6 +3,7 @@
 from zendsp_protocol.errors import (
     AcquisitionError,
     CompileFailed,
+    EndedWarning,
     LinkError,
     ModelError,
     NoAnswer,
@@ -18,6 +19,7 @@ from zendsp_protocol.errors import (
 __all__ = [
     "AcquisitionError",
     "CompileFailed",
+    "EndedWarning",
     "LinkError",
     "ModelError",
     "NoAnswer",

@@ -43,6 +43,10 @@ class VariableError(ZendspError, ValueError):
     """One or more variables were named, typed or valued wrongly; nothing was applied."""
 
 
+class EndedWarning(UserWarning):
+    """A value was read of a program that no longer runs: it crashed, tripped or was stopped."""
+
+
 class CompileFailed(ZendspError, RuntimeError):
     """The C code did not compile."""
 

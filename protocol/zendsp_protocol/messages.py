@@ -230,6 +230,7 @@ class Reading(Message, frozen=True, kw_only=True):
 
     tick: int  # the sample
     values: dict[str, WireValue]  # by name
+    ended: str = ""  # why the program no longer runs (crash, trip, STOP): the values are those of its last sample
 
 
 class Written(Message, frozen=True, kw_only=True):

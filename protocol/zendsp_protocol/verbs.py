@@ -166,6 +166,7 @@ _ROWS = (
     Verb("program", Nothing, m.Program, "quick"),
     Verb("variables", Nothing, tuple[m.VariableInfo, ...], "quick"),
     Verb("read", Read, m.Reading, "quick"),
+    Verb("check", Write, m.Empty, "quick"),
     Verb("write", Write, m.Written, "quick", repeatable=False),
     Verb("update", Write, m.Applied, "sync", repeatable=False),
     Verb("wait_applied", Wait, m.Applied, "slow", 60.0),

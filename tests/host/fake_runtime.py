@@ -149,7 +149,10 @@ class FakeRuntime:
     def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> None:
         return None
 
-    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
+    def ended(self) -> str:
+        return f"the program crashed: {self.crash}" if self.state == "crashed" else ""
+
+    def check(self, values: Mapping[str, Value]) -> None:
         wrong = []
         infos = {info.name: info for info in INFOS}
         for name, value in values.items():
@@ -161,6 +164,9 @@ class FakeRuntime:
                 wrong.append(f"{name}: {value} is above its maximum {infos[name].maximum}")
         if wrong:
             raise VariableError("\n".join(wrong))
+
+    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
+        self.check(values)
         with self.lock:
             self.sequence += 1
             self.pending.append((self.sequence, dict(values), author))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from zendsp.errors import LinkError
 from zendsp.link.acquire import Acquisition
@@ -14,6 +15,12 @@ from zendsp.link.programs import Programs
 from zendsp.link.sequence import Sequence
 from zendsp.link.tables import Tables
 from zendsp_protocol import messages as m
+
+_ATTRIBUTES = ("link", "info")
+
+
+def _quoted(name: str) -> str:
+    return f'"{name}"'
 
 
 class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Concealment):
@@ -52,6 +59,17 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         except BaseException:
             link.close()
             raise
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and name not in _ATTRIBUTES:
+            raise AttributeError(f"a target has no attribute {name!r}; to write a variable: target[{_quoted(name)}] = {value!r}")
+        super().__setattr__(name, value)
+
+    if not TYPE_CHECKING:  # which knows the attributes there are, and would take all others for good
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = "" if name.startswith("_") else f"; to read a variable: target[{_quoted(name)}]"
+            raise AttributeError(f"a target has no attribute {name!r}{hint}")
 
     @property
     def name(self) -> str:

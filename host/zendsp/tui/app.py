@@ -10,7 +10,6 @@ from textual.app import App, SystemCommand
 from textual.screen import ModalScreen, Screen
 
 from zendsp.errors import ZendspError
-from zendsp.link.programs import gather
 from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
@@ -18,6 +17,7 @@ from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.workspace import Workspace
+from zendsp_isr.sources import gather, shipped_programs
 
 
 class ZendspApp(App[None]):
@@ -207,10 +207,7 @@ class ZendspApp(App[None]):
 
     def examples(self) -> list[Path]:
         """Return the programs that come with zendsp."""
-        from importlib import resources
-
-        folder = Path(str(resources.files("zendsp_isr"))) / "programs"
-        return sorted(folder.glob("*.c"))
+        return shipped_programs()
 
     def toast(self, text: str, level: str = "information") -> None:
         """Show a short message over the screen; brackets of units survive."""
