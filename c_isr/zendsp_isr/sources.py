@@ -54,7 +54,7 @@ def find_program(name: str | Path) -> Path:
         if str(name) == program.name:
             return program
     raise CompileFailed(
-        f"{path}: no such file, and no shipped program; give the path of a C file, or one of "
+        f"{path}: cannot be read: no such file, and no shipped program; give the path of a C file, or one of "
         f"{', '.join(program.name for program in shipped)}"
     )
 

@@ -211,7 +211,7 @@ MODELS: dict[str, tuple[Callable[[str], str], str]] = {
     "gain zero": (_swap_text("gain = { value = 1.0", "gain = { value = 0.0"), "gain"),
     "negative resolution": (lambda t: t.replace("position_resolution = ", "position_resolution = -"), "position_resolution"),
     "negative sample time": (_swap_text("sample_time = 0.002", "sample_time = -0.002"), "sample_time"),
-    "urdf missing": (_swap_text('kind = "rotary"', 'kind = "urdf"\nfile = "nowhere.urdf"'), "nowhere.urdf"),
+    "urdf missing": (lambda text: '[mechanism]\nkind = "urdf"\nfile = "nowhere.urdf"\n[columns]' + text.split("[columns]")[1], "nowhere.urdf"),
     "python entry missing": (_swap_text('kind = "rotary"', 'kind = "python"\nentry = "nowhere:run"'), "nowhere"),
 }
 

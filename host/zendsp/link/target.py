@@ -61,7 +61,7 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
             raise
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not name.startswith("_") and name not in _ATTRIBUTES:
+        if not name.startswith("_") and name not in _ATTRIBUTES and not hasattr(type(self), name):
             raise AttributeError(f"a target has no attribute {name!r}; to write a variable: target[{_quoted(name)}] = {value!r}")
         super().__setattr__(name, value)
 

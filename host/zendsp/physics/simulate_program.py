@@ -302,6 +302,8 @@ class _Session:
             numbers = np.ravel(np.asarray(value, dtype=np.float64))
         except (TypeError, ValueError):
             return [f"{v.name}: {value!r} is not a number"]
+        if entry.type != 4 and np.asarray(value).dtype.kind == "b":
+            return [f"{v.name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"]
         if len(numbers) != v.length:
             return [f"{v.name}: {len(numbers)} numbers given, it has {v.length}"]
         bad = ~((numbers >= entry.minimum) & (numbers <= entry.maximum))

@@ -1,0 +1,37 @@
+"""Refuses keys that nobody reads, in files that users write."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Mapping
+from typing import Any
+
+
+def unknown_keys(data: Mapping[str, Any], allowed: Collection[str], where: str) -> str:
+    """Say which keys of a table nobody reads: one line each with the nearest that is, or ``""``.
+
+    Parameters
+    ----------
+    data : mapping
+        The table.
+    allowed : collection of str
+        Keys that are read.
+    where : str
+        File and table, for example ``"bench.toml: [actuator]"``.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> unknown_keys({"dealy": 0.004}, ("gain", "delay"), "bench.toml: [actuator]")
+    "bench.toml: [actuator] has no key 'dealy'; did you mean delay? Allowed: gain, delay"
+    """
+    lines = []
+    for key in data:
+        if key not in allowed:
+            close = difflib.get_close_matches(key, allowed, 1, 0.6)
+            meant = f"did you mean {close[0]}? Allowed" if close else "allowed"
+            lines.append(f"{where} has no key {key!r}; {meant}: {', '.join(allowed) or 'none'}")
+    return "\n".join(lines)
