@@ -3,6 +3,7 @@
     ZendspError
     ├── LinkError (ConnectionError)        the link: no target, no answer, wrong version
     │   ├── NoAnswer (TimeoutError)
+    │   │   └── NotApplied          certainly not: it may be sent anew
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
@@ -29,6 +30,10 @@ class LinkError(ZendspError, ConnectionError):
 
 class NoAnswer(LinkError, TimeoutError):
     """A request was sent and nothing came back in time."""
+
+
+class NotApplied(NoAnswer):
+    """A request was not applied, and will not be: it did not reach the target in time."""
 
 
 class VersionMismatch(LinkError):
