@@ -30,7 +30,7 @@ class Info(Message, frozen=True, kw_only=True):
     versions: dict[str, str]  # of zendsp, Python, the kernel and the libraries
     verbs: list[str]  # that this target answers
     started: float = 0.0  # Unix s
-    instance: bytes = b""  # of this run of the target: another after each start
+    instance: str = ""  # of this run of the target, hexadecimal: another after each start
 
 
 class Diagnostic(Message, frozen=True, kw_only=True):

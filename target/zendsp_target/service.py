@@ -89,7 +89,7 @@ class Service:
             versions=versions,
             verbs=[name for name in verbs.VERBS if name in self.handlers or name == "acquire_read"],
             started=self.identity.started,
-            instance=self.once.instance,
+            instance=self.once.instance.hex(),
         )
 
     def do_status(self, args: verbs.Nothing, by: str) -> Any:

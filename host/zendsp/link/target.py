@@ -56,7 +56,7 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         self._reopen = reopen
         try:
             self.info: m.Info = self.request("info")
-            link.instance = self.info.instance or link.instance
+            link.instance = bytes.fromhex(self.info.instance) or link.instance
         except BaseException:
             link.close()
             raise
@@ -100,7 +100,7 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         old.close()
         self.link = self._reopen()
         self.info = self.request("info")
-        self.link.instance = self.info.instance or self.link.instance
+        self.link.instance = bytes.fromhex(self.info.instance) or self.link.instance
         self.link.take_over(old)
 
     def close(self) -> None:
