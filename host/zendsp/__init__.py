@@ -29,6 +29,7 @@ _LAZY = {
     "MatDSPpause": "zendsp.matdsp",
     "MatDSPstop": "zendsp.matdsp",
     "MatDSPvariable": "zendsp.matdsp",
+    "MatDSPdiscard": "zendsp.matdsp",
     "MatDSPupdate": "zendsp.matdsp",
     "MatDSPAcquireConfig": "zendsp.matdsp",
     "MatDSPAcquireLoad": "zendsp.matdsp",
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from zendsp.matdsp import MatDSPclose as MatDSPclose
     from zendsp.matdsp import MatDSPcompile as MatDSPcompile
     from zendsp.matdsp import MatDSPconnect as MatDSPconnect
+    from zendsp.matdsp import MatDSPdiscard as MatDSPdiscard
     from zendsp.matdsp import MatDSPdownload as MatDSPdownload
     from zendsp.matdsp import MatDSPpause as MatDSPpause
     from zendsp.matdsp import MatDSPstart as MatDSPstart

@@ -9,7 +9,7 @@
     MatDSPAcquireConfig({"channels": ["q", "tau"], "seconds": 2.0})
     rec = MatDSPAcquireLoad()
 
-A value written with ``now=True`` does not wait for ``MatDSPupdate``.
+A value written with ``now=True`` does not wait for ``MatDSPupdate``. ``MatDSPdiscard`` forgets what was noted.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import Any
 
 from zendsp.errors import AcquisitionError, LinkError
 from zendsp.link import Target, Trigger, connect
-from zendsp.link.programs import Source
 from zendsp.recording import Recording
+from zendsp_isr.sources import Source
 from zendsp_protocol import messages as m
 
 
@@ -140,6 +140,11 @@ def MatDSPvariable(name: str, value: Any = None, now: bool = False) -> Any:
     -------
     number, bool or ndarray
         The value read, or the value given.
+
+    Raises
+    ------
+    VariableError
+        Unknown, read only, of another type, outside its limits or NaN; nothing was written or noted.
     """
     target = _desk.get()
     if value is None:
@@ -152,8 +157,19 @@ def MatDSPvariable(name: str, value: Any = None, now: bool = False) -> Any:
 
 
 def MatDSPupdate() -> int:
-    """Apply every noted value at the start of one sample, all or nothing; returns that sample."""
+    """Apply every noted value at the start of one sample, all or nothing; returns that sample.
+
+    Raises
+    ------
+    VariableError
+        Nothing is noted, or another program was loaded since and lacks a variable; what is noted stays, see :func:`MatDSPdiscard`.
+    """
     return _desk.get().update()
+
+
+def MatDSPdiscard() -> dict[str, Any]:
+    """Forget every noted value, and return what was noted."""
+    return _desk.get().discard()
 
 
 def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:

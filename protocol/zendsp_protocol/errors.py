@@ -4,6 +4,7 @@
     ├── LinkError (ConnectionError)        the link: no target, no answer, wrong version
     │   ├── NoAnswer (TimeoutError)
     │   ├── NotStopped                     STOP was asked and nothing says that the machine stands
+    │   │   └── NotApplied          certainly not: it may be sent anew
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
@@ -19,30 +20,32 @@ Every message names what, the value, the limit and what to do next.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Say what somebody who wrote ``name`` may have meant, and what there is.
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Say what somebody who wrote ``name`` probably meant, and what there is.
 
     Parameters
     ----------
     name : str
         As it was written.
-    known : iterable of str
+    known : collection of str
         What could stand there.
 
     Returns
     -------
     str
-        For example ``did you mean 'delay'? (known: delay, gain)``.
+
+    Examples
+    --------
+    >>> did_you_mean("dealy", ("gain", "delay"))
+    'did you mean delay? Allowed: gain, delay'
     """
     import difflib
 
-    names = sorted(known)
-    close = difflib.get_close_matches(name, names, 1, 0.6)
-    listed = f"known: {', '.join(names)}" if names else "nothing can stand there"
-    return f"did you mean {close[0]!r}? ({listed})" if close else listed
+    close = difflib.get_close_matches(name, known, 1, 0.6)
+    return f"{f'did you mean {close[0]}? Allowed' if close else 'allowed'}: {', '.join(known) or 'none'}"
 
 
 class ZendspError(Exception):
@@ -61,6 +64,10 @@ class NotStopped(LinkError):
     """STOP was asked, and no word came that the machine stopped: use its own emergency stop."""
 
 
+class NotApplied(NoAnswer):
+    """A request was not applied, and will not be: it did not reach the target in time."""
+
+
 class VersionMismatch(LinkError):
     """Host and target speak different versions of the protocol."""
 
@@ -73,16 +80,16 @@ class VariableError(ZendspError, ValueError):
     """One or more variables were named, typed or valued wrongly; nothing was applied."""
 
 
+class EndedWarning(UserWarning):
+    """A value was read of a program that no longer runs: it crashed, tripped or was stopped."""
+
+
 class CompileFailed(ZendspError, RuntimeError):
     """The C code did not compile."""
 
 
 class RunnerDied(ZendspError, RuntimeError):
     """User code crashed or never returned; the runner is gone, the target lives on."""
-
-
-class StaleValues(UserWarning):
-    """Values were read of a program that no longer runs: they are its last ones."""
 
 
 class AcquisitionError(ZendspError, RuntimeError):

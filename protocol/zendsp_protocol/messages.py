@@ -30,6 +30,7 @@ class Info(Message, frozen=True, kw_only=True):
     versions: dict[str, str]  # of zendsp, Python, the kernel and the libraries
     verbs: list[str]  # that this target answers
     started: float = 0.0  # Unix s
+    instance: str = ""  # of this run of the target, hexadecimal: another after each start
 
 
 class Diagnostic(Message, frozen=True, kw_only=True):
@@ -230,7 +231,7 @@ class Reading(Message, frozen=True, kw_only=True):
 
     tick: int  # the sample
     values: dict[str, WireValue]  # by name
-    ended: str = ""  # empty, or how the program ended whose last values these are
+    ended: str = ""  # why the program no longer runs (crash, trip, STOP): the values are those of its last sample
 
 
 class Written(Message, frozen=True, kw_only=True):

@@ -41,6 +41,8 @@ def to_wire(value: Any) -> WireValue:
     if kind is float or kind is int or kind is bool:
         return value  # type: ignore[no-any-return]
     array = np.asarray(value)
+    if isinstance(value, list | tuple):
+        _check_mixed(value)
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{value!r} is not a number")
     if array.ndim == 0:
@@ -68,8 +70,19 @@ def from_wire(value: WireValue) -> Value:
         array = np.frombuffer(value.data, dtype=value.dtype)
         return array if value.columns == 1 else array.reshape(-1, value.columns)
     if isinstance(value, list):
+        try:
+            _check_mixed(value)
+        except TypeError as error:
+            raise ValueError(str(error)) from error
         return np.array(value)
     return value
+
+
+def _check_mixed(values: list[Any] | tuple[Any, ...]) -> None:
+    """Refuse what NumPy would quietly turn into numbers: true or false among numbers."""
+    flags = sum(isinstance(item, bool | np.bool_) for item in values)
+    if 0 < flags < len(values):
+        raise TypeError(f"{values!r} mixes true or false with what is not a number of that kind")
 
 
 def enc_hook(value: Any) -> Any:

@@ -170,6 +170,7 @@ _ROWS = (
     Verb("program", Nothing, m.Program, "quick", role="observe"),
     Verb("variables", Nothing, tuple[m.VariableInfo, ...], "quick", role="observe"),
     Verb("read", Read, m.Reading, "quick", role="observe"),
+    Verb("check", Write, m.Empty, "quick", role="observe"),
     Verb("write", Write, m.Written, "quick", repeatable=False, role="tune"),
     Verb("update", Write, m.Applied, "sync", repeatable=False, role="tune"),
     Verb("wait_applied", Wait, m.Applied, "slow", 60.0, role="observe"),

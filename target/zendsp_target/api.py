@@ -213,7 +213,6 @@ class RuntimeApi(Protocol):
     def acknowledge(self) -> None: ...  # end a STOP or a trip; nothing moves before the next start
     def unload(self) -> None: ...
     def status(self) -> Status: ...
-    def alive(self) -> bool: ...  # whether the loaded program's runner still runs; False where none is loaded
     def variables(self) -> tuple[VariableInfo, ...]: ...
     def builtins(self) -> tuple[VariableInfo, ...]: ...  # signals that exist undeclared: tick, t, exec_us, enc, aout, …
     def machine(self) -> MachineInfo: ...
@@ -226,6 +225,8 @@ class RuntimeApi(Protocol):
     def set_inputs(self, bits: int) -> None: ...  # digital inputs of a simulated machine
     def trip(self, reason: str) -> None: ...  # stop with a reason of the monitor's: "stop" | "host lost"
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]: ...  # all from one sample; its tick
+    def ended(self) -> str: ...  # why the program no longer runs: crashed, tripped, stopped; "" where it does
+    def check(self, values: Mapping[str, Value]) -> None: ...  # raises what write would; nothing is written
     def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int: ...  # -> sequence
     # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has happened, where the whole way has to be gone.
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None: ...  # takes the least tick

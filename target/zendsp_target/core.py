@@ -107,11 +107,6 @@ class Core:
         if self._closed:
             raise Refused("this runtime was closed")
 
-    def alive(self) -> bool:
-        """Whether the runner of the loaded program still runs; False where none is loaded."""
-        session = self._session
-        return session is not None and session.alive()
-
     def _loaded(self) -> Session:
         session = self._session
         if session is None:

@@ -138,7 +138,7 @@ class Dictionary:
         match = _ELEMENT.match(name)
         entry = self.entries.get(match["name"]) if match else None
         if match is None or entry is None:
-            raise VariableError(f"{name}: no such variable; the program declares {self._nearest(name)}")
+            raise VariableError(f"{name}: no such variable; {self._nearest(name)}")
         index = int(match["index"])
         if entry.info.kind == "table" or index >= entry.info.length:
             what = "is a table, which is read and written whole" if entry.info.kind == "table" else f"has {entry.info.length} elements"
@@ -151,8 +151,10 @@ class Dictionary:
 
         names = [n for n, e in self.entries.items() if e.info.kind != "setting"]
         close = difflib.get_close_matches(name, names, 3, 0.5)
-        shown = close or [n for n in names if self.entries[n].info.kind != "builtin"][:8]
-        return ", ".join(shown) if shown else "none"
+        meant = f"did you mean {' or '.join(close)}? The" if close else "the"
+        counts = [(kind, sum(e.info.kind == kind for e in self.entries.values())) for kind in ("parameter", "signal", "table")]
+        declared = ", ".join(f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in counts if n) or "none"
+        return f"{meant} program declares {declared}: 'zendsp info' or variables() lists them"
 
 
 def decode(places: Mapping[str, Place], values: npt.NDArray[np.uint8]) -> dict[str, Value]:

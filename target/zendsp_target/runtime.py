@@ -106,6 +106,15 @@ class Runtime(Motion):
         """
         return self._loaded().read(names)
 
+    def ended(self) -> str:
+        """Why the loaded program no longer runs although nobody paused it, in a sentence; empty where it does or none is loaded."""
+        session = self._session
+        return "" if session is None else session.ended()
+
+    def check(self, values: Mapping[str, Value]) -> None:
+        """Raise what :meth:`write` would raise for these values; nothing is written."""
+        self._loaded().updates.check(values)
+
     def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
         """Commit a synchronous update: all values at the start of one sample, or none.
 

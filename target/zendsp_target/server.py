@@ -14,6 +14,7 @@ import zenoh
 
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
+from zendsp_protocol.once import Stamp
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.admission import check_role
 from zendsp_target.api import RuntimeApi
@@ -62,7 +63,7 @@ class Server:
             repeating = lane == "quick"
             answers = [partial(self._request, lane, self.service.repeats(lane) if repeating else None) for _ in range(count)]
             self._serve(keys.rpc(self.name, lane), answers)
-            self._serve(keys.rpc(self.name, lane, "*"), [partial(self._request_as, lane)])
+            self._serve(keys.rpc(self.name, lane, "*"), [partial(self._request, lane, None)])
         self._serve(keys.info(self.name), [self._info])
         self._serve(keys.variable(self.name), [self._variable])
         self._thread("pulse", self._pulse)
@@ -107,64 +108,60 @@ class Server:
     def _request(self, lane: str, repeats: Repeats | None, query: zenoh.Query) -> None:
         """Answer one request, whatever happens: silence would look like a dead target."""
         reply: bytes | bytearray
+        stamp: Stamp | None = None
+        attachment = query.attachment
+        if attachment is not None:
+            stamp, known = self.service.once.begin(attachment.to_bytes(), query)
+            if stamp is None:
+                if known is not None:
+                    self._reply(query, known)
+                return
         try:
             payload = query.payload
             if payload is None:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             request = payload.to_bytes()
-            known = None if repeats is None else repeats.answer(request)
-            if known is not None:
-                reply = known
+            user = "" if repeats is not None else keys.user_of(str(query.key_expr))
+            short = None if repeats is None else repeats.answer(request)
+            if short is not None:
+                reply = short
             else:
                 verb, args, by = codec.decode_request(request, lane)
+                if user:  # known by name: its role decides, and its name is what the log says
+                    check_role(user, self._role_of(user), verb)
+                    by = by if by.startswith(f"{user}@") else user
                 handler = self.service.handlers.get(verb.name)
                 result = self._special(verb, args, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)
                 if repeats is not None:
                     repeats.learn(request, verb, args, by)
         except Later as later:
-            self._waiters.submit(self._finish, query, later.rest)
+            self._waiters.submit(self._finish, query, stamp, later.rest)
             return
         except ZendspError as error:
             reply = codec.encode_error(error)
         except Exception as error:
             log.exception("request on lane %s failed", lane)
             reply = codec.encode_error(error)
-        self._reply(query, reply)
-
-    def _request_as(self, lane: str, query: zenoh.Query) -> None:
-        """Answer one request of a host that is known by name: its role decides, and its name is what the log says."""
-        try:
-            payload = query.payload
-            if payload is None:
-                raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
-            user = keys.user_of(str(query.key_expr))
-            verb, args, said = codec.decode_request(payload.to_bytes(), lane)
-            check_role(user, self._role_of(user), verb)
-            by = said if said.startswith(f"{user}@") else user
-            handler = self.service.handlers.get(verb.name)
-            result = self._special(verb, args, query) if handler is None else handler(args, by)
-            reply = codec.encode_result(result)
-        except Later as later:
-            self._waiters.submit(self._finish, query, later.rest)
-            return
-        except ZendspError as error:
-            reply = codec.encode_error(error)
-        except Exception as error:
-            log.exception("request on lane %s failed", lane)
-            reply = codec.encode_error(error)
-        self._reply(query, reply)
+        self._answered(query, stamp, reply)
 
     def _special(self, verb: verbs.Verb, args: Any, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
             return send_rows(self.service.runtime, RECORDER, args, query)
         raise LinkError(f"this target does not know the verb {verb.name!r}")
 
-    def _finish(self, query: zenoh.Query, rest: Callable[[], Any]) -> None:
+    def _finish(self, query: zenoh.Query, stamp: Stamp | None, rest: Callable[[], Any]) -> None:
         try:
             reply = codec.encode_result(rest())
         except Exception as error:
             reply = codec.encode_error(error)
+        self._answered(query, stamp, reply)
+
+    def _answered(self, query: zenoh.Query, stamp: Stamp | None, reply: bytes | bytearray) -> None:
+        """Reply, also to those who sent the same request again while it was carried out."""
+        if stamp is not None:
+            for again in self.service.once.finish(stamp, reply):
+                self._reply(again, reply)
         self._reply(query, reply)
 
     def _reply(self, query: zenoh.Query, reply: bytes | bytearray) -> None:

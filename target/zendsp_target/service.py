@@ -23,6 +23,7 @@ from zendsp_target.drives import Drives
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
 from zendsp_target.machine_verbs import MachineVerbs
+from zendsp_target.once import Once
 from zendsp_target.repeats import Repeats
 from zendsp_target.variable_verbs import VariableVerbs
 
@@ -55,6 +56,7 @@ class Service:
         self.variables = VariableVerbs(runtime)
         self.present: Callable[[], tuple[str, ...]] = tuple
         self.drives = Drives(runtime, managed)
+        self.once = Once()
         self._programs: OrderedDict[str, m.Program] = OrderedDict()
         self._repeats: list[Repeats] = []
         self._recorder_owner = ""
@@ -87,6 +89,7 @@ class Service:
             versions=versions,
             verbs=[name for name in verbs.VERBS if name in self.handlers or name == "acquire_read"],
             started=self.identity.started,
+            instance=self.once.instance.hex(),
         )
 
     def do_status(self, args: verbs.Nothing, by: str) -> Any:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
+from zendsp_target import safety
 from zendsp_target.api import Blank, Value
 from zendsp_target.change_log import ChangeLog
 from zendsp_target.dictionary import Dictionary, Place, decode
@@ -69,6 +70,14 @@ class Session:
 
     def _died(self, sentence: str) -> None:
         self.crash = sentence
+        layout()[1].monitor_store32(self._ended, 1)  # what was made ready would not say that the values are old
+
+    def ended(self) -> str:
+        """Why the program no longer runs, in a sentence: it crashed, or a STOP or trip is latched; else empty."""
+        if not self.alive():
+            return f"the program crashed: {self.crash or 'the runner ended'}"
+        trip = safety.trip_of(self.control, self.machine)
+        return "" if trip is None else trip.text
 
     def alive(self) -> bool:
         """Whether the runner still runs."""

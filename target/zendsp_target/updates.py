@@ -33,7 +33,7 @@ _TOGETHER = 16  # so many updates are taken back together; fewer, when the super
 _MAX_ACKS = 4096
 _LAST_TICK = 2**64 - 1
 _GONE = "the runner is gone, so nothing can be written: load the program again"
-_NUMBERS = frozenset((float, int, bool))
+_NUMBERS = frozenset((float, int))
 _WORDED_AT_ONCE = 128  # lines of the log at each harvest: a fraction of a millisecond
 
 
@@ -161,6 +161,10 @@ class Updates:
                 return 0
             flight = Flight(slot, plan.places, plan.size, partial(plan.entries, numbers), author, time.time())
             return self._committed(flight, done == 1)
+
+    def check(self, values: Mapping[str, object]) -> None:
+        """Raise what `write` would raise for these values; nothing is written."""
+        self._checked(values, False)
 
     def repeat(self, ended: Any, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
         """Make what commits one value again, out of the bytes of a request; see `RuntimeApi.repeat_write`."""

@@ -35,7 +35,7 @@ def encode(name: str, place: Place, value: object) -> bytes:
         What is wrong with this variable: value, limit, and what to do.
     """
     _check_kind(name, place)
-    array = _as_elements(name, place, _numbers(name, value))
+    array = _as_elements(name, place, _numbers(name, value, place.entry.info.type))
     _check_limits(name, place, array)
     return _typed(name, place, array).tobytes()
 
@@ -60,7 +60,7 @@ def encode_table(name: str, place: Place, value: object) -> npt.NDArray[np.float
     VariableError
         Wrong shape, more rows than its capacity, or NaN.
     """
-    array = _as_rows(name, place, _numbers(name, value))
+    array = _as_rows(name, place, _numbers(name, value, place.entry.info.type))
     _check_limits(name, place, array)
     return np.ascontiguousarray(array)
 
@@ -88,14 +88,17 @@ def _at(array: npt.NDArray[Any], index: np.intp) -> str:
     return f" (element {int(index)})" if array.size > 1 else ""
 
 
-def _numbers(name: str, value: object) -> npt.NDArray[np.float64]:
+def _numbers(name: str, value: object, kind: str) -> npt.NDArray[np.float64]:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "biuf":
             raise TypeError
-        return array.astype(np.float64)
+        numbers = array.astype(np.float64)
     except (TypeError, ValueError):
         raise VariableError(f"{name}: {_short(value)} is not a number or an array of numbers") from None
+    if array.dtype.kind == "b" and kind != "bool":
+        raise VariableError(f"{name}: {_short(value)} is true or false, not a number, which a {kind} needs; write 1 or 0 if that is meant")
+    return numbers
 
 
 def _short(value: object) -> str:

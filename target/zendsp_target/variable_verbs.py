@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
 from zendsp_protocol.errors import Refused, VariableError
 from zendsp_target.api import RuntimeApi, VariableInfo
@@ -49,16 +50,19 @@ class VariableVerbs:
                 break  # the loop has stopped in the middle of a sample
             time.sleep(0.0001)
             tick, found = self.runtime.read(args.names)
-        reply: dict[str, Any] = {"tick": tick, "values": found}
-        if not self.runtime.alive():
-            reply["ended"] = self.runtime.status().crash or "its runner is gone"
-        return reply
+        ended = self.runtime.ended()
+        return {"tick": tick, "values": found, "ended": ended} if ended else {"tick": tick, "values": found}
+
+    def do_check(self, args: verbs.Write, by: str) -> m.Empty:
+        self.runtime.check(self._given(args))
+        return m.Empty()
 
     def do_write(self, args: verbs.Write, by: str) -> dict[str, int]:
+        return {"sequence": self.runtime.write(self._given(args), by, args.at_tick)}
+
+    def _given(self, args: verbs.Write) -> dict[str, Any]:
         given: Any = args.values
-        if not PLAIN.issuperset(map(type, given.values())):
-            given = self._unpacked(given)
-        return {"sequence": self.runtime.write(given, by, args.at_tick)}
+        return given if PLAIN.issuperset(map(type, given.values())) else self._unpacked(given)
 
     def do_update(self, args: verbs.Write, by: str) -> dict[str, int]:
         sequence = self.do_write(args, by)["sequence"]

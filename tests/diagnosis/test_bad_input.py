@@ -211,21 +211,7 @@ MODELS: dict[str, tuple[Callable[[str], str], str]] = {
     "gain zero": (_swap_text("gain = { value = 1.0", "gain = { value = 0.0"), "gain"),
     "negative resolution": (lambda t: t.replace("position_resolution = ", "position_resolution = -"), "position_resolution"),
     "negative sample time": (_swap_text("sample_time = 0.002", "sample_time = -0.002"), "sample_time"),
-    "urdf missing": (
-        lambda t: "\n".join(
-            line for line in t.replace('kind = "rotary"', 'kind = "urdf"\nfile = "nowhere.urdf"').splitlines()
-            if not line.startswith(("inertia", "gravity"))
-        ),
-        "nowhere.urdf",
-    ),
-    "actuator key mistyped": (lambda t: t.replace("[sensor]", "dealy = 0.004\n[sensor]"), "did you mean 'delay'?"),
-    "parameter mistyped": (_swap_text("inertia = {", "inertai = {"), "did you mean 'inertia'?"),
-    "quantity key mistyped": (_swap_text("{ value = 0.0102 }", "{ value = 0.0102, fre = false }"), "did you mean 'free'?"),
-    "table mistyped": (lambda t: t + "\n[actuatr]\ngain = 1.0\n", "did you mean 'actuator'?"),
-    "column mistyped": (_swap_text("position =", "postion ="), "did you mean 'position'?"),
-    "effect key mistyped": (
-        lambda t: t + '\n[[effect]]\nkind = "viscous"\njoint = 1\ncoeficient = 0.1\n', "did you mean 'coefficient'?"
-    ),
+    "urdf missing": (lambda text: '[mechanism]\nkind = "urdf"\nfile = "nowhere.urdf"\n[columns]' + text.split("[columns]")[1], "nowhere.urdf"),
     "python entry missing": (_swap_text('kind = "rotary"', 'kind = "python"\nentry = "nowhere:run"'), "nowhere"),
 }
 

@@ -124,9 +124,6 @@ class FakeRuntime:
         with self.lock:
             self.state, self.key = "empty", ""
 
-    def alive(self) -> bool:
-        return self.state != "crashed"
-
     def status(self) -> Status:
         counts = np.zeros(4, dtype=np.int64)
         timing = Timing(self.tick, 0, 0, 1.0, 2, 0.5, 3, counts, counts, np.geomspace(100, 1e6, 5))
@@ -152,7 +149,10 @@ class FakeRuntime:
     def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> None:
         return None
 
-    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
+    def ended(self) -> str:
+        return f"the program crashed: {self.crash}" if self.state == "crashed" else ""
+
+    def check(self, values: Mapping[str, Value]) -> None:
         wrong = []
         infos = {info.name: info for info in INFOS}
         for name, value in values.items():
@@ -164,6 +164,9 @@ class FakeRuntime:
                 wrong.append(f"{name}: {value} is above its maximum {infos[name].maximum}")
         if wrong:
             raise VariableError("\n".join(wrong))
+
+    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
+        self.check(values)
         with self.lock:
             self.sequence += 1
             self.pending.append((self.sequence, dict(values), author))

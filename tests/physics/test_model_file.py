@@ -76,3 +76,33 @@ def test_wrong_key_is_named(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ModelError) as error:
         parse_model({**GOOD, **change}, "bench.toml")
     assert "bench.toml" in str(error.value) and words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "meant"),
+    [
+        ("", "sampletime", "sample_time"), ("mechanism", "fil", "file"), ("mechanism.parameters", "gravty", "gravity"),
+        ("mechanism.parameters.inertia", "fre", "free"), ("actuator", "dealy", "delay"), ("sensor", "position_resolutoin", "position_resolution"),
+        ("controller", "cutof", "cutoff"), ("columns", "velocty", "velocity"), ("effect", "coeficient", "coefficient"),
+        ("limits", "positon", "position"),
+    ],
+)  # fmt: skip
+def test_a_key_that_nobody_reads_is_refused_with_the_one_that_was_meant(table: str, key: str, meant: str) -> None:
+    effect: dict[str, Any] = {"kind": "viscous", "joint": 1, "coefficient": 0.1}
+    data: dict[str, Any] = {
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1.0}}}, "effect": [effect], "actuator": {}, "sensor": {},
+        "controller": {}, "columns": {"position": "q", "position_load": "ql", "torque_measured": "tm", "current": "i", "temperature": "T"},
+        "limits": {},
+    }  # fmt: skip
+    parse_model(data, "bench.toml")
+    place: Any = data
+    for name in filter(None, table.split(".")):
+        place = place[name]
+    (place if table != "effect" else effect)[key] = 1.0
+    with pytest.raises(ModelError, match=rf"bench\.toml: .*{key}.*; did you mean {meant}\? Allowed: "):
+        parse_model(data, "bench.toml")
+
+
+def test_columns_are_names() -> None:
+    with pytest.raises(ModelError, match=r"\[columns\] position = 3: expected the name of a column"):
+        parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}}, "columns": {"position": 3}}, "bench.toml")

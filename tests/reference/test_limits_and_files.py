@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -186,3 +187,13 @@ def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -
     file.write_text(file.read_text().replace("coulomb", "colomb"))
     with pytest.raises(ReferenceError_, match="no machine"):
         load_machine(str(tmp_path / "other.toml"))
+
+
+@pytest.mark.parametrize(("line", "key", "meant"), [("torqe = [1.0, 1.0]", "torqe", "torque"), ("viscus = [0.1, 0.1]", "viscus", "viscous")])
+def test_a_key_of_a_machine_that_nobody_reads_is_refused(tmp_path: Path, line: str, key: str, meant: str) -> None:
+    shipped = resources.files("zendsp.reference").joinpath("machines", "imi_planar.toml").read_text()
+    table = "[limits]" if meant == "torque" else "[parameters]"
+    path = tmp_path / "mine.toml"
+    path.write_text(shipped.replace(table, f"{table}\n{line}"))
+    with pytest.raises(ReferenceError_, match=rf"mine\.toml: \{table[:-1]}.*{key}.*did you mean {meant}\?"):
+        load_machine(str(path))

@@ -50,7 +50,7 @@ def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     [
         ("", "expected a table"),
         ("[roles]\n", "expected a table"),
-        ('[roles]\nanna = "tuna"\n', "did you mean 'tune'"),
+        ('[roles]\nanna = "tuna"\n', "did you mean tune"),
         ('[roles]\nowner = "tune"\n', "owner"),
         ("[roles\n", "cannot be read"),
     ],

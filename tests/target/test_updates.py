@@ -235,7 +235,7 @@ void UserISR_INT2(void) { n++; list[1] = a; }
 def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_first(make_runtime: Make) -> None:
     runtime = make_runtime(LIMITED)
     wrong: list[dict[str, object]] = [
-        {"a": 10.5, "b": 0.0}, {"a": float("nan"), "b": 0.0}, {"a": 0.0, "b": float("inf")}, {"a": "1", "b": 0.0}, {"a": [1.0, 2.0], "b": 0.0},
+        {"a": 10.5, "b": 0.0}, {"a": True, "b": 0.0}, {"a": float("nan"), "b": 0.0}, {"a": 0.0, "b": float("inf")}, {"a": "1", "b": 0.0}, {"a": [1.0, 2.0], "b": 0.0},
     ]  # fmt: skip
 
     def refusals() -> list[str]:
@@ -250,7 +250,7 @@ def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_firs
     for k in range(3):
         runtime.wait_applied(runtime.write({"a": float(k), "b": -float(k)}, "me"), 10.0)
         assert refusals() == first
-    runtime.wait_applied(runtime.write({"a": 7, "b": True}, "you"), 10.0)
+    runtime.wait_applied(runtime.write({"a": 7, "b": 1}, "you"), 10.0)
     assert runtime.read(["b", "a"])[1] == {"b": 1.0, "a": 7.0}
     shown = [(c.name, c.old, c.new, c.author) for c in runtime.log()]
     pairs = [(1.0, 2.0), (0.0, -0.0), (1.0, -1.0), (2.0, -2.0)]

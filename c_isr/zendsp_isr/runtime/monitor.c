@@ -79,12 +79,13 @@ static void to_message(unsigned char *bytes, uint64_t word) {
 }
 
 /* Answer a reading that came before: fill `count` doubles, which stand at `places[2 * i]` of `values`, into `reply` at `places[2 * i + 1]`,
- * and their tick. Returns 0 when the program is not loaded any more, there is no sample, or none from `least` on. */
+ * and their tick. Returns 0 when the program is not loaded any more or no longer runs (the long way says why), there is no sample, or
+ * none from `least` on. */
 int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data, uint64_t slots_at, uint64_t stride, uint64_t from,
                        uint64_t bytes, unsigned char *values, uint32_t count, const uint32_t *places, unsigned char *reply,
                        uint32_t tick_at, uint64_t least) {
     uint64_t tick, word;
-    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE))
+    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE) || __atomic_load_n(&c->trip.reason, __ATOMIC_ACQUIRE))
         return 0;
     if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick) || tick < least)
         return 0;

@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "ls": ("zendsp.cli.ls:command", "List the targets that answer."),
     "info": ("zendsp.cli.info:command", "Show a target and its variables."),
     "compile": ("zendsp.cli.compile:command", "Compile C code on a target."),
+    "load": ("zendsp.cli.load:command", "Compile and load a program without starting it."),
     "run": ("zendsp.cli.run:command", "Compile, download and start a program."),
     "pause": ("zendsp.cli.pause:command", "Pause the program."),
     "stop": ("zendsp.cli.stop:command", "STOP: safe outputs at once."),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -32,11 +32,21 @@ def target_options(function: F) -> F:
     return function
 
 
-def open_target(name: str, endpoint: str | None) -> Target:
-    """Connect to the target that the options name."""
+@contextmanager
+def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
+    """Connect to the target that the options name, and at the end say on standard error if it is tripped or its program crashed."""
+    from zendsp.errors import ZendspError
     from zendsp.link import connect
+    from zendsp.link.programs import trouble
 
-    return connect(name, endpoint)
+    with connect(name, endpoint) as target:
+        try:
+            yield target
+        finally:
+            if target.alive:
+                with suppress(ZendspError):  # it went away at this moment: the command itself is told so
+                    if said := trouble(target.status()):
+                        click.echo(f"zendsp: {target.name}: {said}", err=True)
 
 
 def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:

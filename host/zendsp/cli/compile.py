@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -20,19 +21,22 @@ def command(file: str, flags: tuple[str, ...], target: str, connect: str | None,
 
     Example:  zendsp compile pd.c
     """
+    with open_target(target, connect) as t:
+        report(compiled(lambda: t.compile(file, flags), as_json), as_json)
+
+
+def compiled(work: Callable[[], Any], as_json: bool) -> Any:
+    """Compile, or compile and load; code that does not compile is reported, with exit status 1."""
     from zendsp.errors import CompileFailed
 
-    with open_target(target, connect) as t:
-        result: Any
-        try:
-            result = t.compile(file, flags)
-        except CompileFailed as error:
-            result = getattr(error, "result", None)
-            if result is None:  # the file itself is missing
-                raise
+    try:
+        return work()
+    except CompileFailed as error:
+        result = getattr(error, "result", None)
+        if result is None:  # the file itself is missing
+            raise
         report(result, as_json)
-        if not result.ok:
-            raise click.exceptions.Exit(1)
+        raise click.exceptions.Exit(1) from None
 
 
 def report(result: Any, as_json: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,16 +37,17 @@ def command(name: str | None, out: Path, into: Path | None, report: Path | None,
     names = list(EXPERIMENTS) if name == "all" else [name]
     takes = fit_model(names, into) if into is not None else []  # before the machine moves
     opened = None
+    closing = contextlib.ExitStack()
     if target or connect:
         from zendsp.cli.common import open_target
 
-        opened = open_target(target, connect)
+        opened = closing.enter_context(open_target(target, connect))
         if name == "all":
             names = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
             for each in [each for each in names if EXPERIMENTS[each].command != "torque"]:
                 names.remove(each)
                 click.echo(f"{each} is left out: it commands a {EXPERIMENTS[each].command}, and needs a target of its own", err=True)
-    try:
+    with closing:
         for each in names:
             try:
                 with stages(quiet=as_json) as tell:
@@ -58,9 +60,6 @@ def command(name: str | None, out: Path, into: Path | None, report: Path | None,
             if into is not None and each in takes:
                 for change in put_into(result, into):
                     click.echo(f"{into}: {change}", err=as_json)
-    finally:
-        if opened is not None:
-            opened.close()
     if report is not None:
         from zendsp.experiment.report import write_report
 

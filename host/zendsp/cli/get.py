@@ -23,7 +23,7 @@ def command(names: tuple[str, ...], target: str, connect: str | None, as_json: b
         units = {
             name: infos[name.partition("[")[0]].unit for name in values if name.partition("[")[0] in infos
         }
-        body = {"tick": reading.tick if reading else None, "values": values, "units": units}
+        body = {"tick": reading.tick if reading else None, "values": values, "units": units, "ended": reading.ended if reading else ""}
         emit(
             body,
             as_json,

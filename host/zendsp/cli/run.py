@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from zendsp.cli.common import emit, open_target, parse_assignments, progress, target_options
-from zendsp.cli.compile import report
+from zendsp.cli.compile import compiled
 
 
 @click.command("run")
@@ -27,31 +27,31 @@ def command(
 ) -> None:
     """Compile FILE on the target, load it and start it; without FILE, start what is loaded.
 
-    Exit status 1 where it does not compile.
+    Waits until it has run for 0.25 s of the target's time, or with --seconds to its end. Exit status 1 where it does not
+    compile, trips, is stopped or crashes meanwhile; standard error says which.
 
     Example:  zendsp run pd.c --set Kp1=400 --seconds 10
     """
-    from zendsp.errors import CompileFailed
+    from zendsp.errors import RunnerDied
 
     values = parse_assignments(assignments)
     with open_target(target, connect) as t:
         if file is not None:
-            try:
-                t.download(file, flags)
-            except CompileFailed as error:
-                result = getattr(error, "result", None)
-                if result is None:
-                    raise
-                report(result, as_json)
-                raise click.exceptions.Exit(1) from None
+            compiled(lambda: t.download(file, flags), as_json)
         if values:
             t.write(**values)
         if seconds is None:
             t.start()
-            emit(t.status(), as_json, "running")
-            return
-        with progress("running", seconds, as_json) as set_fraction:
-            first = t.status()
-            t.start(max(1, round(seconds * first.rate_hz)))
-            status = t.wait(2.0 * seconds + 10.0, on_status=lambda s: set_fraction((s.t - first.t) / seconds))
-        emit(status, as_json, f"{status.state} at sample {status.tick}")
+            status = t.watch_start()
+        else:
+            with progress("running", seconds, as_json) as set_fraction:
+                first = t.status()
+                t.start(max(1, round(seconds * first.rate_hz)))
+                try:
+                    status = t.wait(2.0 * seconds + 10.0, on_status=lambda s: set_fraction((s.t - first.t) / seconds))
+                except RunnerDied:  # open_target says how
+                    status = t.status()
+        going = status.state == "running"
+        emit(status, as_json, "running" if going else f"{status.state} at sample {status.tick}")
+        if status.state == "crashed" or status.trip is not None:
+            raise click.exceptions.Exit(1)

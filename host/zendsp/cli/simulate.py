@@ -50,15 +50,17 @@ def command(
     from zendsp.cli.progress import stages
     from zendsp.errors import CompileFailed
     from zendsp.physics import simulate
+    from zendsp_isr.sources import find_program
 
     values = parse_assignments(assignments)
+    source = find_program(program)
     wanted = [name.strip() for name in channels.split(",")] if channels else None
     start = _numbers(position)
     with stages(quiet=as_json) as tell:
         tell("simulating")
         try:
             rec = simulate(
-                program, model_path, reference=reference, seconds=seconds, parameters=values, channels=wanted, position=start,
+                source, model_path, reference=reference, seconds=seconds, parameters=values, channels=wanted, position=start,
                 inner=inner, check=check, flags=flags,
             )  # fmt: skip
         except CompileFailed as error:

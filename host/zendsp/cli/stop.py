@@ -24,10 +24,11 @@ def command(acknowledge: bool, target: str, connect: str | None, as_json: bool) 
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
+    from zendsp.link import connect as open_link
     from zendsp.link.programs import stopped
 
     try:
-        t = open_target(target, connect)
+        t = open_link(target, connect)
     except ZendspError as error:
         raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
     with t:

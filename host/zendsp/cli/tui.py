@@ -17,7 +17,7 @@ from zendsp.errors import LinkError
 @click.argument("target", required=False, default="")
 @click.option("--local", "machine", metavar="MACHINE", help="Start a simulated machine here, for example imi_planar.")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True, help="Clock of --local.")
-@click.option("--source", type=click.Path(path_type=Path, dir_okay=False), help="C file to work on.")
+@click.option("--source", metavar="FILE", help="C file to work on: a path, or a shipped program such as pd.c.")
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("."), help="Where references, runs and parameter sets are kept (default: here).")
 @click.option("--screen", type=click.Choice(["console", "execute", "reference"]), default="console", show_default=True, help="Screen to begin with.")
 @click.option("--theme", default="zendsp-night", show_default=True, help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.")
@@ -27,7 +27,7 @@ from zendsp.errors import LinkError
 @click.option("--port", type=int, default=8000, show_default=True, help="Port of --web.")
 @click.option("--screenshots", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write pictures of the screens (SVG) and end.")
 def command(
-    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, channels: str,
+    target: str, machine: str | None, clock: str, source: str | None, folder: Path, screen: str, theme: str, channels: str,
     frames: float, web: bool, port: int, screenshots: Path | None,
 ) -> None:  # fmt: skip
     """Tune, drive and watch a machine: IMIConsole, IMIExecute and IMIReference in the terminal.
@@ -43,11 +43,12 @@ def command(
     if screenshots is not None:
         from zendsp.tui.screenshots import take_screenshots
 
-        for path in take_screenshots(screenshots):
-            click.echo(path)
+        for picture in take_screenshots(screenshots):
+            click.echo(picture)
         return
+    path = found(source) if source else None
     if web:
-        _serve(target, machine, clock, source, folder, screen, theme, channels, frames, port)
+        _serve(target, machine, clock, path, folder, screen, theme, channels, frames, port)
         return
     from zendsp.tui.memory import keep_one_heap
 
@@ -63,7 +64,7 @@ def command(
         machines=MACHINES,
         target=target,
         folder=folder.resolve(),
-        source=source.resolve() if source else None,
+        source=path,
         first=screen,
         theme=theme,
         begin=machine or "",
@@ -76,6 +77,13 @@ def command(
         app.run()
     finally:
         app.session.release_keys()
+
+
+def found(source: str) -> Path:
+    """Return the file that --source means, found as `zendsp run` finds it."""
+    from zendsp_isr.sources import find_program
+
+    return find_program(source).resolve()
 
 
 def _serve(

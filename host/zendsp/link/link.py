@@ -22,11 +22,13 @@ import zenoh
 from zendsp.errors import LinkError, NoAnswer, Refused
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
+from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS, Verb
 
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 _Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
+SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
 END_S = 1.0  # for saying goodbye when the process ends
@@ -64,6 +66,9 @@ class Link:
         self._ready: dict[str, _Ready] = {}
         self._waiting: set[zenoh.CancellationToken] = set()
         self.closed = False
+        self.instance = bytes(8)  # of the target that is known
+        self._name = os.urandom(8)
+        self._requests = itertools.count(1)
         self._session = open_session(endpoints, credentials, timeout)
         try:
             tokens = self._session.liveliness().declare_subscriber(
@@ -115,20 +120,45 @@ class Link:
         ------
         LinkError, NoAnswer
             The target is gone, or did not answer in time.
+        NotApplied
+            The request would have changed something, and did not.
         ZendspError
             Whatever the target says.
         """
         row, querier, reader = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
-        try:
-            if querier is not None and timeout is None:
-                reply = querier.get(payload=payload).recv()
-            else:
-                reply = self._patient(row, payload, timeout or row.timeout)
-        except zenoh.ZError as error:
-            raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
+        if verb in ONCE:
+            reply = self._once(row, querier, payload, timeout)
+        else:
+            try:
+                if querier is not None and timeout is None:
+                    reply = querier.get(payload=payload).recv()
+                else:
+                    reply = self._patient(row, payload, timeout or row.timeout)
+            except zenoh.ZError as error:
+                raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
         sample = reply.ok
         return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
+
+    def _once(self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None) -> zenoh.Reply:
+        """Have a change carried out once: where the link breaks, the request is sent again, and the target knows it by its stamp."""
+        number = next(self._requests)
+        first = stamp(self._name, number, self.instance, FIRST)
+        deadline = time.monotonic() + (timeout or row.timeout)
+        with contextlib.suppress(zenoh.ZError, LinkError):
+            if querier is not None and timeout is None:
+                return querier.get(payload=payload, attachment=first).recv()
+            return self._patient(row, payload, timeout or row.timeout, first)
+        again = stamp(self._name, number, self.instance, AGAIN)
+        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._alive.wait(left):
+            # it may be that the news of a death, or of the lanes of one that is back, is a moment behind
+            with contextlib.suppress(LinkError):
+                return self._patient(row, payload, max(left, STEP_S), again)
+        if not self.closed and self._alive.is_set():
+            with contextlib.suppress(LinkError):
+                return self._patient(row, payload, SETTLE_S, stamp(self._name, number, self.instance, SETTLE))
+        error = self.silence(row.name, timeout or row.timeout)
+        raise type(error)(f"{error}. Whether it was applied cannot be known from here: look at the target when it is back") from None
 
     def stream(
         self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None], timeout: float | None = None
@@ -215,14 +245,14 @@ class Link:
             express=True,
         )
 
-    def _patient(self, row: Verb, payload: bytes, timeout: float) -> zenoh.Reply:
+    def _patient(self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None) -> zenoh.Reply:
         """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
-        for reply in self._replies(row, payload, timeout, zenoh.Priority.DATA):
+        for reply in self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment):
             return reply
         raise self.silence(row.name, timeout)
 
     def _replies(
-        self, row: Verb, payload: bytes, timeout: float, priority: zenoh.Priority
+        self, row: Verb, payload: bytes, timeout: float, priority: zenoh.Priority, attachment: bytes | None = None
     ) -> Iterator[zenoh.Reply]:
         """Yield replies as they come, until the last, or until the target is gone."""
         giving_up = zenoh.CancellationToken()
@@ -232,6 +262,7 @@ class Link:
                 keys.rpc(self.target, row.lane, self.identity),
                 zenoh.handlers.FifoChannel(WAITING),
                 payload=payload,
+                attachment=attachment,
                 consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
                 timeout=timeout,
                 priority=priority,

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import re
 import time
-from collections.abc import Callable, Mapping, Sequence
-from importlib import resources
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
 from zendsp.link.requests import Requests
+from zendsp_isr.sources import Source, gather
 from zendsp_protocol import messages as m
 
-_INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
 STOPPED_S = 1.0  # for the loop to say that it stopped
-Source = str | Path | Mapping[str, str]
+WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
 
 
 def stopped(status: m.Status) -> str:
@@ -162,6 +159,30 @@ class Programs(Requests):
         self.start(ticks)
         return self.wait(timeout if timeout is not None else 2.0 * seconds + 10.0)
 
+    def watch_start(self, seconds: float = WATCHED_S, timeout: float = 5.0) -> m.Status:
+        """Look at the first samples of a program that was started: one that trips or crashes does so there, mostly.
+
+        Parameters
+        ----------
+        seconds : float, s
+            Of the target's time.
+        timeout : float, s
+            Of real time.
+
+        Returns
+        -------
+        Status
+            As soon as the program has run for so long, or no longer runs.
+        """
+        deadline = time.monotonic() + timeout
+        first = None
+        while True:
+            status = self.status()
+            first = status.t if first is None else first
+            if status.state != "running" or status.t - first >= seconds or time.monotonic() > deadline:
+                return status
+            time.sleep(0.01)
+
     def wait(self, timeout: float = 60.0, on_status: Callable[[m.Status], None] | None = None) -> m.Status:
         """Wait until the program no longer runs (paused by itself, stopped, tripped or crashed).
 
@@ -197,38 +218,15 @@ class Programs(Requests):
             pause = min(POLL_LAST_S, pause * 1.5)
 
 
-def gather(source: Source) -> dict[str, str]:
-    """Read a program and the headers beside it into a mapping of file name to text.
-
-    Raises
-    ------
-    CompileFailed
-        The file does not exist or is no text.
-    """
-    if isinstance(source, Mapping):
-        return dict(source)
-    path = Path(source)
-    if not path.exists() and path.name == str(path):
-        example = resources.files("zendsp_isr").joinpath("programs", path.name)
-        if example.is_file():
-            path = Path(str(example))  # with the headers beside it
-    sources: dict[str, str] = {}
-    waiting = [path]
-    while waiting:
-        file = waiting.pop()
-        try:
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise CompileFailed(
-                f"{file}: cannot be read ({error}); give a C file or {{name: text}}"
-            ) from error
-        sources[file.relative_to(path.parent).as_posix()] = text
-        for name in _INCLUDE.findall(text):
-            header = file.parent / name
-            known = header.relative_to(path.parent).as_posix() if header.is_relative_to(path.parent) else ""
-            if known and known not in sources and header.is_file():
-                waiting.append(header)
-    return sources
+def trouble(status: m.Status) -> str:
+    """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do next; else ``""``."""
+    if status.state == "crashed":
+        return f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or download()"
+    if status.trip is not None:
+        what = "stopped" if status.drive == "stopped" else "tripped"
+        cause = (status.trip.text or status.trip.reason).removesuffix("; outputs are safe until acknowledged")
+        return f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then start again"
+    return ""
 
 
 def describe(message: m.Diagnostic) -> str:

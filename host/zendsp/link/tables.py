@@ -55,6 +55,8 @@ class Tables(Requests):
         if name not in infos:
             raise VariableError(f"{name}: no such variable in the running code")
         dtype = _DTYPES[infos[name].type]
+        if np.asarray(values).dtype.kind == "b" and dtype != "|b1":
+            raise VariableError(f"{name}: true or false is not a number, which a {infos[name].type} needs")
         array = np.ascontiguousarray(values, dtype=dtype).reshape(-1)
         data = array.tobytes()
         begun = self.request("table_begin", name=name, dtype=dtype, length=array.size, crc=crc(data))

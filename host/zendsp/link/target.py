@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from zendsp.errors import LinkError
 from zendsp.link.acquire import Acquisition
@@ -14,6 +15,12 @@ from zendsp.link.programs import Programs
 from zendsp.link.sequence import Sequence
 from zendsp.link.tables import Tables
 from zendsp_protocol import messages as m
+
+_ATTRIBUTES = ("link", "info")
+
+
+def _quoted(name: str) -> str:
+    return f'"{name}"'
 
 
 class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Concealment):
@@ -49,9 +56,21 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         self._reopen = reopen
         try:
             self.info: m.Info = self.request("info")
+            link.instance = bytes.fromhex(self.info.instance) or link.instance
         except BaseException:
             link.close()
             raise
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and name not in _ATTRIBUTES and not hasattr(type(self), name):
+            raise AttributeError(f"a target has no attribute {name!r}; to write a variable: target[{_quoted(name)}] = {value!r}")
+        super().__setattr__(name, value)
+
+    if not TYPE_CHECKING:  # which knows the attributes there are, and would take all others for good
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = "" if name.startswith("_") else f"; to read a variable: target[{_quoted(name)}]"
+            raise AttributeError(f"a target has no attribute {name!r}{hint}")
 
     @property
     def name(self) -> str:
@@ -81,6 +100,7 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         old.close()
         self.link = self._reopen()
         self.info = self.request("info")
+        self.link.instance = bytes.fromhex(self.info.instance) or self.link.instance
         self.link.take_over(old)
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from zendsp.errors import StaleValues, VariableError
+from zendsp.errors import EndedWarning, VariableError
 from zendsp.link.requests import Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Packed, Value, from_wire, to_wire
@@ -21,7 +21,7 @@ class Reading(msgspec.Struct, frozen=True):
 
     tick: int
     values: Mapping[str, Value]
-    ended: str = ""  # how the program ended whose last values these are
+    ended: str = ""  # why the program no longer runs: it crashed, tripped or was stopped; the values are those of its last sample
 
     def __getitem__(self, name: str) -> Value:
         return self.values[name]
@@ -35,12 +35,20 @@ class Variables(Requests):
     def __getitem__(self, name: str) -> Value:
         """Read one variable, or one element ``"q[1]"`` of an array, now.
 
+        Warns
+        -----
+        EndedWarning
+            The program crashed, tripped or was stopped: the value is that of its last sample.
+
         Raises
         ------
         VariableError
             No such variable.
         """
-        return self.read([name]).values[name]
+        reading = self.read([name])
+        if reading.ended:
+            warnings.warn(f"{name} is old: {reading.ended}", EndedWarning, stacklevel=2)
+        return reading.values[name]
 
     def __setitem__(self, name: str, value: Any) -> None:
         """Write one variable: it takes effect at the start of the next sample.
@@ -60,10 +68,10 @@ class Variables(Requests):
         names : sequence of str
             Variables, or elements ``"q[1]"``.
 
-        Warns
-        -----
-        StaleValues
-            The program crashed: these are its last values, and ``ended`` says how it ended.
+        Returns
+        -------
+        Reading
+            Its ``ended`` says why the program no longer runs, where it does not.
         """
         if isinstance(names, str):
             names = [names]
@@ -71,8 +79,6 @@ class Variables(Requests):
         values: dict[str, Any] = found.values
         if not _FLOATS.issuperset(map(type, values.values())):
             values = {name: from_wire(value) for name, value in values.items()}
-        if found.ended:
-            warnings.warn(f"these are the last values of a program that no longer runs: {found.ended}", StaleValues, stacklevel=2)
         return Reading(found.tick, values, found.ended)
 
     def write(self, **values: Any) -> int:
@@ -81,7 +87,16 @@ class Variables(Requests):
         return written.sequence
 
     def stage(self, **values: Any) -> dict[str, Any]:
-        """Note values for the next :meth:`update` without sending them; returns all that is staged."""
+        """Note values for the next :meth:`update`, which the target has checked; returns all that is staged.
+
+        Raises
+        ------
+        VariableError
+            Unknown, read only, of another type, outside its limits or NaN; nothing was noted.
+        Refused
+            No program is loaded, so nothing can be checked.
+        """
+        self.link.request("check", {"values": _wire(values)})
         self._staged |= values
         return dict(self._staged)
 
@@ -90,9 +105,10 @@ class Variables(Requests):
         """What is staged."""
         return dict(self._staged)
 
-    def discard(self) -> None:
-        """Forget what is staged."""
-        self._staged.clear()
+    def discard(self) -> dict[str, Any]:
+        """Forget what is staged, and return it."""
+        staged, self._staged = self._staged, {}
+        return staged
 
     def update(self, at_tick: int | None = None, **values: Any) -> int:
         """Apply everything staged, and ``values``, at the start of one sample: all or nothing.
@@ -112,6 +128,14 @@ class Variables(Requests):
         VariableError
             One line per variable that is wrong; nothing was applied, what was staged stays staged.
         """
+        try:
+            return self._update(at_tick, values)
+        except VariableError as error:
+            if self._staged:
+                error.add_note(f"still staged: {', '.join(self._staged)}; discard() (MatDSPdiscard) forgets them")
+            raise
+
+    def _update(self, at_tick: int | None, values: dict[str, Any]) -> int:
         batch = {**self._staged, **values} if self._staged and values else self._staged or values
         if not batch:
             raise VariableError("nothing to update: stage values first, or give them as arguments")

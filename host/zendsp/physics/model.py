@@ -20,6 +20,13 @@ REQUIRED = {
     "urdf": (),
     "python": (),
 }
+PARAMETERS: dict[str, tuple[str, ...] | None] = {  # that a model file may give; None: any, they are the simulator's own
+    "rotary": ("inertia", "gravity"),
+    "linear": ("mass", "gravity"),
+    "planar2r": ("p1", "p2", "p3", "l1", "l2"),
+    "urdf": (),
+    "python": None,
+}
 
 
 @cache

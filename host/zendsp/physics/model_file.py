@@ -4,33 +4,30 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
-from zendsp.errors import ModelError, did_you_mean
+from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import KINDS, REQUIRED, Actuator, Model, Quantity, Sensor, Term
+from zendsp.physics.model import KINDS, PARAMETERS, REQUIRED, Actuator, Model, Quantity, Sensor, Term
+from zendsp.spelling import unknown_keys
 
-LAWS = ("inertia", "coriolis", "viscous", "coulomb")
-
-# What may stand in each table. A key that is not here is refused: a mistyped one would be ignored silently.
-KEYS: dict[str, tuple[str, ...]] = {
-    "": ("name", "description", "sample_time", "mechanism", "effect", "actuator", "sensor", "controller", "columns",
-         "limits"),
-    "[mechanism]": ("kind", "parameters", "file", "entry", "folder"),
-    "[actuator]": ("gain", "limit", "hold", "delay", "matrix", "unit"),
-    "[sensor]": ("position_resolution", "matrix", "offset", "side"),
-    "[controller]": ("kind", "kp", "kd", "ki", "cutoff"),
-    "[columns]": ("time", "position", "command", "reference", "velocity", "current", "temperature", "position_load",
-                  "torque_measured"),
-    "[limits]": ("position", "velocity", "torque"),
+KEYS = {  # of each table, whether this version uses the value or only knows it
+    "": ("name", "sample_time", "mechanism", "effect", "actuator", "sensor", "controller", "columns", "limits"),
+    "mechanism": ("kind", "parameters", "file", "entry", "folder"),
+    "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
+    "sensor": ("position_resolution", "matrix", "offset", "side"),
+    "controller": ("kind", "kp", "kd", "ki", "cutoff"),
+    "columns": (
+        "time", "position", "command", "reference", "velocity", "current", "temperature", "position_load", "torque_measured",
+    ),
+    "limits": ("position",),
 }  # fmt: skip
-# Of [mechanism.parameters] beside REQUIRED; a Python simulator has parameters of its own.
-OPTIONAL = {"rotary": ("gravity",), "linear": ("gravity",), "planar2r": ("l1", "l2"), "urdf": ()}
 QUANTITY = ("value", "free", "unit", "std")
+LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 
 
 class _Reader:
@@ -46,12 +43,10 @@ class _Reader:
             raise self.fail(f"[{key}]", "a table", value)
         return value
 
-    def only(self, where: str, data: Mapping[str, Any], known: Sequence[str]) -> None:
-        """Refuse a key that is not known."""
-        for key in data:
-            if key not in known:
-                place = f"{where} {key}".strip()
-                raise ModelError(f"{self.path}: {place}: no such key; {did_you_mean(key, known)}")
+    def only(self, data: Mapping[str, Any], allowed: Collection[str], where: str) -> None:
+        """Refuse keys that nobody would read."""
+        if said := unknown_keys(data, allowed, f"{self.path}: {where}"):
+            raise ModelError(said)
 
     def number(self, key: str, value: Any, positive: bool = False) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -79,7 +74,7 @@ class _Reader:
 
     def quantities(self, key: str, value: Any) -> tuple[Quantity, ...]:
         table = value if isinstance(value, Mapping) else {"value": value}
-        self.only(key, table, QUANTITY)
+        self.only(table, QUANTITY, key)
         if "value" not in table:
             raise self.fail(key, "{ value = … }", value)
         free = table.get("free", True)
@@ -138,31 +133,34 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         Which key, what was expected, what stands there.
     """
     read = _Reader(path)
-    read.only("", data, KEYS[""])
-    for table, known in KEYS.items():
-        inside = read.table(data, table.strip("[]")) if table else {}
-        if table != "[controller]" or inside.get("kind", "pd") in ("pd", "pid"):
-            read.only(table, inside, known)
+    read.only(data, KEYS[""], "the file")
+    for key, allowed in KEYS.items():
+        if key:
+            read.only(read.table(data, key), allowed, f"[{key}]")
+    for key, column in read.table(data, "columns").items():
+        if not isinstance(column, str) and not (isinstance(column, list) and all(isinstance(name, str) for name in column)):
+            raise read.fail(f"[columns] {key}", "the name of a column, or a list of names", column)
     mechanism = read.table(data, "mechanism")
     kind = mechanism.get("kind")
     if kind not in KINDS:
         raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
+    for key, needed in (("urdf", "file"), ("python", "entry")):
+        if kind == key and not isinstance(mechanism.get(needed), str):
+            raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
+    folder = Path(path).parent / str(mechanism.get("folder", ""))  # of the URDF or the Python module
     parameters = read.table(mechanism, "parameters")
+    known = PARAMETERS[kind]
+    if known is not None:
+        read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
     values = {
         key: read.quantities(f"[mechanism.parameters] {key}", value) for key, value in parameters.items()
     }
-    if kind in OPTIONAL:
-        read.only("[mechanism.parameters]", parameters, (*REQUIRED[kind], *OPTIONAL[kind]))
     for key in REQUIRED[kind]:
         if key not in values:
             raise ModelError(f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs")
         if key in ("inertia", "mass", "p1", "p2") and any(q.value <= 0 for q in values[key]):
             raise read.fail(f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value)
-    for key, needed in (("urdf", "file"), ("python", "entry")):
-        if kind == key and not isinstance(mechanism.get(needed), str):
-            raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
     sample_time = data.get("sample_time")
-    folder = Path(path).parent / str(mechanism.get("folder", ""))  # of the URDF or the Python module
     model = Model(
         name=str(data.get("name", Path(path).stem)),
         sample_time=None if sample_time is None else read.number("sample_time", sample_time, positive=True),
@@ -218,10 +216,10 @@ def _term(read: _Reader, data: Any, joints: int) -> Term:
         raise read.fail("[[effect]]", 'a table with kind = "…"', data)
     effect = get_effect(str(data["kind"]))
     where = f"[[effect]] {effect.name}"
+    read.only(data, ("kind", "joint", *(parameter.name for parameter in effect.parameters)), where)
     joint = data.get("joint", 1)
     if not isinstance(joint, int) or isinstance(joint, bool) or not 1 <= joint <= joints:
         raise read.fail(f"{where} joint", f"1 … {joints}", joint)
-    read.only(where, data, ("kind", "joint", *(parameter.name for parameter in effect.parameters)))
     values: dict[str, Quantity] = {}
     for parameter in effect.parameters:
         raw = data.get(parameter.name)

@@ -21,11 +21,10 @@ import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, CompileFailed, RunnerDied, VariableError, ZendspError
 from zendsp.physics.simulate_plant import Plant
+from zendsp_isr.sources import Source, gather
 
 Array = npt.NDArray[np.float64]
-Source = str | Path | Mapping[str, str]
 
-_INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 _TYPES = {1: ("double *", 8), 2: ("float *", 4), 3: ("int32_t *", 4), 4: ("bool *", 1)}
 _PARAMETER, _SIGNAL, _TABLE = 1, 2, 3
 _CONTINUOUS = 1e-6  # rad or m per count where the model's sensor has no resolution
@@ -97,33 +96,13 @@ def compile_program(program: Source, flags: Sequence[str] = ()) -> Build:
     """
     from zendsp_isr.build import build, source_root
 
-    sources = _gather(program, source_root() / "programs")
+    sources = gather(program)
     encoded = {name: text.encode() for name, text in sources.items()}
     built = build("program", encoded, [source_root() / "include"], flags=tuple(flags))
     if built.path is None:
         lines = [f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}" for m in built.messages if m.severity == "error"]
         raise CompileFailed("\n".join(lines))
     return Build(built.path, sources, built.compiler, tuple(flags))
-
-
-def _gather(program: Source, shipped: Path) -> dict[str, str]:
-    if isinstance(program, Mapping):
-        return dict(program)
-    first = Path(program)
-    if not first.exists() and first.name == str(first):
-        first = shipped / first.name
-    sources: dict[str, str] = {}
-    waiting = [first]
-    while waiting:
-        file = waiting.pop()
-        try:
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise CompileFailed(f"{file}: cannot be read ({error}); give a C file or {{name: text}}") from error
-        sources[file.name] = text
-        beside = (file.parent / name for name in _INCLUDE.findall(text))
-        waiting += [path for path in beside if path.is_file() and path.parent == file.parent and path.name not in sources]
-    return sources
 
 
 def run_program(build: Build, plant: Plant, job: Job, timeout_s: float) -> Outcome:
@@ -323,6 +302,8 @@ class _Session:
             numbers = np.ravel(np.asarray(value, dtype=np.float64))
         except (TypeError, ValueError):
             return [f"{v.name}: {value!r} is not a number"]
+        if entry.type != 4 and np.asarray(value).dtype.kind == "b":
+            return [f"{v.name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"]
         if len(numbers) != v.length:
             return [f"{v.name}: {len(numbers)} numbers given, it has {v.length}"]
         bad = ~((numbers >= entry.minimum) & (numbers <= entry.maximum))

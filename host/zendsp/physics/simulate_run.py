@@ -18,10 +18,11 @@ from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.model_file import load_model, model_text
 from zendsp.physics.simulate_plant import INNER, Plant, joint_count
-from zendsp.physics.simulate_program import Job, Outcome, Source, compile_program, run_program
+from zendsp.physics.simulate_program import Job, Outcome, compile_program, run_program
 from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
+from zendsp_isr.sources import Source
 
 Array = npt.NDArray[np.float64]
 Controller = Callable[[float, Array, Array], npt.ArrayLike]

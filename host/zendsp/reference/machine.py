@@ -16,6 +16,7 @@ from zendsp.errors import ReferenceError_
 from zendsp.reference.core import Array, Reference
 from zendsp.reference.dynamics import Dynamics, make_dynamics
 from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
+from zendsp.spelling import unknown_keys
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
 
@@ -123,8 +124,30 @@ class Machine:
         raise_violations(self.find_violations(reference), self.name)
 
 
+_KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "limits", "parameters")
+_LIMITS = ("position_min", "position_max", "speed", "acceleration", "torque")
+_LINK = ("a", "alpha_deg", "d", "mass", "com", "inertia")
+_PARAMETERS = {
+    "planar2r": ("p1", "p2", "p3", "l1", "l2", "viscous", "coulomb"),
+    "pendulum": ("theta1", "theta2", "theta3", "beta", "viscous", "k_a", "R_a", "supply"),
+    "dh": ("gravity", "coulomb", "viscous", "link"),
+}
+
+
+def _refuse_unknown(data: Mapping[str, Any], origin: str) -> None:
+    parameters = data.get("parameters", {})
+    tables = [(data, _KEYS, "the file"), (data.get("limits", {}), _LIMITS, "[limits]")]
+    if data.get("kind") in _PARAMETERS:
+        tables.append((parameters, _PARAMETERS[data["kind"]], f"[parameters] of kind {data['kind']!r}"))
+        tables += [(link, _LINK, "[[parameters.link]]") for link in parameters.get("link", [])]
+    said = [line for table, allowed, where in tables if (line := unknown_keys(table, allowed, f"{origin}: {where}"))]
+    if said:
+        raise ReferenceError_("\n".join(said))
+
+
 def _parse(data: Mapping[str, Any], origin: str) -> Machine:
     try:
+        _refuse_unknown(data, origin)
         return Machine(
             name=data["name"],
             title=data.get("title", data["name"]),

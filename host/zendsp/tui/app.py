@@ -14,7 +14,6 @@ from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 
 from zendsp.errors import ZendspError
-from zendsp.link.programs import gather
 from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
@@ -24,6 +23,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stopper import with_stop
 from zendsp.tui.workspace import Workspace
+from zendsp_isr.sources import gather, shipped_programs
 
 HELD_S = 5.0  # that keys wait for a dialog that is on its way
 
@@ -261,10 +261,7 @@ class ZendspApp(App[None]):
 
     def examples(self) -> list[Path]:
         """Return the programs that come with zendsp."""
-        from importlib import resources
-
-        folder = Path(str(resources.files("zendsp_isr"))) / "programs"
-        return sorted(folder.glob("*.c"))
+        return shipped_programs()
 
     def toast(self, text: str, level: str = "information") -> None:
         """Show a short message over the screen; brackets of units survive."""

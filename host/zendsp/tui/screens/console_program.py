@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from zendsp.errors import ZendspError
-from zendsp.link.programs import gather
 from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.panels.source import SourceView
 from zendsp.tui.port import Build, Port, Remark, Shot
 from zendsp.tui.runs import store_run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_scope import real
+from zendsp_isr.sources import gather
 
 
 def positive(text: str) -> float:

@@ -1,0 +1,101 @@
+"""Finds control programs: the one way in which every command and every function turns a name into sources."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from zendsp_isr.build import source_root
+from zendsp_protocol.errors import CompileFailed
+
+_INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
+Source = str | Path | Mapping[str, str]
+
+
+def shipped_programs() -> list[Path]:
+    """Return the programs that come with zendsp, sorted.
+
+    Examples
+    --------
+    >>> "pd.c" in [path.name for path in shipped_programs()]
+    True
+    """
+    return sorted((source_root() / "programs").glob("*.c"))
+
+
+def find_program(name: str | Path) -> Path:
+    """Return the file that a name means: a path, or else the shipped program of that bare name.
+
+    Parameters
+    ----------
+    name : str or Path
+
+    Returns
+    -------
+    Path
+        Of a file that exists.
+
+    Raises
+    ------
+    CompileFailed
+        There is neither; the message lists the shipped programs.
+
+    Examples
+    --------
+    >>> find_program("pd.c").is_file()
+    True
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    shipped = shipped_programs()
+    for program in shipped:
+        if str(name) == program.name:
+            return program
+    raise CompileFailed(
+        f"{path}: cannot be read: no such file, and no shipped program; give the path of a C file, or one of "
+        f"{', '.join(program.name for program in shipped)}"
+    )
+
+
+def gather(source: Source) -> dict[str, str]:
+    """Read a program and the headers beside it into a mapping of file name to text.
+
+    Parameters
+    ----------
+    source : path, or mapping of file name to text
+        A path as in :func:`find_program`; a mapping is taken as it is.
+
+    Returns
+    -------
+    dict of str to str
+
+    Raises
+    ------
+    CompileFailed
+        The file does not exist or is no text.
+
+    Examples
+    --------
+    >>> list(gather("pd.c"))
+    ['pd.c']
+    """
+    if isinstance(source, Mapping):
+        return dict(source)
+    path = find_program(source)
+    sources: dict[str, str] = {}
+    waiting = [path]
+    while waiting:
+        file = waiting.pop()
+        try:
+            text = file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise CompileFailed(f"{file}: cannot be read ({error}); give a C file or {{name: text}}") from error
+        sources[file.relative_to(path.parent).as_posix()] = text
+        for name in _INCLUDE.findall(text):
+            header = file.parent / name
+            known = header.relative_to(path.parent).as_posix() if header.is_relative_to(path.parent) else ""
+            if known and known not in sources and header.is_file():
+                waiting.append(header)
+    return sources

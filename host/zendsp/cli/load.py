@@ -1,0 +1,26 @@
+"""``zendsp load``: compile and load a program without starting it."""
+
+from __future__ import annotations
+
+import click
+
+from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.compile import compiled
+
+
+@click.command("load")
+@click.argument("file")
+@click.option("--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated.")
+@target_options
+def command(file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool) -> None:
+    """Compile FILE on the target and load it; nothing moves before 'zendsp run'.
+
+    What ran before ends. Exit status 1 where it does not compile; then what was loaded stays.
+
+    Example:  zendsp load pd.c && zendsp set Kp1=400 && zendsp run
+    """
+    with open_target(target, connect) as t:
+        compiled(lambda: t.download(file, flags), as_json)
+        status = t.status()
+        count = len(t.variables())
+        emit(status, as_json, f"{status.state}: {count} variables; 'zendsp info' lists them, 'zendsp run' starts it")

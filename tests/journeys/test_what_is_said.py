@@ -1,0 +1,153 @@
+"""What zendsp says is what is: a program that trips or crashes at once, values of one that is gone, names that are mistyped."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from journey import Installed
+
+HEAD = '#include "isr.h"\nstatic double a = 1.0;\nstatic bool on;\nstatic double list[3];\n'
+INIT = """void UserInit(void) {
+    PARAMETER(a, 1.0, "V", -10.0, 10.0, ""); PARAMETER(on, 0, "", 0, 1, ""); PARAMETER(list, 0, "", NO_MIN, NO_MAX, "");
+}
+void UserBackground(void) {}
+"""
+TRIPS = HEAD + INIT + "void UserISR_INT2(void) { a = 2.0; WRITE_TORQUE(0, 0.0 / (a - 2.0)); }\n"
+CRASHES = HEAD + INIT + "void UserISR_INT2(void) { *(volatile int *)8 = 1; }\n"
+RUNS = HEAD + INIT + "void UserISR_INT2(void) {}\n"
+
+
+@pytest.fixture
+def user(installed: Installed) -> Installed:
+    """A user with a target, and programs that trip, crash and run."""
+    for name, text in (("trips.c", TRIPS), ("crashes.c", CRASHES), ("runs.c", RUNS)):
+        installed.write(name, text)
+    installed.target("imi")
+    return installed
+
+
+def test_run_says_that_the_program_tripped_at_its_first_sample(user: Installed) -> None:
+    said = user.run("run", "trips.c")
+    assert said.returncode == 1 and "running" not in said.stdout, said
+    assert "tripped" in said.stderr and "sample" in said.stderr and "zendsp drive acknowledge" in said.stderr
+    other = user.run("get", "a", "--json")  # whatever talks to the target says so; JSON stays clean
+    assert json.loads(other.stdout)["ended"] and other.returncode == 0
+    assert other.stderr.count("tripped") == 1 and len(other.stderr.splitlines()) == 1
+    timed = user.run("run", "--seconds", "0.1")
+    assert timed.returncode != 0 and "acknowledge" in timed.stderr
+    assert user.run("drive", "acknowledge").stderr == ""
+    again = user.run("run", "--seconds", "0.1")
+    assert again.returncode == 1 and "tripped" in again.stderr
+
+
+def test_run_says_that_the_program_crashed_and_reading_it_says_so(user: Installed) -> None:
+    said = user.run("run", "crashes.c")
+    assert said.returncode == 1 and "running" not in said.stdout, said
+    assert "crashed" in said.stderr and "SIGSEGV" in said.stderr and "zendsp run" in said.stderr
+    read = user.run("get", "a")
+    assert "a = 1" in read.stdout and "crashed" in read.stderr
+    script = user.script(
+        "import warnings, zendsp\n"
+        "with zendsp.connect('imi') as t, warnings.catch_warnings(record=True) as told:\n"
+        "    warnings.simplefilter('always')\n"
+        "    assert t['a'] == 1.0 and 'crashed' in str(told[0].message), told\n"
+        "    assert 'crashed' in t.read(['a']).ended and 'crashed' in t.read(['a']).ended\n"
+        "    t.download('runs.c'); t.start()\n"
+        "    assert t.read(['a']).ended == '' and t.read(['a']).ended == '' and t['a'] == 1.0 and len(told) == 1\n"
+        "    t.stop(); t.wait()\n"
+        "    assert 'STOP' in t.read(['a']).ended\n"
+    )
+    assert script.returncode == 0, script.stderr
+
+
+def test_load_loads_without_starting(user: Installed) -> None:
+    said = user.run("load", "pd.c")
+    assert said.returncode == 0, said.stderr
+    state = json.loads(user.run("info", "--json").stdout)["status"]
+    assert state["state"] == "loaded" and state["tick"] == 0
+    assert user.run("set", "Kp1=1500").returncode == 0
+    said = user.run("run")
+    assert said.returncode == 0 and "running" in said.stdout, said.stderr
+    assert "Kp1 = 1500" in user.run("get", "Kp1").stdout
+
+
+def test_true_is_no_number_on_any_way(user: Installed) -> None:
+    user.run("run", "runs.c")
+    for pair in ("a=true", "list=[true,true,true]", "list=[1.0,true,2.0]"):
+        for options in ((), ("--no-wait",)):
+            said = user.run("set", pair, *options)
+            assert said.returncode == 2 and "true" in said.stderr.lower(), (pair, options, said)
+    assert user.run("set", "on=true", "a=2").returncode == 0
+    script = user.script(
+        "import numpy as np, zendsp\n"
+        "with zendsp.connect('imi') as t:\n"
+        "    t['a'] = 3.0; t.update(a=4.0); t.update(a=np.float64(5.0), on=np.bool_(True))\n"
+        "    for way in (lambda v: t.__setitem__('a', v), lambda v: t.update(a=v), lambda v: t.stage(a=v), lambda v: t.update(10**9, a=v)):\n"
+        "        for value in (True, np.bool_(False)):\n"
+        "            try: way(value)\n"
+        "            except zendsp.errors.VariableError as e: assert 'not a number' in str(e), e\n"
+        "            else: raise SystemExit('taken')\n"
+        "    t['a'] = 3; t.update(a=4); assert t.staged == {}\n"
+    )
+    assert script.returncode == 0, script.stderr
+
+
+def test_a_mistyped_name_is_told_from_the_names_there_are(user: Installed) -> None:
+    user.run("run", "pd.c")
+    said = user.run("get", "Kp9")
+    assert said.returncode == 2
+    assert "did you mean Kp" in said.stderr and "13 parameters" in said.stderr and "zendsp info" in said.stderr
+    script = user.script(
+        "import zendsp\n"
+        "t = zendsp.connect('imi')\n"
+        "try: t.Kp1 = 123\n"
+        "except AttributeError as e: assert 'target[\"Kp1\"] = 123' in str(e), e\n"
+        "else: raise SystemExit('taken')\n"
+        "try: t.Kp1\n"
+        "except AttributeError as e: assert 'target[\"Kp1\"]' in str(e), e\n"
+        "assert not hasattr(t, 'nonsense')\n"
+        "t.close()\n"
+    )
+    assert script.returncode == 0, script.stderr
+
+
+def test_a_mistyped_name_does_not_block_matdsp(user: Installed) -> None:
+    script = user.script(
+        "from zendsp.matdsp import *\n"
+        "from zendsp.errors import VariableError\n"
+        "MatDSPconnect('imi'); MatDSPdownload('pd.c'); MatDSPstart()\n"
+        "MatDSPvariable('Kp1', 450.0)\n"
+        "for name, value in (('Kpp1', 1.0), ('Kp1', 1e9), ('Kp1', float('nan')), ('q1', 1.0), ('Kp1', True)):\n"
+        "    try: MatDSPvariable(name, value)\n"
+        "    except VariableError as e: assert name in str(e)\n"
+        "    else: raise SystemExit(f'{name} = {value} taken')\n"
+        "MatDSPupdate(); assert MatDSPvariable('Kp1') == 450.0\n"
+        "MatDSPvariable('Kp1', 460.0); assert MatDSPdiscard() == {'Kp1': 460.0} and MatDSPdiscard() == {}\n"
+        "MatDSPvariable('Kp1', 470.0); MatDSPdownload('runs.c'); MatDSPstart()\n"
+        "try: MatDSPupdate()\n"
+        "except VariableError as e: assert 'MatDSPdiscard' in ''.join(e.__notes__)\n"
+        "MatDSPdiscard(); MatDSPvariable('a', 2.0); MatDSPupdate(); assert MatDSPvariable('a') == 2.0\n"
+        "MatDSPclose()\n"
+    )
+    assert script.returncode == 0, script.stderr
+
+
+def test_one_way_to_name_a_program(user: Installed) -> None:
+    for command in (("compile", "nonsense.c"), ("load", "nonsense.c"), ("run", "nonsense.c"), ("tui", "--source", "nonsense.c"),
+                    ("simulate", "nonsense.c", "--model", "m.toml")):  # fmt: skip
+        user.write("m.toml", '[mechanism]\nkind = "rotary"\n[mechanism.parameters]\ninertia = 1.0\n[columns]\nposition = "q"\n')
+        said = user.run(*command)
+        assert said.returncode == 2 and "nonsense.c" in said.stderr and "pd.c" in said.stderr, (command, said)
+    resolved = user.script("from zendsp.cli.tui import found\nprint(found('pd.c'))")
+    assert resolved.stdout.strip().endswith("programs/pd.c"), resolved.stderr
+
+
+def test_a_mistyped_key_of_a_model_is_refused(user: Installed) -> None:
+    text = '[mechanism]\nkind = "rotary"\n[mechanism.parameters]\ninertia = 1.0\n[actuator]\ndealy = 0.004\n[columns]\ntime = "t"\nposition = "q"\n'
+    user.write("bench.toml", text)
+    user.write("run.csv", "t,q\n" + "".join(f"{k / 1000},{k % 7}\n" for k in range(1000)))
+    said = user.run("diagnose", "run.csv", "--model", "bench.toml")
+    assert said.returncode == 2
+    for word in ("bench.toml", "[actuator]", "dealy", "did you mean delay", "limit"):
+        assert word in said.stderr, said.stderr
