@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import random
+import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 from journey import Installed
+from proxy import Proxy
 
 CUTS = 12  # of the short version
 PROGRAM = """#include "isr.h"
@@ -18,14 +21,13 @@ void UserISR_INT2(void) {}
 void UserBackground(void) {}
 """
 HOST = r"""
-import json, sys
+import json, sys, threading, time
 import zendsp
-port, count = int(sys.argv[1]), float("inf")
+port = int(sys.argv[1])
 told, unknown, k = [], [], 0
 with zendsp.connect("cut", connect=f"tcp/127.0.0.1:{port}") as t:
     t.download("a.c"); t.start()
     print("ready", flush=True)
-    import threading
     over = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.readline(), over.set()), daemon=True).start()
     while not over.is_set():
@@ -37,7 +39,6 @@ with zendsp.connect("cut", connect=f"tcp/127.0.0.1:{port}") as t:
                 t.write(a=float(k)); told.append((k, -1))
         except zendsp.errors.ZendspError as error:
             unknown.append((k, f"{type(error).__name__}: {error}"))
-    import time
     time.sleep(0.1)
     log = [(c.new, c.tick) for c in t.log() if c.name == "a"]
 print(json.dumps({"told": told, "unknown": unknown, "log": log}))
@@ -46,10 +47,6 @@ print(json.dumps({"told": told, "unknown": unknown, "log": log}))
 
 def cut_links(host: list[str], folder: Path, env: dict[str, str], port: int, cuts: int, seed: int = 1) -> dict[str, int]:
     """Cut the link of a host that updates without a pause; returns counts: cuts, updates, lost, doubled, unknown, wrong samples."""
-    import subprocess
-
-    from proxy import Proxy
-
     proxy = Proxy(("127.0.0.1", port))
     draw = random.Random(seed)
     process = subprocess.Popen(
@@ -80,7 +77,7 @@ def cut_links(host: list[str], folder: Path, env: dict[str, str], port: int, cut
         "updates": len(told),
         "lost": sum(k not in ticks for k, _ in told),
         "doubled": len(applied) - len(set(applied)),
-        "late": sum(b < a for a, b in zip(applied, applied[1:], strict=False)),
+        "late": sum(b < a for a, b in pairwise(applied)),
         "unknown": len(found["unknown"]),
         "wrong": sum(tick not in (-1, ticks.get(k)) for k, tick in told),
     }
