@@ -273,9 +273,9 @@ class Link:
         return self._alive.is_set()
 
     def _meet(self) -> None:
-        """Learn which run of the target has come back."""
+        """Learn which run of the target has come back; with a timeout, so that no querier is in use when the link is closed."""
         with contextlib.suppress(ZendspError):
-            self.instance = bytes.fromhex(self.request("info", {}).instance) or self.instance
+            self.instance = bytes.fromhex(self.request("info", {}, VERBS["info"].timeout).instance) or self.instance
 
     def _liveliness(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
