@@ -7,7 +7,6 @@ same identity, as an attachment of the message: the target knows it, and answers
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
 
 # Of every other verb it does not matter how often it is carried out: it reads, or it is STOP, or it names its own place in the data.
 ONCE = frozenset((
@@ -18,32 +17,14 @@ FIRST, AGAIN, SETTLE = 0, 1, 2
 _FORM = struct.Struct(">8sQ8sB")
 
 
-class Stamp(NamedTuple):
-    """What the attachment says.
-
-    Attributes
-    ----------
-    link : bytes
-        8, random: the host's connection.
-    number : int
-        Of the request, rising within the connection.
-    instance : bytes
-        8, random: the run of the target that the host knows; a target that was started again has another.
-    attempt : int
-        ``FIRST``; ``AGAIN``: it was sent before; ``SETTLE``: tell how it ended, and if it did not come, never carry it out.
-    """
-
-    link: bytes
-    number: int
-    instance: bytes
-    attempt: int
-
-
+# link: 8 random bytes, of the host's connection; number: of the request, rising within the connection; instance: 8 random bytes, of the
+# run of the target that the host knows, which is another after each start; attempt: FIRST; AGAIN: it was sent before; SETTLE: tell how
+# it ended, and if it did not come, never carry it out.
 stamp = _FORM.pack  # link, number, instance, attempt
 
 
-def read_stamp(data: bytes) -> Stamp:
-    """Decode an attachment.
+def read_stamp(data: bytes) -> tuple[bytes, int, bytes, int]:
+    """Decode an attachment into link, number, instance and attempt.
 
     Raises
     ------
@@ -51,6 +32,6 @@ def read_stamp(data: bytes) -> Stamp:
         It is none.
     """
     try:
-        return Stamp(*_FORM.unpack(data))
+        return _FORM.unpack(data)  # type: ignore[return-value]
     except struct.error as error:
         raise ValueError(f"an attachment of a request has {_FORM.size} bytes, not {len(data)}; see docs/protocol.md") from error

@@ -16,7 +16,7 @@ from zendsp_target import endpoints as listening
 from zendsp_target.admission import Doors, access_control, settle
 from zendsp_target.api import RuntimeApi
 from zendsp_target.endpoints import Security
-from zendsp_target.registration import check_free, register, unregister, users_file
+from zendsp_target.registration import check_free, own_folder, register, unregister, users_file
 from zendsp_target.server import Server
 from zendsp_target.service import identity
 
@@ -87,6 +87,7 @@ class Monitor:
 
 
 def _open(options: Options, doors: Doors) -> tuple[Any, list[str]]:
+    own_folder()  # that of its socket
     access = access_control(options.name, doors, options.connect)
     for attempt in range(TRIES):
         chosen = listening.with_free_ports(doors.endpoints)

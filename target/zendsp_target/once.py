@@ -10,10 +10,13 @@ from typing import Any
 
 from zendsp_protocol import codec
 from zendsp_protocol.errors import LinkError, NotApplied
-from zendsp_protocol.once import FIRST, SETTLE, Stamp, read_stamp
+from zendsp_protocol.once import FIRST, SETTLE, read_stamp
 
 LINKS = 256  # connections that are remembered; the one that was quiet longest goes first
 RESULTS = 256  # of one connection: many times what its threads can have under way
+
+
+Ticket = tuple[bytes, int]  # connection and number of a request
 
 
 @dataclass
@@ -38,7 +41,7 @@ class Once:
         self._lock = threading.Lock()
         self._links: OrderedDict[bytes, _Memory] = OrderedDict()
 
-    def begin(self, data: bytes, who: Any) -> tuple[Stamp | None, bytes | None]:
+    def begin(self, data: bytes, who: Any) -> tuple[Ticket | None, bytes | None]:
         """Enter a request.
 
         Parameters
@@ -50,16 +53,15 @@ class Once:
 
         Returns
         -------
-        Stamp or None
+        Ticket or None
             It is new: carry it out, then call :meth:`finish`.
         bytes or None
             Otherwise its reply; None: it is being carried out.
         """
         try:
-            stamp = read_stamp(data)
+            link, number, instance, attempt = read_stamp(data)
         except ValueError as error:
             return None, codec.encode_error(LinkError(str(error)))
-        link, number, instance, attempt = stamp
         if attempt != FIRST and instance != self.instance:
             return None, codec.encode_error(LinkError(
                 "the target was started again while the link was broken: whether the request was applied before cannot be known, "
@@ -80,26 +82,27 @@ class Once:
                     known = results[number] = codec.encode_error(NotApplied("the request did not arrive in time: it was not applied, and will not be"))
                     return None, known
                 results[number] = []
-                return stamp, None
+                return (link, number), None
             if type(known) is list:
                 known.append(who)
                 return None, None
             assert isinstance(known, bytes)
             return None, known
 
-    def finish(self, stamp: Stamp, reply: bytes | bytearray) -> list[Any]:
+    def finish(self, ticket: Ticket, reply: bytes | bytearray) -> list[Any]:
         """Remember the reply of a request that was carried out; returns who asked for it meanwhile."""
+        link, number = ticket
         with self._lock:
-            memory = self._links.get(stamp.link)
+            memory = self._links.get(link)
             if memory is None:  # many others came in the time that it took
                 return []
             results = memory.results
-            waiting = results.get(stamp.number)
-            results[stamp.number] = bytes(reply)
+            waiting = results.get(number)
+            results[number] = bytes(reply)
             if len(results) > RESULTS:
                 oldest = next(iter(results))
                 if type(results[oldest]) is bytes:
                     del results[oldest]
                     memory.forgotten = max(memory.forgotten, oldest)
-                self._links.move_to_end(stamp.link)
+                self._links.move_to_end(link)
             return waiting if type(waiting) is list else []

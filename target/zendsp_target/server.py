@@ -14,7 +14,6 @@ import zenoh
 
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
-from zendsp_protocol.once import Stamp
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.admission import check_role
 from zendsp_target.api import RuntimeApi
@@ -22,6 +21,7 @@ from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
+from zendsp_target.once import Ticket
 from zendsp_target.repeats import Repeats
 from zendsp_target.service import RECORDER, Identity, Service
 
@@ -108,11 +108,11 @@ class Server:
     def _request(self, lane: str, repeats: Repeats | None, query: zenoh.Query) -> None:
         """Answer one request, whatever happens: silence would look like a dead target."""
         reply: bytes | bytearray
-        stamp: Stamp | None = None
+        ticket: Ticket | None = None
         attachment = query.attachment
         if attachment is not None:
-            stamp, known = self.service.once.begin(attachment.to_bytes(), query)
-            if stamp is None:
+            ticket, known = self.service.once.begin(attachment.to_bytes(), query)
+            if ticket is None:
                 if known is not None:
                     self._reply(query, known)
                 return
@@ -136,33 +136,33 @@ class Server:
                 if repeats is not None:
                     repeats.learn(request, verb, args, by)
         except Later as later:
-            self._waiters.submit(self._finish, query, stamp, later.rest)
+            self._waiters.submit(self._finish, query, ticket, later.rest)
             return
         except ZendspError as error:
             reply = codec.encode_error(error)
         except Exception as error:
             log.exception("request on lane %s failed", lane)
             reply = codec.encode_error(error)
-        self._answered(query, stamp, reply)
+        self._answered(query, ticket, reply)
 
     def _special(self, verb: verbs.Verb, args: Any, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
             return send_rows(self.service.runtime, RECORDER, args, query)
         raise LinkError(f"this target does not know the verb {verb.name!r}")
 
-    def _finish(self, query: zenoh.Query, stamp: Stamp | None, rest: Callable[[], Any]) -> None:
+    def _finish(self, query: zenoh.Query, ticket: Ticket | None, rest: Callable[[], Any]) -> None:
         try:
             reply = codec.encode_result(rest())
         except Exception as error:
             reply = codec.encode_error(error)
-        self._answered(query, stamp, reply)
+        self._answered(query, ticket, reply)
 
-    def _answered(self, query: zenoh.Query, stamp: Stamp | None, reply: bytes | bytearray) -> None:
+    def _answered(self, query: zenoh.Query, ticket: Ticket | None, reply: bytes | bytearray) -> None:
         """Reply, also to those who sent the same request again while it was carried out."""
-        if stamp is not None:
-            for again in self.service.once.finish(stamp, reply):
+        self._reply(query, reply)  # first: who waits is spared the rest, and who asks again until then is answered below
+        if ticket is not None:
+            for again in self.service.once.finish(ticket, reply):
                 self._reply(again, reply)
-        self._reply(query, reply)
 
     def _reply(self, query: zenoh.Query, reply: bytes | bytearray) -> None:
         try:

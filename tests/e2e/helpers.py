@@ -90,11 +90,10 @@ def make_certificates(folder: Path) -> None:
 
 
 class Relay:
-    """A TCP relay between host and target that a test can cut and mend."""
+    """A TCP relay between host and target (its port or its socket) that a test can cut and mend."""
 
     def __init__(self, endpoint: str) -> None:
-        address, _, port = endpoint.partition("/")[2].rpartition(":")
-        self._there = (address, int(port))
+        self._there = endpoint.partition("/")[2]
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
         self._pairs: list[socket.socket] = []
@@ -112,7 +111,12 @@ class Relay:
             if not self._open:
                 near.close()
                 continue
-            far = socket.create_connection(self._there)
+            if self._there.startswith("/"):
+                far = socket.socket(socket.AF_UNIX)
+                far.connect(self._there)
+            else:
+                address, _, port = self._there.rpartition(":")
+                far = socket.create_connection((address, int(port)))
             self._pairs += [near, far]
             for a, b in ((near, far), (far, near)):
                 threading.Thread(target=self._pump, args=(a, b), daemon=True).start()

@@ -24,6 +24,7 @@ from zendsp_target.api import (
     Diagnostic,
     Status,
     Timing,
+    Trip,
     Value,
     VariableInfo,
 )
@@ -128,9 +129,10 @@ class FakeRuntime:
         counts = np.zeros(4, dtype=np.int64)
         timing = Timing(self.tick, 0, 0, 1.0, 2, 0.5, 3, counts, counts, np.geomspace(100, 1e6, 5))
         with self.lock:
+            trip = Trip("stop", 0, self.tick, 0.0, 0.0, "STOP") if self.state == "stopped" else None
             return Status(
                 self.state, self.tick, self.tick / 1000, 1000.0, "real", "fake", "fake_machine", 2, self.key,
-                timing, "off", None, self.crash, {"enc": np.zeros(2)},
+                timing, "off", trip, self.crash, {"enc": np.zeros(2)},
             )  # fmt: skip
 
     def variables(self) -> tuple[VariableInfo, ...]:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import random
+import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 from journey import Installed
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
+
+from helpers import relay_to
 
 CUTS = 12  # of the short version
 PROGRAM = """#include "isr.h"
@@ -19,14 +24,12 @@ void UserISR_INT2(void) {}
 void UserBackground(void) {}
 """
 HOST = r"""
-import json, sys
+import json, sys, threading, time
 import zendsp
-port, count = int(sys.argv[1]), float("inf")
 told, unknown, k = [], [], 0
-with zendsp.connect("cut", connect=f"tcp/127.0.0.1:{port}") as t:
+with zendsp.connect("cut", connect=sys.argv[1]) as t:
     t.download("a.c"); t.start()
     print("ready", flush=True)
-    import threading
     over = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.readline(), over.set()), daemon=True).start()
     while not over.is_set():
@@ -38,36 +41,32 @@ with zendsp.connect("cut", connect=f"tcp/127.0.0.1:{port}") as t:
                 t.write(a=float(k)); told.append((k, -1))
         except zendsp.errors.ZendspError as error:
             unknown.append((k, f"{type(error).__name__}: {error}"))
-    import time
     time.sleep(0.1)
     log = [(c.new, c.tick) for c in t.log() if c.name == "a"]
 print(json.dumps({"told": told, "unknown": unknown, "log": log}))
 """
 
 
-def cut_links(host: list[str], folder: Path, env: dict[str, str], port: int, cuts: int, seed: int = 1) -> dict[str, int]:
+def cut_links(host: list[str], folder: Path, env: dict[str, str], endpoint: str, cuts: int, seed: int = 1) -> dict[str, int]:
     """Cut the link of a host that updates without a pause; returns counts: cuts, updates, lost, doubled, unknown, wrong samples."""
-    import subprocess
-
-    from proxy import Proxy
-
-    proxy = Proxy(("127.0.0.1", port))
     draw = random.Random(seed)
-    process = subprocess.Popen(
-        [*host, str(proxy.port)], cwd=folder, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n", process.communicate()[1]
-        for _ in range(cuts):
-            time.sleep(draw.uniform(0.05, 0.3))
-            proxy.cut()
-        time.sleep(2.5)
-        out, error = process.communicate("end\n", timeout=60)
-    finally:
-        process.kill()
-        process.wait()
-        proxy.close()
+    with relay_to(endpoint) as relay:
+        process = subprocess.Popen(
+            [*host, relay.endpoint], cwd=folder, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n", process.communicate()[1]
+            for _ in range(cuts):
+                time.sleep(draw.uniform(0.05, 0.3))
+                relay.cut()
+                relay.mend()
+            time.sleep(2.5)
+            out, error = process.communicate("end\n", timeout=60)
+        finally:
+            process.kill()
+            process.wait()
     assert process.returncode == 0, error
     found = json.loads(out.splitlines()[-1])
     log = [(int(value), tick) for value, tick in found["log"]]
@@ -81,7 +80,7 @@ def cut_links(host: list[str], folder: Path, env: dict[str, str], port: int, cut
         "updates": len(told),
         "lost": sum(k not in ticks for k, _ in told),
         "doubled": len(applied) - len(set(applied)),
-        "late": sum(b < a for a, b in itertools.pairwise(applied)),
+        "late": sum(b < a for a, b in pairwise(applied)),
         "unknown": len(found["unknown"]),
         "wrong": sum(tick not in (-1, ticks.get(k)) for k, tick in told),
     }
@@ -92,7 +91,7 @@ def test_no_change_is_lost_doubled_late_or_unknown_over_cut_links(installed: Ins
     script = installed.write("host.py", HOST)
     installed.target("cut", "imi_planar")
     (found,) = json.loads(installed.run("ls", "--json").stdout)
-    endpoint = next(e for e in found["endpoints"] if e.startswith("tcp/"))
-    counts = cut_links([str(installed.python), str(script)], installed.folder, installed.env, int(endpoint.rpartition(":")[2]), CUTS)
+    (endpoint,) = found["endpoints"]
+    counts = cut_links([str(installed.python), str(script)], installed.folder, installed.env, endpoint, CUTS)
     assert counts["updates"] > 50, counts
     assert {k: v for k, v in counts.items() if k not in ("cuts", "updates")} == dict.fromkeys(("lost", "doubled", "late", "unknown", "wrong"), 0), counts

@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 import zenoh
 
-from zendsp.errors import LinkError, NoAnswer, Refused
+from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
@@ -142,21 +142,23 @@ class Link:
 
     def _once(self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None) -> zenoh.Reply:
         """Have a change carried out once: where the link breaks, the request is sent again, and the target knows it by its stamp."""
-        number = next(self._requests)
-        first = stamp(self._name, number, self.instance, FIRST)
+        number, instance = next(self._requests), self.instance
+        first = stamp(self._name, number, instance, FIRST)
         deadline = time.monotonic() + (timeout or row.timeout)
-        with contextlib.suppress(zenoh.ZError, LinkError):
+        try:
             if querier is not None and timeout is None:
                 return querier.get(payload=payload, attachment=first).recv()
             return self._patient(row, payload, timeout or row.timeout, first)
-        again = stamp(self._name, number, self.instance, AGAIN)
+        except (zenoh.ZError, LinkError):
+            pass  # its request or its reply is lost
+        again = stamp(self._name, number, instance, AGAIN)
         while not self.closed and (left := deadline - time.monotonic()) > 0 and self._alive.wait(left):
             # it may be that the news of a death, or of the lanes of one that is back, is a moment behind
             with contextlib.suppress(LinkError):
                 return self._patient(row, payload, max(left, STEP_S), again)
         if not self.closed and self._alive.is_set():
             with contextlib.suppress(LinkError):
-                return self._patient(row, payload, SETTLE_S, stamp(self._name, number, self.instance, SETTLE))
+                return self._patient(row, payload, SETTLE_S, stamp(self._name, number, instance, SETTLE))
         error = self.silence(row.name, timeout or row.timeout)
         raise type(error)(f"{error}. Whether it was applied cannot be known from here: look at the target when it is back") from None
 
@@ -284,6 +286,11 @@ class Link:
         self._lost.wait(STEP_S)
         return self._alive.is_set()
 
+    def _meet(self) -> None:
+        """Learn which run of the target has come back; with a timeout, so that no querier is in use when the link is closed."""
+        with contextlib.suppress(ZendspError):
+            self.instance = bytes.fromhex(self.request("info", {}, VERBS["info"].timeout).instance) or self.instance
+
     def _liveliness(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
             self._alive.clear()
@@ -297,6 +304,7 @@ class Link:
         self._lost.clear()
         self._alive.set()
         if again:
+            threading.Thread(target=self._meet, name="returned", daemon=True).start()
             for callback in list(self._returned):
                 threading.Thread(target=callback, name="returned", daemon=True).start()
 

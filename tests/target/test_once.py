@@ -1,0 +1,104 @@
+"""A request that changes something is carried out once, however often and in whatever order it arrives."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import pytest
+
+from zendsp_protocol import codec
+from zendsp_protocol.errors import LinkError, NotApplied
+from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
+from zendsp_protocol.verbs import VERBS
+from zendsp_target.once import LINKS, RESULTS, Once
+
+LINK = b"a-link-0"
+YES = codec.encode_result({})
+
+
+def result(reply: bytes | None) -> Any:
+    assert reply is not None
+    return codec.decode_reply(reply, Any)
+
+
+def sent(once: Once, number: int, attempt: int = FIRST, link: bytes = LINK) -> bytes:
+    return stamp(link, number, once.instance, attempt)
+
+
+def test_what_was_carried_out_is_answered_from_memory() -> None:
+    once = Once()
+    new, reply = once.begin(sent(once, 1), None)
+    assert new is not None and reply is None
+    assert once.finish(new, bytearray(YES)) == []
+    for attempt in (AGAIN, SETTLE, FIRST):  # the first may arrive last
+        assert once.begin(sent(once, 1, attempt), None) == (None, YES)
+
+
+def test_who_asks_again_meanwhile_gets_the_same_reply() -> None:
+    once = Once()
+    new, _ = once.begin(sent(once, 1), "first")
+    assert once.begin(sent(once, 1, AGAIN), "second") == (None, None)
+    assert new is not None and once.finish(new, YES) == ["second"]
+
+
+def test_what_did_not_arrive_is_carried_out_when_it_comes_again() -> None:
+    once = Once()
+    new, _ = once.begin(sent(once, 7, AGAIN), None)
+    assert new is not None and new == (LINK, 7)
+
+
+def test_what_was_settled_as_not_applied_is_never_applied() -> None:
+    once = Once()
+    new, reply = once.begin(sent(once, 1, SETTLE), None)
+    assert new is None
+    with pytest.raises(NotApplied, match="not applied, and will not be"):
+        result(reply)
+    assert once.begin(sent(once, 1), None) == (None, reply)  # late
+
+
+def test_a_target_that_was_started_again_says_so_and_does_nothing() -> None:
+    before, now = Once(), Once()
+    assert before.instance != now.instance
+    for attempt in (AGAIN, SETTLE):
+        new, reply = now.begin(sent(before, 1, attempt), None)
+        assert new is None
+        with pytest.raises(LinkError, match=r"started again.*cannot be known"):
+            result(reply)
+    new, _ = now.begin(sent(before, 2), None)  # a new request of a host that came back by itself
+    assert new is not None
+
+
+def test_the_memory_is_bounded_and_what_it_dropped_is_not_done_again() -> None:
+    once = Once()
+    for number in range(1, RESULTS + 11):
+        new, _ = once.begin(sent(once, number), None)
+        assert new is not None
+        once.finish(new, YES)
+    assert once.begin(sent(once, 11, AGAIN), None) == (None, YES)
+    new, reply = once.begin(sent(once, 10, AGAIN), None)
+    assert new is None
+    with pytest.raises(LinkError, match="too old"):
+        result(reply)
+    for k in range(LINKS + 5):
+        new, _ = once.begin(sent(once, 1, link=k.to_bytes(8, "big")), None)
+        assert new is not None
+        once.finish(new, YES)
+    assert len(once._links) == LINKS
+
+
+def test_two_links_do_not_share_numbers() -> None:
+    once = Once()
+    for link, number in itertools.product((b"12345678", b"87654321"), (1, 2)):
+        assert once.begin(sent(once, number, link=link), None)[0] is not None
+
+
+def test_a_malformed_stamp_is_refused() -> None:
+    new, reply = Once().begin(b"short", None)
+    assert new is None
+    with pytest.raises(LinkError, match="25 bytes, not 5"):
+        result(reply)
+
+
+def test_every_verb_that_may_not_be_repeated_is_carried_out_once() -> None:
+    assert set(VERBS) >= ONCE >= {name for name, row in VERBS.items() if not row.repeatable}
