@@ -8,6 +8,7 @@ from zendsp_protocol.errors import (
     ModelError,
     NoAnswer,
     NotApplied,
+    NotStopped,
     RecordingError,
     ReferenceError_,
     Refused,
@@ -15,6 +16,7 @@ from zendsp_protocol.errors import (
     VariableError,
     VersionMismatch,
     ZendspError,
+    did_you_mean,
 )
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "ModelError",
     "NoAnswer",
     "NotApplied",
+    "NotStopped",
     "RecordingError",
     "ReferenceError_",
     "Refused",
@@ -32,4 +35,5 @@ __all__ = [
     "VariableError",
     "VersionMismatch",
     "ZendspError",
+    "did_you_mean",
 ]

@@ -120,9 +120,9 @@ def MatDSPpause() -> None:
     _desk.get().pause()
 
 
-def MatDSPstop() -> None:
-    """STOP: outputs are safe from the next sample on, latched."""
-    _desk.get().stop()
+def MatDSPstop() -> m.Status:
+    """STOP: outputs are safe from the next sample on, latched; raises where the target does not say that it stopped."""
+    return _desk.get().stop()
 
 
 def MatDSPvariable(name: str, value: Any = None, now: bool = False) -> Any:

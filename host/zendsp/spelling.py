@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Mapping
 from typing import Any
+
+from zendsp.errors import did_you_mean
 
 
 def unknown_keys(data: Mapping[str, Any], allowed: Collection[str], where: str) -> str:
@@ -31,7 +32,5 @@ def unknown_keys(data: Mapping[str, Any], allowed: Collection[str], where: str) 
     lines = []
     for key in data:
         if key not in allowed:
-            close = difflib.get_close_matches(key, allowed, 1, 0.6)
-            meant = f"did you mean {close[0]}? Allowed" if close else "allowed"
-            lines.append(f"{where} has no key {key!r}; {meant}: {', '.join(allowed) or 'none'}")
+            lines.append(f"{where} has no key {key!r}; {did_you_mean(key, allowed)}")
     return "\n".join(lines)

@@ -3,6 +3,7 @@
     ZendspError
     ├── LinkError (ConnectionError)        the link: no target, no answer, wrong version
     │   ├── NoAnswer (TimeoutError)
+    │   ├── NotStopped                     STOP was asked and nothing says that the machine stands
     │   │   └── NotApplied          certainly not: it may be sent anew
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
@@ -19,6 +20,33 @@ Every message names what, the value, the limit and what to do next.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
+
+def did_you_mean(name: str, known: Collection[str]) -> str:
+    """Say what somebody who wrote ``name`` probably meant, and what there is.
+
+    Parameters
+    ----------
+    name : str
+        As it was written.
+    known : collection of str
+        What could stand there.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> did_you_mean("dealy", ("gain", "delay"))
+    'did you mean delay? Allowed: gain, delay'
+    """
+    import difflib
+
+    close = difflib.get_close_matches(name, known, 1, 0.6)
+    return f"{f'did you mean {close[0]}? Allowed' if close else 'allowed'}: {', '.join(known) or 'none'}"
+
 
 class ZendspError(Exception):
     """Root of every error that zendsp raises on purpose."""
@@ -30,6 +58,10 @@ class LinkError(ZendspError, ConnectionError):
 
 class NoAnswer(LinkError, TimeoutError):
     """A request was sent and nothing came back in time."""
+
+
+class NotStopped(LinkError):
+    """STOP was asked, and no word came that the machine stopped: use its own emergency stop."""
 
 
 class NotApplied(NoAnswer):

@@ -22,9 +22,19 @@ def check_name(name: str) -> str:
     return name
 
 
-def rpc(target: str, lane: str) -> str:
-    """Requests: one queryable per lane, so that slow work never stands before a STOP."""
-    return f"{ROOT}/{target}/rpc/{lane}"
+def rpc(target: str, lane: str, user: str = "") -> str:
+    """Requests: one queryable per lane, so that slow work never stands before a STOP.
+
+    A host that the target knows by name (password or certificate) asks under that name, and can ask under no other: the
+    target's access control sees to it. A host of the target's own user, through its socket, has none.
+    """
+    return f"{ROOT}/{target}/as/{user}/rpc/{lane}" if user else f"{ROOT}/{target}/rpc/{lane}"
+
+
+def user_of(key: str) -> str:
+    """Name under which a request was sent, empty for the target's own user."""
+    parts = key.split("/")
+    return parts[3] if parts[2] == "as" else ""
 
 
 def alive(target: str = "*") -> str:

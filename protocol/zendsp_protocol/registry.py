@@ -20,6 +20,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     endpoints: list[str]
     machine: str
     protocol: int
+    user: str = ""  # of the token where it listens on a port that other users of this machine can reach
+    password: str = ""
 
 
 def folder(environment: Mapping[str, str] = os.environ) -> str:
@@ -34,6 +36,11 @@ def folder(environment: Mapping[str, str] = os.environ) -> str:
 def file_name(target: str) -> str:
     """File of one target's entry."""
     return f"{target}.json"
+
+
+def socket_name(target: str) -> str:
+    """File of the socket on which a target listens, beside its entry."""
+    return f"{target}.sock"
 
 
 def born(pid: int) -> str:

@@ -11,7 +11,13 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from zendsp_protocol.errors import ZendspError
-from zendsp_target.endpoints import Security, check, check_connect
+from zendsp_target.admission import settle
+from zendsp_target.endpoints import Security
+
+AS_ROOT = (
+    "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
+    "an ordinary user is enough (docs/security.md)"
+)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -30,12 +36,13 @@ def parser() -> argparse.ArgumentParser:
         "--clock", choices=("real", "fast"), default="real", help="fast: as fast as the CPU allows"
     )
     p.add_argument("--listen", action="append", metavar="ENDPOINT",
-                   help="Zenoh endpoint (default: tcp/127.0.0.1:0, a free port on loopback); may be repeated")  # fmt: skip
+                   help="Zenoh endpoint (default: here, a socket that only you can open); may be repeated")  # fmt: skip
     p.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="router to announce to")
     p.add_argument("--tls-cert", default="", metavar="PEM", help="this target's certificate")
     p.add_argument("--tls-key", default="", metavar="PEM", help="this target's private key")
     p.add_argument("--tls-ca", default="", metavar="PEM", help="authority that signs the hosts' certificates")
     p.add_argument("--users", default="", metavar="FILE", help="lines user:password that hosts must know")
+    p.add_argument("--roles", default="", metavar="FILE", help="who may observe, tune, command, download (docs/security.md)")
     p.add_argument("--parent", type=int, default=0, metavar="PID", help="end when this parent process ends")
     p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
                    help="setting of the machine, e.g. its start position; may be repeated")  # fmt: skip
@@ -60,11 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(
         level=logging.DEBUG if args.verbose else logging.WARNING, format="%(levelname)s %(message)s"
     )
-    security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users)
-    listen = args.listen or ["tcp/127.0.0.1:0"]
+    security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users, args.roles)
+    listen = args.listen or []
     try:
-        check(listen, security)  # before the machine is touched
-        check_connect(args.connect, security)
+        settle(args.name or args.machine, listen, args.connect, security)  # before the machine is touched
+        if os.getuid() == 0:
+            print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)
     except (ZendspError, ValueError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)

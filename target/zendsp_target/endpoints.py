@@ -1,7 +1,6 @@
 """Where the target listens, and on what condition; and the Zenoh settings that follow.
 
-Loopback needs nothing. Anything else needs TLS and a way to tell who connects, because a link that moves a machine is
-not for everyone on the network.
+Loopback is for this computer; anything else needs TLS and a way to tell who connects. Who may come in is `admission`'s.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import ipaddress
 import json
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import zenoh
@@ -32,12 +31,16 @@ class Security:
         Certificate of the authority that signs the hosts' certificates: hosts must then show one.
     users : str
         File of lines ``user:password``: hosts must then know one.
+    roles : str
+        TOML file whose table ``[roles]`` gives names of users or certificates their role. Empty: everyone who is let in
+        may do everything.
     """
 
     certificate: str = ""
     key: str = ""
     authority: str = ""
     users: str = ""
+    roles: str = ""
 
     @property
     def encrypted(self) -> bool:
@@ -120,7 +123,10 @@ def with_free_ports(endpoints: Sequence[str]) -> list[str]:
     return chosen
 
 
-def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence[str] = ()) -> zenoh.Config:
+def zenoh_config(
+    endpoints: Sequence[str], security: Security, connect: Sequence[str] = (), access: Mapping[str, object] | None = None,
+    users: str = "",
+) -> zenoh.Config:
     """Settings of the target's session, each for a measured reason.
 
     Parameters
@@ -129,8 +135,12 @@ def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence
         Where to listen.
     connect : sequence of str
         Routers to announce the target to.
+    access : mapping, optional
+        As of `access_control`.
+    users : str
+        File of users and passwords, checked.
     """
-    settings = {
+    settings: dict[str, object] = {
         "mode": "peer",
         "listen/endpoints": list(endpoints),
         "connect/endpoints": list(connect),
@@ -155,8 +165,10 @@ def zenoh_config(endpoints: Sequence[str], security: Security, connect: Sequence
     if security.authority:
         settings["transport/link/tls/root_ca_certificate"] = security.authority
         settings["transport/link/tls/enable_mtls"] = True
-    if security.users:
-        settings["transport/auth/usrpwd/dictionary_file"] = security.users
+    if users:
+        settings["transport/auth/usrpwd/dictionary_file"] = users
+    if access:
+        settings["access_control"] = access
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

@@ -13,9 +13,10 @@ import zenoh
 
 from zendsp_protocol.errors import LinkError, Refused
 from zendsp_target import endpoints as listening
+from zendsp_target.admission import Doors, access_control, settle
 from zendsp_target.api import RuntimeApi
 from zendsp_target.endpoints import Security
-from zendsp_target.registration import check_free, register, unregister
+from zendsp_target.registration import check_free, register, unregister, users_file
 from zendsp_target.server import Server
 from zendsp_target.service import identity
 
@@ -29,7 +30,7 @@ class Options:
 
     name: str
     machine: str
-    listen: Sequence[str] = ("tcp/127.0.0.1:0",)
+    listen: Sequence[str] = ()  # empty: a socket that only this user can open
     connect: Sequence[str] = ()
     security: Security = field(default_factory=Security)
     managed: bool = False  # the safe sequence of the drives cannot be left
@@ -47,14 +48,14 @@ class Monitor:
     """
 
     def __init__(self, runtime: RuntimeApi, options: Options) -> None:
-        listening.check(options.listen, options.security)
-        listening.check_connect(options.connect, options.security)
         who = identity(options.name, options.machine)
         check_free(who.name)
+        doors = settle(who.name, options.listen, options.connect, options.security)
         self._runtime = runtime
-        self._session, self.endpoints = _open(options)
-        self._server = Server(runtime, who, self._session, options.managed)
-        self._entry = register(who.name, self.endpoints, options.machine)
+        self._session, self.endpoints = _open(options, doors)
+        self._server = Server(runtime, who, self._session, options.managed, doors.role_of)
+        self.token = doors.token
+        self._entry = register(who.name, self.endpoints, options.machine, doors.token)
         self._closed = False
 
     def close(self) -> None:
@@ -85,15 +86,17 @@ class Monitor:
             self.close()
 
 
-def _open(options: Options) -> tuple[Any, list[str]]:
+def _open(options: Options, doors: Doors) -> tuple[Any, list[str]]:
+    access = access_control(options.name, doors, options.connect)
     for attempt in range(TRIES):
-        chosen = listening.with_free_ports(options.listen)
+        chosen = listening.with_free_ports(doors.endpoints)
         try:
-            config = listening.zenoh_config(chosen, options.security, options.connect)
-            return zenoh.open(config), chosen
+            with users_file(options.name, doors.users) as users:
+                config = listening.zenoh_config(chosen, options.security, options.connect, access, users)
+                return zenoh.open(config), chosen
         except zenoh.ZError as error:
-            if list(options.listen) == chosen or attempt == TRIES - 1:
-                shown = ", ".join(options.listen)
+            if list(doors.endpoints) == chosen or attempt == TRIES - 1:
+                shown = ", ".join(doors.endpoints)
                 raise LinkError(f"cannot listen on {shown}: {_reason(error)}") from error
     raise Refused("no endpoint was given to --listen")
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -12,7 +14,44 @@ from zendsp_protocol.errors import Refused
 from zendsp_protocol.version import PROTOCOL
 
 
-def register(name: str, endpoints: list[str], machine: str) -> Path:
+def own_folder() -> Path:
+    """The folder of the entries, made where it is not there; it belongs to this user, and nobody else can look into it.
+
+    Raises
+    ------
+    Refused
+        It belongs to someone else, or others may use it.
+    """
+    folder = Path(registry.folder())
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.stat()
+    if found.st_uid != os.getuid():
+        raise Refused(f"{folder} belongs to another user; set ZENDSP_RUNTIME_DIR to a folder of your own")
+    if found.st_mode & 0o077:
+        raise Refused(
+            f"others may use {folder}, where targets of yours are reached: chmod 700 {folder}, or set ZENDSP_RUNTIME_DIR to "
+            "a folder of your own"
+        )
+    return folder
+
+
+@contextmanager
+def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
+    """A file of users and passwords while Zenoh reads it, which only this user can read; an empty name without users."""
+    if not users:
+        yield ""
+        return
+    path = own_folder() / f"{name}.users"
+    path.unlink(missing_ok=True)
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+        file.writelines(f"{user}:{password}\n" for user, password in users.items())
+    try:
+        yield str(path)
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def register(name: str, endpoints: list[str], machine: str, token: tuple[str, str] = ("", "")) -> Path:
     """Write the entry of this process; only this user may read the folder.
 
     Raises
@@ -20,10 +59,7 @@ def register(name: str, endpoints: list[str], machine: str) -> Path:
     Refused
         A target of that name runs already, or the folder belongs to someone else.
     """
-    folder = Path(registry.folder())
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if folder.stat().st_uid != os.getuid():
-        raise Refused(f"{folder} belongs to another user; set ZENDSP_RUNTIME_DIR to a folder of your own")
+    folder = own_folder()
     path = folder / registry.file_name(name)
     check_free(name)
     entry = registry.Entry(
@@ -33,6 +69,8 @@ def register(name: str, endpoints: list[str], machine: str) -> Path:
         endpoints=endpoints,
         machine=machine,
         protocol=PROTOCOL,
+        user=token[0],
+        password=token[1],
     )
     temporary = path.with_suffix(f".{os.getpid()}.part")
     temporary.write_bytes(msgspec.json.encode(entry))

@@ -15,6 +15,7 @@ import zenoh
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
+from zendsp_target.admission import check_role
 from zendsp_target.api import RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
@@ -39,9 +40,15 @@ class Server:
     """Serves one runtime under one name on an open session, until closed."""
 
     def __init__(
-        self, runtime: RuntimeApi, identity: Identity, session: zenoh.Session, managed: bool = False
+        self,
+        runtime: RuntimeApi,
+        identity: Identity,
+        session: zenoh.Session,
+        managed: bool = False,
+        role_of: Callable[[str], str] = lambda _user: verbs.ROLES[-1],
     ) -> None:
         self.name = identity.name
+        self._role_of = role_of
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[int, zenoh.Publisher] = {}
@@ -56,6 +63,7 @@ class Server:
             repeating = lane == "quick"
             answers = [partial(self._request, lane, self.service.repeats(lane) if repeating else None) for _ in range(count)]
             self._serve(keys.rpc(self.name, lane), answers)
+            self._serve(keys.rpc(self.name, lane, "*"), [partial(self._request, lane, None)])
         self._serve(keys.info(self.name), [self._info])
         self._serve(keys.variable(self.name), [self._variable])
         self._thread("pulse", self._pulse)
@@ -113,11 +121,15 @@ class Server:
             if payload is None:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             request = payload.to_bytes()
+            user = "" if repeats is not None else keys.user_of(str(query.key_expr))
             short = None if repeats is None else repeats.answer(request)
             if short is not None:
                 reply = short
             else:
                 verb, args, by = codec.decode_request(request, lane)
+                if user:  # known by name: its role decides, and its name is what the log says
+                    check_role(user, self._role_of(user), verb)
+                    by = by if by.startswith(f"{user}@") else user
                 handler = self.service.handlers.get(verb.name)
                 result = self._special(verb, args, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)

@@ -164,7 +164,7 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert (
-        process.stdout is not None and "target bench listens on tcp/127.0.0.1:" in process.stdout.readline()
+        process.stdout is not None and "target bench listens on unixsock-stream/" in process.stdout.readline()
     )
     with zendsp.connect("bench") as bench:
         assert bench.info.clock == "fast"

@@ -78,6 +78,8 @@ def test_user_code_that_crashes_or_hangs_takes_down_the_runner_only(
         fast.acquire(["n"], seconds=5.0, start=True)
     status = fast.status()
     assert status.state == "crashed" and how in status.crash and "49" in status.crash  # sample 498 or 499
+    with pytest.warns(zendsp.errors.EndedWarning, match=how):
+        assert fast.read(["n"]).ended == status.crash  # its last values, and said to be that
     rec = fast.acquire_load()
     assert np.array_equal(rec["n"], np.arange(1.0, len(rec) + 1)) and len(rec) == 499
     with pytest.raises(RunnerDied):

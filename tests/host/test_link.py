@@ -47,7 +47,7 @@ def test_a_target_is_found_by_name_alone(target: Target) -> None:
         assert again.name == "fake"
     with pytest.raises(LinkError, match="no target named 'other' runs on this machine \\(there runs fake\\)"):
         connect("other")
-    with pytest.raises(LinkError, match=r"no target named 'other' at tcp/.*; there is fake"):
+    with pytest.raises(LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"):
         connect("other", connect=target.link.endpoints[0])
 
 
@@ -307,7 +307,7 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
 
     monitor.close()
     until(lambda: not target.alive, "the end is noticed")
-    with pytest.raises(LinkError, match=r"target 'fake' at tcp/.* is gone: 'status' was not answered"):
+    with pytest.raises(LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"):
         target.status()
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
@@ -339,7 +339,7 @@ def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_ru
 ) -> None:
     assert locate(target.info.name)[1] != ["tcp/elsewhere:7447"]
     monkeypatch.setenv("ZENDSP_CONNECT", "tcp/elsewhere:7447")
-    assert locate(target.info.name) == (target.info.name, ["tcp/elsewhere:7447"])
+    assert locate(target.info.name) == (target.info.name, ["tcp/elsewhere:7447"], None)
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,8 @@ import pytest
 from journey import Installed
 
 DEFAULT = {"imi_planar": "pd.c", "pendulum": "pendulum_track.c", "wam7": "wam_pd_gravity.c"}
-# A step of position is a jump: with the stiff gains of pd.c it asks for more torque than there is. `zendsp rehearse` says so.
 KINDS = {
-    "imi_planar": ("point_to_point", "line", "circle", "lspb", "trapezoid", "triangle", "chirp", "multisine", "prbs"),
+    "imi_planar": ("point_to_point", "line", "circle", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
     "pendulum": ("point_to_point", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
     "wam7": ("point_to_point", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
 }
@@ -29,7 +28,8 @@ with zendsp.local(machine, clock="fast") as target:
             if name in names:
                 target.upload(name, rows)
         target.update(use_table=True, row_rate=round(1 / reference.sample_time))
-        status = target.run_for(min(reference.duration, 12.0) + 2.0, timeout=60)
+        approach = target["approach_time"] if "approach_time" in names else 0.0
+        status = target.run_for(approach + reference.duration + 0.5, timeout=60)
         if status.trip is not None:
             bad.append(f"{kind}: {status.trip.text}")
             target.acknowledge()

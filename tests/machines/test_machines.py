@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from plants import OFF, VELOCITY, Plant, follow
 
-from zendsp.reference import load_machine, make_pinocchio_model
+from zendsp.reference import load_machine
 from zendsp_isr.build import build, machine_names, source_root
 
 Array = np.ndarray  # type: ignore[type-arg]
@@ -41,10 +41,12 @@ def wam() -> Callable[..., Array]:
     return call
 
 
-def test_wam_dynamics_in_c_agree_with_pinocchio_to_1e_9(wam: Callable[..., Array]) -> None:
+def test_wam_dynamics_in_c_agree_with_pinocchio_to_1e_9(
+    wam: Callable[..., Array], wam_of_pinocchio: Any
+) -> None:
     import pinocchio as pin
 
-    model = make_pinocchio_model(load_machine("wam7").parameters)
+    model = wam_of_pinocchio
     data, r = model.createData(), np.random.default_rng(7)
     for _ in range(300):
         q, qd, qdd = r.uniform(-3, 3, 7), r.uniform(-5, 5, 7), r.uniform(-20, 20, 7)

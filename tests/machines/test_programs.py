@@ -240,12 +240,10 @@ def test_wam_follows_the_papers_lspb_with_all_joints_and_gravity_compensation_ma
     assert error[False][1] > 3.0 * error[True][1], "joint 2 carries the arm"
 
 
-def test_gravity_of_the_program_is_pinocchios() -> None:
+def test_gravity_of_the_program_is_pinocchios(wam_of_pinocchio: Any) -> None:
     import pinocchio as pin
 
-    from zendsp.reference import make_pinocchio_model
-
-    model = make_pinocchio_model(load_machine("wam7").parameters)
+    model = wam_of_pinocchio
     data = model.createData()
     with running("wam7", "wam_pd_gravity.c") as runtime:
         out = record(runtime, 0.2, "q", "g")

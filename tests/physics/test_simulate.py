@@ -82,7 +82,7 @@ def test_a_tree_with_slides_skew_axes_and_branches_is_pinocchios_too(tmp_path: P
     link = '<link name="{n}"><inertial><origin xyz="0.1 -0.05 {z}" rpy="0.3 0.2 -0.4"/><mass value="{m}"/><inertia ixx="0.02" iyy="0.03" izz="0.025" ixy="0.001" ixz="-0.002" iyz="0.003"/></inertial></link>'
     joint = '<joint name="j{n}" type="{t}"><parent link="{p}"/><child link="{n}"/><origin xyz="0.2 0.1 -0.3" rpy="0.5 -0.7 0.9"/><axis xyz="{a}"/><limit lower="-2" upper="2" effort="9" velocity="9"/></joint>'
     parts = ['<robot name="tree"><link name="base"/>']
-    for n, parent, kind, axis in (("a", "base", "revolute", "0.6 0 0.8"), ("b", "a", "prismatic", "0 1 0"), ("c", "b", "revolute", "0 0.6 -0.8"), ("d", "a", "revolute", "1 0 0")):
+    for n, parent, kind, axis in (("a", "base", "revolute", "0.6 0 0.8"), ("z", "a", "prismatic", "0 1 0"), ("f", "z", "fixed", "1 0 0"), ("c", "f", "revolute", "0 0.6 -0.8"), ("d", "a", "revolute", "1 0 0")):
         parts += [link.format(n=n, z=0.07, m=1.3), joint.format(n=n, p=parent, t=kind, a=axis)]
     file = tmp_path / "tree.urdf"
     file.write_text("\n".join([*parts, "</robot>"]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,6 @@ from zendsp.reference import (
     load_reference,
     make_circle,
     make_from_file,
-    make_pinocchio_model,
     make_reference,
     plot_reference,
     save_reference,
@@ -154,16 +154,23 @@ def test_plot_has_one_axis_per_quantity_and_the_path_of_a_planar_tip() -> None:
     assert len(plot_reference(make_reference("lspb", pendulum), pendulum).axes) == 4
 
 
-def test_pinocchio_model_of_the_wam_carries_all_of_its_mass() -> None:
+def test_dynamics_of_the_wam_are_pinocchios_to_1e_9(wam_of_pinocchio: Any) -> None:
     import pinocchio as pin
 
-    parameters = load_machine("wam7").parameters
-    model = make_pinocchio_model(parameters)
-    assert pin.computeTotalMass(model) == pytest.approx(sum(link["mass"] for link in parameters["link"]))
-    data = model.createData()
-    # stretched straight up (all joints at zero) the last joint lies 0.55 + 0.3 m above the shoulder
-    pin.forwardKinematics(model, data, np.zeros(7))
-    assert data.oMi[7].translation == pytest.approx([0.0, 0.0, 0.85], abs=1e-12)
+    machine = load_machine("wam7")
+    friction = machine.dynamics.inverse
+    data, still = wam_of_pinocchio.createData(), np.zeros((1, 7))
+    for q, qd, qdd in np.random.default_rng(4).normal(size=(20, 3, 1, 7)):
+        rubs = friction(still, qd, still) - _rnea(pin, wam_of_pinocchio, data, still, qd, still)
+        rigid = machine.dynamics.inverse(q, qd, qdd) - rubs
+        assert np.abs(rigid - _rnea(pin, wam_of_pinocchio, data, q, qd, qdd)).max() < 1e-9
+        tau = machine.dynamics.inverse(q, qd, qdd)[0]
+        assert machine.dynamics.acceleration(q[0], qd[0], tau) == pytest.approx(qdd[0], abs=1e-6)
+    assert np.abs(rubs).max() > 0.01, "the model carries friction too"
+
+
+def _rnea(pin: Any, model: Any, data: Any, *motion: np.ndarray) -> np.ndarray:
+    return np.array([pin.rnea(model, data, *(row[0] for row in motion))])
 
 
 def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -> None:

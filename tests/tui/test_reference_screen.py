@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -145,14 +146,13 @@ def test_saving_checks_the_limits_below_the_screen_as_well(tmp_path: Path) -> No
         save_reference(make_reference("point_to_point", machine, goal=[3.0, 0.0]), tmp_path / "x.mat", machine)
 
 
-def test_the_path_of_a_serial_arm_is_that_of_pinocchio() -> None:
+def test_the_path_of_a_serial_arm_is_that_of_pinocchio(wam_of_pinocchio: Any) -> None:
     import pinocchio as pin
 
-    from zendsp.reference import make_pinocchio_model
     from zendsp.tui.preview import joint_positions
 
     machine = load_machine("wam7")
-    model = make_pinocchio_model(machine.parameters)
+    model = wam_of_pinocchio
     data = model.createData()
     q = np.random.default_rng(3).uniform(-1.5, 1.5, (5, 7))
     places = joint_positions(machine, q)

@@ -26,6 +26,9 @@
 #ifndef MOTION_HALT
 #define MOTION_HALT 0.3 /* s from full speed to rest */
 #endif
+#ifndef MOTION_APPROACH
+#define MOTION_APPROACH 1.0 /* s, initial value of approach_time; longer for a machine whose joints come from far */
+#endif
 #ifndef MOTION_ROWS
 #define MOTION_ROWS 60000 /* 60 s at 1 kHz */
 #endif
@@ -33,7 +36,7 @@
 static table ref, ref_tau;
 static bool use_table, hold;
 static int32_t row_rate, play;
-static double approach_time, approach_speed, cutoff;
+static double approach_time, cutoff;
 
 static double q[N], qd[N];         /* measured, rad and rad/s */
 static double r[N], rd[N], rdd[N]; /* reference */
@@ -43,7 +46,7 @@ static bool playing;
 
 static struct motion {
     bool tabled;    /* use_table, as it was */
-    double last[N], start[N], t0, approach; /* positions one sample ago and at the beginning, and when that was */
+    double last[N], start[N], t0; /* positions one sample ago and at the beginning, and when that was */
     double pace; /* of the reference's time: 1 runs, 0 stands */
     uint32_t seen;
     int32_t played;
@@ -52,8 +55,7 @@ static struct motion {
 static inline void MotionInit(void) {
     PARAMETER(use_table, 1, "", 0, 1, "follow the table ref; 0 holds the position");
     PARAMETER(row_rate, 1000, "1/s", 1, 100000, "rows of ref a second");
-    PARAMETER(approach_time, 1.0, "s", 0.0, 60.0, "time from where the machine stands to the first row");
-    PARAMETER(approach_speed, 2.0, "rad/s", 0.01, 1000.0, "the approach takes longer where a joint would move faster");
+    PARAMETER(approach_time, MOTION_APPROACH, "s", 0.0, 60.0, "time from where the machine stands to the first row");
     PARAMETER(play, 0, "", 0, 2147483647, "any change plays ref again from where the machine stands");
     PARAMETER(cutoff, MOTION_CUTOFF, "Hz", 1.0, 1000.0, "velocity filter");
     TABLE(ref, MOTION_ROWS, N, "rad", "reference positions, one row a step");
@@ -84,8 +86,8 @@ static inline double MotionAt(double t, int32_t j) {
     const double from = motion.start[j];
     if (!use_table || ref.rows == 0)
         return from;
-    const double goal = TableValue(&ref, (t - motion.approach) * row_rate, j); /* before row 0 and after the last: these hold */
-    return from + (motion.approach > 0.0 ? MotionSmooth(t / motion.approach) : 1.0) * (goal - from);
+    const double goal = TableValue(&ref, (t - approach_time) * row_rate, j); /* before row 0 and after the last: these hold */
+    return from + (approach_time > 0.0 ? MotionSmooth(t / approach_time) : 1.0) * (goal - from);
 }
 
 static inline void MotionMeasure(void) {
@@ -100,9 +102,6 @@ static inline void MotionMeasure(void) {
 static inline void MotionBegin(void) {
     for (int32_t j = 0; j < N; j++) /* while the drives are on, from the reference, so that nothing jumps */
         motion.start[j] = !FIRST_SAMPLE && DRIVE_ENABLED ? r[j] : q[j];
-    motion.approach = approach_time;
-    for (int32_t j = 0; j < N && use_table && approach_time > 0.0; j++) /* 15/8: peak of the fifth-order step */
-        motion.approach = fmax(motion.approach, 1.875 * fabs(TableValue(&ref, 0.0, j) - motion.start[j]) / approach_speed);
     motion.t0 = SAMPLE_TIME;
     motion.seen = ref.version;
     motion.played = play;
@@ -125,7 +124,7 @@ static inline void MotionStep(void) {
         MotionBegin();
     const double slowing = MotionPace(), pace = motion.pace;
     const double t = SAMPLE_TIME - motion.t0, h = 1.0 / row_rate;
-    play_time = t - motion.approach;
+    play_time = t - approach_time;
     playing = use_table && ref.rows > 0 && play_time >= 0.0 && play_time <= (ref.rows - 1) * h;
     for (int32_t j = 0; j < N; j++) {
         const double before = MotionAt(t - h, j), after = MotionAt(t + h, j);

@@ -8,6 +8,7 @@
 
 enum { N = 2, ROWS = 60000 }; /* reference of 60 s at 1 kHz */
 #define HALT 0.3              /* s that the reference takes to come to rest */
+#define STEP_SPEED 40.0        /* rad/s; the drives trip at 15 at the latest */
 
 static double Kp1, Kd1, Kp2, Kd2, cutoff;
 static double center1, center2, radius, turn_time, approach_time;
@@ -108,12 +109,18 @@ static void slow_down(void) {
     t0 += (1.0 - pace) * SAMPLE_PERIOD;
 }
 
+/* Speed of the reference from one sample to the next. What is faster than any joint of the arm is a step, and a step has no speed. */
+static double slope(double now, double before) {
+    const double speed = (now - before) / SAMPLE_PERIOD;
+    return fabs(speed) < STEP_SPEED ? speed : 0.0;
+}
+
 static void differentiate(void) {
     const double a = 1.0 - exp(-6.283185307179586 * cutoff * SAMPLE_PERIOD);
     qd1 += a * ((q1 - last_q[0]) / SAMPLE_PERIOD - qd1);
     qd2 += a * ((q2 - last_q[1]) / SAMPLE_PERIOD - qd2);
-    rd1 += a * ((r1 - last_r[0]) / SAMPLE_PERIOD - rd1);
-    rd2 += a * ((r2 - last_r[1]) / SAMPLE_PERIOD - rd2);
+    rd1 += a * (slope(r1, last_r[0]) - rd1);
+    rd2 += a * (slope(r2, last_r[1]) - rd2);
     last_q[0] = q1;
     last_q[1] = q2;
     last_r[0] = r1;

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
+from zendsp.errors import NotStopped, ZendspError
 
 
 @click.command("stop")
@@ -13,12 +14,23 @@ from zendsp.cli.common import emit, open_target, target_options
 def command(acknowledge: bool, target: str, connect: str | None, as_json: bool) -> None:
     """STOP: outputs are safe from the next sample on, and stay so until acknowledged.
 
+    Ends with "stopped, at sample N", or with "NOT STOPPED" and a status other than 0.
+
     Example:  zendsp stop
     """
-    with open_target(target, connect) as t:
-        if acknowledge:
+    if acknowledge:
+        with open_target(target, connect) as t:
             t.acknowledge()
-        else:
-            t.stop()
-        status = t.status()
-        emit(status, as_json, f"{status.state}, drive {status.drive}")
+            status = t.status()
+            emit(status, as_json, f"{status.state}, drive {status.drive}")
+        return
+    from zendsp.link import connect as open_link
+    from zendsp.link.programs import stopped
+
+    try:
+        t = open_link(target, connect)
+    except ZendspError as error:
+        raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
+    with t:
+        status = t.stop()
+        emit(status, as_json, stopped(status))

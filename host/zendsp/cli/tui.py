@@ -72,7 +72,11 @@ def command(
         channels=[name.strip() for name in channels.split(",") if name.strip()],
     )
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # started with nohup, it would look for keys in a terminal that is gone, for ever
-    app.run()
+    app.session.guard_keys()
+    try:
+        app.run()
+    finally:
+        app.session.release_keys()
 
 
 def found(source: str) -> Path:

@@ -10,10 +10,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from typing import IO, Any
+from typing import IO
 
 from zendsp.errors import LinkError
-from zendsp.link.find import CONNECT, local_entries, remote_endpoints
+from zendsp.link.find import CONNECT, local_entries, reach, remote_endpoints
 from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
 from zendsp.link.target import Target
@@ -54,17 +54,22 @@ def connect(
     >>> with zendsp.connect("imi") as target:    # doctest: +SKIP
     ...     target["Kp1"] = 400.0
     """
-    given = credentials or Credentials.from_environment()
-    name, endpoints = locate(name, connect)
+    name, endpoints, own = locate(name, connect)
+
+    def given(own: Credentials | None) -> Credentials:
+        return credentials or own or Credentials.from_environment()
 
     def reopen() -> Link:
-        return Link(*locate(name, connect), given, timeout)
+        _, endpoints, own = locate(name, connect)
+        return Link(name, endpoints, given(own), timeout)
 
-    return Target(Link(name, endpoints, given, timeout), reopen=reopen)
+    return Target(Link(name, endpoints, given(own), timeout), reopen=reopen)
 
 
-def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, list[str]]:
-    """Find name and endpoints of the target meant."""
+def locate(
+    name: str, connect: str | Sequence[str] | None = None
+) -> tuple[str, list[str], Credentials | None]:
+    """Find name and endpoints of the target meant, and what lets its own user in where it runs here."""
     entries = {entry.name: entry for entry in local_entries()}
     endpoints = remote_endpoints(connect)
     if not name and endpoints:
@@ -75,9 +80,9 @@ def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, 
             raise LinkError(f"no target answers at {', '.join(endpoints)}: is it running, and may this host reach it?")
         if len(names) > 1:
             raise LinkError(f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}")
-        return names[0], endpoints
+        return names[0], endpoints, None
     if endpoints:
-        return name, endpoints
+        return name, endpoints, None
     running = ", ".join(entries) or "none"
     if not name:
         if not entries:
@@ -92,7 +97,7 @@ def locate(name: str, connect: str | Sequence[str] | None = None) -> tuple[str, 
             f"no target named {name!r} runs on this machine (there runs {running}). Start one with "
             f"'zendsp target --name {name}', or say where it is with connect= or {CONNECT}"
         )
-    return name, entries[name].endpoints
+    return name, *reach(entries[name])
 
 
 def local(
@@ -144,27 +149,27 @@ def local(
     said = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the target ends)
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
     try:
-        endpoints = _wait_ready(process, said, timeout)
-        link = Link(name, endpoints, Credentials(), timeout)
+        _wait_ready(process, said, timeout)
+        name, endpoints, own = locate(name, [])
+        link = Link(name, endpoints, own or Credentials(), timeout)
         return Target(link, on_close=lambda: _end(process, said))
     except BaseException:
         _end(process, said)
         raise
 
 
-def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: float) -> list[str]:
+def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: float) -> None:
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], timeout)
     line = process.stdout.readline() if ready else b""
     try:
-        where: dict[str, Any] = json.loads(line)
+        json.loads(line)
     except ValueError:
         process.terminate()
         said.seek(0)
         words = said.read().decode(errors="replace").strip()
         why = words or (f"nothing was heard of it within {timeout:g} s" if not ready else "it said nothing")
         raise LinkError(f"the target did not start: {why}") from None
-    return list(where["endpoints"])
 
 
 def _end(process: subprocess.Popen[bytes], said: IO[bytes]) -> None:

@@ -53,6 +53,11 @@ def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
 def local_entries() -> list[registry.Entry]:
     """Targets of this user on this machine whose process lives."""
     entries = []
+    try:
+        if os.stat(registry.folder()).st_uid != os.getuid():
+            return []  # somebody else's: what stands there may lead anywhere
+    except OSError:
+        return []
     for path in sorted(Path(registry.folder()).glob("*.json")):
         try:
             entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
@@ -90,7 +95,8 @@ def discover(
     found: dict[str, Found] = {}
     for entry in local_entries():
         if fnmatch.fnmatchcase(entry.name, pattern):
-            for one in _ask(entry.endpoints, timeout):
+            endpoints, credentials = reach(entry)
+            for one in _ask(endpoints, timeout, credentials):
                 if one.name == entry.name:
                     found[entry.name] = one
     for endpoint in remote_endpoints(connect):
@@ -100,9 +106,17 @@ def discover(
     return [found[name] for name in sorted(found)]
 
 
-def _ask(endpoints: Sequence[str], timeout: float) -> list[Found]:
+def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
+    """Where a target of this user listens for its own user, and what lets it in; None where it asks for what anyone needs."""
+    sockets = [endpoint for endpoint in entry.endpoints if endpoint.startswith("unixsock-stream/")]
+    if sockets or entry.user:
+        return sockets or entry.endpoints, Credentials(user=entry.user, password=entry.password, own=True)
+    return entry.endpoints, None
+
+
+def _ask(endpoints: Sequence[str], timeout: float, credentials: Credentials | None = None) -> list[Found]:
     try:
-        session = open_session(endpoints, Credentials.from_environment(), timeout)
+        session = open_session(endpoints, credentials or Credentials.from_environment(), timeout)
     except LinkError:
         return []
     found = []

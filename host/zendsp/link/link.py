@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import getpass
 import itertools
 import os
 import platform
 import re
+import sys
 import threading
 import time
 import weakref
@@ -28,6 +30,8 @@ _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 _Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
+STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
+END_S = 1.0  # for saying goodbye when the process ends
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
 
 
@@ -54,7 +58,8 @@ class Link:
     ) -> None:
         self.target = target
         self.endpoints = tuple(endpoints)
-        self.author = _author()
+        self.identity = credentials.identity
+        self.author = _author(self.identity)
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
@@ -66,9 +71,10 @@ class Link:
         self._requests = itertools.count(1)
         self._session = open_session(endpoints, credentials, timeout)
         try:
-            self._watch = self._session.liveliness().declare_subscriber(
-                keys.alive(target), self._liveliness, history=True
+            tokens = self._session.liveliness().declare_subscriber(
+                keys.alive(target), zenoh.handlers.FifoChannel(WAITING), history=True
             )
+            self._watch = Listener(tokens, self._liveliness, "alive")
             if not self._alive.wait(timeout):
                 raise LinkError(_not_there(self._session, target, endpoints))
             self._token = self._session.liveliness().declare_token(keys.host(target, self.author))
@@ -76,7 +82,6 @@ class Link:
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
             raise
-        # A process with a live callback never ends unless its session is closed.
         _open_links.add(self)
 
     @property
@@ -131,7 +136,7 @@ class Link:
                 else:
                     reply = self._patient(row, payload, timeout or row.timeout)
             except zenoh.ZError as error:
-                raise self.silence(verb, row.timeout) from error
+                raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
         sample = reply.ok
         return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
 
@@ -208,6 +213,15 @@ class Link:
                     querier.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]
 
+    def disown(self) -> None:
+        """After a fork, in the child: the session belongs to the parent, and its threads are not here.
+
+        Even freeing it would wait for these threads for ever, so it is never freed.
+        """
+        self.closed = True
+        for held in (self._session, self._watch, self._token, self._queriers, self._ready):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
+
     def _row(self, verb: str) -> Verb:
         if self.closed:
             raise LinkError(f"the connection to {self.target!r} is closed")
@@ -226,9 +240,9 @@ class Link:
     def _querier(self, lane: str) -> zenoh.Querier:
         stop = lane == "stop"
         return self._session.declare_querier(
-            keys.rpc(self.target, lane),
+            keys.rpc(self.target, lane, self.identity),
             consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=VERBS["status"].timeout,
+            timeout=STOP_S if stop else VERBS["status"].timeout,
             priority=zenoh.Priority.REAL_TIME if stop else zenoh.Priority.INTERACTIVE_HIGH,
             express=True,
         )
@@ -247,7 +261,7 @@ class Link:
         self._waiting.add(giving_up)
         try:
             replies = self._session.get(
-                keys.rpc(self.target, row.lane),
+                keys.rpc(self.target, row.lane, self.identity),
                 zenoh.handlers.FifoChannel(WAITING),
                 payload=payload,
                 attachment=attachment,
@@ -295,6 +309,34 @@ class Link:
                 threading.Thread(target=callback, name="returned", daemon=True).start()
 
 
+class Listener:
+    """Calls ``take`` with each sample of a subscriber, in a thread that no process ever waits for.
+
+    A Python callback of Zenoh's has a thread that Python joins before anything registered with ``atexit`` runs: a
+    script that does not close its session would never end.
+    """
+
+    def __init__(self, subscriber: zenoh.Subscriber[Any], take: Callable[[zenoh.Sample], None], name: str) -> None:
+        self._subscriber = subscriber
+        threading.Thread(target=_pull, args=(subscriber.handler, take), name=name, daemon=True).start()
+
+    def undeclare(self) -> None:
+        """End it."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:
+    while True:
+        try:
+            sample = samples.recv()
+        except zenoh.ZError:  # undeclared, or its session is closed
+            return
+        try:
+            take(sample)
+        except Exception:  # of a user's callback; the next sample may fare better
+            sys.excepthook(*sys.exc_info())
+
+
 def open_session(endpoints: Sequence[str], credentials: Credentials, timeout: float) -> zenoh.Session:
     """Open a Zenoh session with at least one of ``endpoints``.
 
@@ -328,10 +370,10 @@ def _not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) ->
     return f"no target named {target!r} at {', '.join(endpoints)}; {there}"
 
 
-def _author() -> str:
+def _author(identity: str = "") -> str:
     """Name this connection: user, machine, process, and a number from the second one on; fit for a key."""
     try:
-        user = getpass.getuser()
+        user = identity or getpass.getuser()
     except (KeyError, OSError):  # a container without an entry for its user
         user = str(os.getuid())
     number = next(_numbers)
@@ -341,5 +383,19 @@ def _author() -> str:
 
 @atexit.register
 def _close_all() -> None:
+    """Let go of every target; one that cannot be told (a frozen peer) notices within the lease."""
+    closing = [threading.Thread(target=link.close, daemon=True) for link in list(_open_links)]
+    for thread in closing:
+        thread.start()
+    deadline = time.monotonic() + END_S
+    for thread in closing:
+        thread.join(max(0.0, deadline - time.monotonic()))
+
+
+def _disown_all() -> None:
     for link in list(_open_links):
-        link.close()
+        link.disown()
+    _open_links.clear()
+
+
+os.register_at_fork(after_in_child=_disown_all)

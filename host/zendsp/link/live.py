@@ -15,11 +15,13 @@ import numpy.typing as npt
 import zenoh
 
 from zendsp.errors import LinkError, ZendspError
+from zendsp.link.link import Listener
 from zendsp.link.requests import Requests
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 
 FloatArray = npt.NDArray[np.float64]
+WAITING = 4096  # messages that may wait for the thread that takes them
 BACKLOG = 256  # blocks that an iterator may lag behind before the oldest are dropped
 
 
@@ -64,7 +66,7 @@ class LiveView:
         self._history = history
         self._lock = threading.Condition()
         self._closed = False
-        self._subscriber: zenoh.Subscriber[None] | None = None
+        self._subscriber: Listener | None = None
         self._stream = -1
         self._reset()
         self._open()
@@ -87,7 +89,10 @@ class LiveView:
         self._rows_kept = max(1, round(self._history / opened.sample_time))
         self._rate = self._arguments["decimation"] / opened.sample_time
         self._stream = opened.stream
-        self._subscriber = self._requests.link.session.declare_subscriber(opened.key, self._take)
+        # A ring: a slow callback loses its own oldest rows (counted as lost), and never holds up the link.
+        ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(WAITING)
+        subscriber = self._requests.link.session.declare_subscriber(opened.key, ring)
+        self._subscriber = Listener(subscriber, self._take, "live")
 
     def _reopen(self) -> None:
         """After an outage the target has forgotten this viewer: ask again."""
@@ -96,7 +101,7 @@ class LiveView:
         try:
             if self._subscriber is not None:
                 with contextlib.suppress(zenoh.ZError):  # its session may be gone
-                    self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+                    self._subscriber.undeclare()
             self._open()
         except ZendspError:
             return  # the target lives but has no such program now; the view stays silent
@@ -182,7 +187,7 @@ class LiveView:
         if self._requests.link.closed:
             return
         if self._subscriber is not None:
-            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self._subscriber.undeclare()
         # Gone with the target, or noticed by it when this host's token vanishes.
         with contextlib.suppress(ZendspError):
             self._requests.request("live_close", stream=self._stream)
@@ -218,7 +223,7 @@ class LiveViews(Requests):
         history : float, s
             Kept for :meth:`LiveView.window`.
         callback : callable, optional
-            Called with each :class:`LiveBlock` in a thread of Zenoh's; must be quick.
+            Called with each :class:`LiveBlock` in a thread of the view's own; a slow one loses rows.
         """
         names = [channels] if isinstance(channels, str) else list(channels)
         arguments = {"channels": names, "decimation": decimation, "interval": interval}

@@ -5,13 +5,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from zendsp.errors import CompileFailed, LinkError, RunnerDied
+from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
 from zendsp.link.requests import Requests
 from zendsp_isr.sources import Source, gather
 from zendsp_protocol import messages as m
 
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
+STOPPED_S = 1.0  # for the loop to say that it stopped
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
+
+
+def stopped(status: m.Status) -> str:
+    """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
+    if status.trip is None:
+        what = "no program is loaded" if status.state == "empty" else "the program crashed"
+        return f"stopped: {what}, nothing moves"
+    why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
+    return f"stopped, at sample {status.trip.tick}{why}"
 
 
 class Programs(Requests):
@@ -80,9 +90,32 @@ class Programs(Requests):
         """Pause the program: outputs are safe, variables keep their values."""
         self.request("pause")
 
-    def stop(self) -> None:
-        """STOP: outputs are safe from the next sample on, and stay so until acknowledged on the target."""
-        self.request("stop")
+    def stop(self) -> m.Status:
+        """STOP: outputs are safe from the next sample on, and stay so until acknowledged on the target.
+
+        Returns
+        -------
+        Status
+            Once the loop itself says that it has stopped, with the sample in ``trip.tick``; at once where no program is
+            loaded or it has crashed: then nothing moves.
+
+        Raises
+        ------
+        NotStopped
+            Nothing says so within a second. Use the machine's emergency stop.
+        """
+        begin = time.monotonic()
+        try:
+            self.request("stop")
+            while True:
+                status = self.request("status", timeout=max(0.1, begin + STOPPED_S - time.monotonic()))
+                if status.trip is not None or status.state in ("empty", "crashed"):
+                    return status  # type: ignore[no-any-return]
+                if time.monotonic() > begin + STOPPED_S:
+                    raise LinkError(f"asked, but the loop of {self.link.target!r} goes on or hangs: it is {status.state}")
+                time.sleep(0.002)
+        except ZendspError as error:
+            raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
 
     def acknowledge(self) -> None:
         """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""

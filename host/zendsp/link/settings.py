@@ -33,12 +33,33 @@ class Credentials:
     key: str = ""
     user: str = ""
     password: str = ""
+    own: bool = False  # of a target of this user on this machine, by its entry
+
+    @property
+    def identity(self) -> str:
+        """Name under which the target knows this host: its user, or the common name of its certificate; empty for its own user."""
+        if self.own:
+            return ""
+        return self.user or (common_name(self.certificate) if self.certificate else "")
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Credentials:
         """Read ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``, ``ZENDSP_USER`` and ``ZENDSP_PASSWORD``."""
         names = ("ZENDSP_TLS_CA", "ZENDSP_TLS_CERT", "ZENDSP_TLS_KEY", "ZENDSP_USER", "ZENDSP_PASSWORD")
-        return cls(*(environment.get(name, "") for name in names))
+        authority, certificate, key, user, password = (environment.get(name, "") for name in names)
+        return cls(authority, certificate, key, user, password)
+
+
+def common_name(certificate: str) -> str:
+    """Common name of a certificate (PEM), empty where it has none."""
+    import ssl
+
+    try:
+        decode = ssl._ssl._test_decode_cert  # type: ignore[attr-defined]  # the standard library's only reader of a file
+        subject = decode(certificate)["subject"]
+    except (AttributeError, OSError, ssl.SSLError, KeyError):
+        return ""
+    return next((value for row in subject for name, value in row if name == "commonName"), "")
 
 
 def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: float) -> zenoh.Config:

@@ -7,15 +7,14 @@ measured motion; what is left is inertia_i(t) q̈_i + bias_i(t) = tau_i. Both ar
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
 from zendsp.physics.model import Model
+from zendsp.physics.tree import inverse_dynamics, read_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -65,16 +64,6 @@ def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
     raise ModelError(f"kind = {model.kind!r} has no rigid-body form")
 
 
-@cache
-def _pinocchio(path: str) -> Any:
-    import pinocchio  # imports 0.3 s: only where a URDF is used
-
-    try:
-        return pinocchio, pinocchio.buildModelFromUrdf(path)
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(f"{path}: is not a URDF that Pinocchio reads: {error}") from error
-
-
 def urdf_path(model: Model) -> str:
     """Path of the URDF, relative to the model file.
 
@@ -90,14 +79,17 @@ def urdf_path(model: Model) -> str:
 
 
 def _urdf_bases(model: Model, motion: list[Array]) -> list[Basis]:
-    pin, robot = _pinocchio(urdf_path(model))
-    if robot.nq != robot.nv or robot.nv != len(motion):
-        raise ModelError(f"{model.file}: has {robot.nv} joints, the recording {len(motion)}")
-    data = robot.createData()
+    bodies, gravity = read_urdf(urdf_path(model))
+    joints = len(bodies)
+    if joints != len(motion):
+        raise ModelError(f"{model.file}: has {joints} joints, the recording {len(motion)}")
     q, qd, qdd = (np.ascontiguousarray(np.stack([m[i] for m in motion], axis=1)) for i in range(3))
-    n, joints = q.shape
-    inertia, torque = np.empty((joints, n)), np.empty((joints, n))
-    for k in range(n):
-        torque[:, k] = pin.rnea(robot, data, q[k], qd[k], qdd[k])
-        inertia[:, k] = np.diag(pin.crba(robot, data, q[k]))
-    return [Basis(inertia[i], torque[i] - inertia[i] * qdd[:, i]) for i in range(joints)]
+    torque = inverse_dynamics(bodies, gravity, q, qd, qdd)
+    still, weightless = np.zeros_like(q), np.zeros(3)
+    found = []
+    for i in range(joints):
+        unit = np.zeros_like(q)
+        unit[:, i] = 1.0
+        inertia = inverse_dynamics(bodies, weightless, q, still, unit)[:, i]
+        found.append(Basis(inertia, torque[:, i] - inertia * qdd[:, i]))
+    return found

@@ -96,6 +96,11 @@ static void acquire(void) {
     }
 }
 
+/* Bytes of a host: whoever declares the struct again holds its copy against this. */
+int host_size(void) {
+    return (int)sizeof(host);
+}
+
 /* Load a program and let it declare its variables. Returns the host, whose `problem` is empty when all is well. */
 host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque) {
     host *h = &the_host;

@@ -21,6 +21,7 @@ from zendsp.physics.simulate_native import (
     SimulatorLibrary,
     simulator_library,
 )
+from zendsp.physics.tree import read_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -30,34 +31,18 @@ INNER = 4  # integration steps per sample where nothing else is asked for
 
 @lru_cache(maxsize=16)
 def _tree(path: str, _changed: float) -> tuple[Array, Array]:
-    import pinocchio as pin  # imports 0.3 s: only where a URDF is used
-
-    try:
-        robot = pin.buildModelFromUrdf(path)
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(f"{path}: is not a URDF that Pinocchio reads: {error}") from error
-    if robot.nq != robot.nv:
-        raise ModelError(f"{path}: has a joint of more than one degree of freedom, or a continuous one: use revolute with limits")
-    if robot.nv > MAX_JOINTS:
-        raise ModelError(f"{path}: has {robot.nv} joints; the simulator takes at most {MAX_JOINTS}")
-    rows = np.zeros((robot.nv, TREE_ROW))
-    for k in range(1, robot.njoints):
-        row, joint, placement, body = rows[k - 1], robot.joints[k], robot.jointPlacements[k], robot.inertias[k]
-        name = joint.shortname()
-        motion = np.asarray(joint.createData().S).ravel()
-        if motion.shape != (6,):
-            raise ModelError(f"{path}: joint {robot.names[k]} is {name}; expected revolute or prismatic")
-        slides = bool(np.abs(motion[:3]).max() > 0.5)
-        row[0] = robot.parents[k] - 1
-        row[1] = slides
-        row[2:5] = motion[:3] if slides else motion[3:]
-        row[5:14] = np.asarray(placement.rotation).ravel()
-        row[14:17] = placement.translation
-        row[17], row[18:21] = body.mass, body.lever
-        I = np.asarray(body.inertia)
+    bodies, gravity = read_urdf(path)
+    if len(bodies) > MAX_JOINTS:
+        raise ModelError(f"{path}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}")
+    rows = np.zeros((len(bodies), TREE_ROW))
+    for row, body in zip(rows, bodies, strict=True):
+        row[0], row[1] = body.parent, body.slides
+        row[2:5] = body.axis
+        row[5:14], row[14:17] = body.rotation.ravel(), body.place
+        row[17], row[18:21] = body.mass, body.com
+        I = body.inertia
         row[21:27] = I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
-        row[27] = robot.armature[k - 1]
-    return rows, np.array(robot.gravity.linear, dtype=np.float64)
+    return rows, gravity
 
 
 def tree_of(model: Model) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.extras import need
 from zendsp.proof.draft import Draft
 from zendsp.proof.reality import Run
 
@@ -53,8 +54,8 @@ def write_recording(path: Path, table: dict[str, Any]) -> None:
         ) as raw:  # the header carries the hour of writing; the same seed shall give the same bytes
             raw.write(b"MATLAB 5.0 MAT-file, zendsp.proof".ljust(116))
     elif path.suffix == ".parquet":
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+        pa = need("pyarrow", "parquet", "a Parquet file")
+        pq = need("pyarrow.parquet", "parquet", "a Parquet file")
 
         pq.write_table(pa.table({k: pa.array(v) for k, v in table.items()}), path)
     else:

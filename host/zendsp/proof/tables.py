@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.extras import need
 from zendsp.proof.draft import Array
 
 
@@ -28,8 +29,7 @@ def read_columns(path: Path) -> dict[str, Array]:
         with np.load(path) as file:
             return {k: np.asarray(file[k], float) for k in file.files}
     if path.suffix == ".parquet":
-        import pyarrow.parquet as pq
-
+        pq = need("pyarrow.parquet", "parquet", "a Parquet file")
         return {k: np.asarray(v, float) for k, v in pq.read_table(path).to_pydict().items()}
     if path.suffix == ".csv":
         head = path.open(encoding="utf-8").readline().strip().split(",")

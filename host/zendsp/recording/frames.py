@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from zendsp.errors import RecordingError
+from zendsp.extras import need
 
 if TYPE_CHECKING:
     import pandas
@@ -15,26 +16,21 @@ if TYPE_CHECKING:
 
 def to_pandas(recording: Recording) -> pandas.DataFrame:
     """See :meth:`Recording.to_pandas`."""
-    try:
-        import pandas
-    except ImportError as error:
-        raise RecordingError("to_pandas() needs pandas: pip install 'zendsp[frames]'") from error
-    index = pandas.Index(recording.t, name="t")
-    frame = pandas.DataFrame(recording.data, index=index, columns=list(recording.columns))
+    pd = need("pandas", "frames", "to_pandas()", RecordingError)
+    index = pd.Index(recording.t, name="t")
+    frame: pandas.DataFrame = pd.DataFrame(recording.data, index=index, columns=list(recording.columns))
     frame.attrs["units"] = dict(zip(recording.columns, recording.column_units, strict=True))
     return frame
 
 
 def to_xarray(recording: Recording) -> xarray.Dataset:
     """See :meth:`Recording.to_xarray`."""
-    try:
-        import xarray
-    except ImportError as error:
-        raise RecordingError("to_xarray() needs xarray: pip install 'zendsp[frames]'") from error
+    xr = need("xarray", "frames", "to_xarray()", RecordingError)
     variables = {}
     for channel in recording.channels:
         values = recording[channel.name]
         dims = ("t",) if values.ndim == 1 else ("t", f"{channel.name}_index")
         variables[channel.name] = (dims, values, {"units": channel.unit})
     attributes = {"machine": recording.machine, "sample_time": recording.sample_time, "lost": recording.lost}
-    return xarray.Dataset(variables, coords={"t": ("t", recording.t, {"units": "s"})}, attrs=attributes)
+    dataset: xarray.Dataset = xr.Dataset(variables, coords={"t": ("t", recording.t, {"units": "s"})}, attrs=attributes)
+    return dataset

@@ -1,7 +1,7 @@
 """Planned motions: made from parameters, checked against a machine's limits, saved as the MAT file that Execute plays."""
 
 from zendsp.reference.core import Mode, Reference
-from zendsp.reference.dynamics import make_pinocchio_model, predict_motion
+from zendsp.reference.dynamics import predict_motion
 from zendsp.reference.files import load_reference, save_reference
 from zendsp.reference.kind import Kind, Parameter
 from zendsp.reference.kinds.chirp import make_chirp
@@ -45,7 +45,6 @@ __all__ = [
     "make_line",
     "make_lspb",
     "make_multisine",
-    "make_pinocchio_model",
     "make_point_to_point",
     "make_prbs",
     "make_reference",

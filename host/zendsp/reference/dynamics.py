@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from zendsp.errors import ReferenceError_
+from zendsp.physics.tree import Body, forward_dynamics, inverse_dynamics
 from zendsp.reference.core import Array
 
 G = 9.81  # m/s^2
@@ -75,11 +76,11 @@ class Pendulum:
 
 
 class DHArm:
-    """A serial arm given by standard Denavit–Hartenberg frames; rigid-body terms by Pinocchio."""
+    """A serial arm given by standard Denavit–Hartenberg frames."""
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
-        self.model = make_pinocchio_model(parameters)
-        self.data = self.model.createData()
+        self.bodies = make_bodies(parameters["link"])
+        self.gravity = np.array(parameters["gravity"], dtype=np.float64)
         self.viscous = np.asarray(parameters["viscous"], dtype=np.float64)
         self.coulomb = np.asarray(parameters["coulomb"], dtype=np.float64)
 
@@ -87,59 +88,48 @@ class DHArm:
         return np.asarray(self.viscous * qd + self.coulomb * np.tanh(SIGN_SLOPE * qd))
 
     def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
-        import pinocchio as pin
-
-        rows = [np.array(pin.rnea(self.model, self.data, *row)) for row in zip(q, qd, qdd, strict=True)]
-        return np.array(rows) + self._friction(qd)
+        return inverse_dynamics(self.bodies, self.gravity, q, qd, qdd) + self._friction(qd)
 
     def acceleration(self, q: State, qd: State, tau: State) -> State:
-        import pinocchio as pin
-
         v = np.array(qd, dtype=np.float64)
         free = np.array(tau, dtype=np.float64) - self._friction(v)
-        answer: list[float] = np.array(pin.aba(self.model, self.data, np.array(q, dtype=np.float64), v, free)).tolist()
+        at = np.array(q, dtype=np.float64)
+        answer: list[float] = forward_dynamics(self.bodies, self.gravity, at, v, free).tolist()
         return answer
 
 
-def make_pinocchio_model(parameters: Mapping[str, Any]) -> Any:
-    """A ``pinocchio.Model`` of a serial arm in standard (distal) Denavit–Hartenberg convention.
+def make_bodies(links: Sequence[Mapping[str, Any]]) -> list[Body]:
+    """The links of a serial arm in standard (distal) Denavit–Hartenberg convention.
 
-    Frame k is fixed to link k; joint k turns about z of frame k-1. Pinocchio's joint frame k is frame k-1 turned by
-    q_k, so the constant part Trans(0, 0, d) Trans(a, 0, 0) Rot(x, alpha) of link k places joint k+1 and link k's inertia.
+    Frame k is fixed to link k; joint k turns about z of frame k-1. The constant part
+    Trans(0, 0, d) Trans(a, 0, 0) Rot(x, alpha) of link k places joint k+1 and link k's inertia.
 
     Parameters
     ----------
-    parameters : mapping
-        ``gravity`` (3 numbers, m/s^2) and ``link``: a list of tables with a, alpha_deg, d, mass, com, inertia.
-
-    Returns
-    -------
-    pinocchio.Model
-        Revolute joints joint1 … jointN.
+    links : sequence of mapping
+        Tables with a, alpha_deg, d, mass, com, inertia.
 
     Examples
     --------
     >>> from zendsp.reference import load_machine
-    >>> make_pinocchio_model(load_machine("wam7").parameters).nq
+    >>> len(make_bodies(load_machine("wam7").parameters["link"]))
     7
     """
-    import pinocchio as pin
-
-    model = pin.Model()
-    model.gravity.linear = np.array(parameters["gravity"], dtype=np.float64)
-    placement, parent = pin.SE3.Identity(), 0
-    for k, link in enumerate(parameters["link"], start=1):
-        parent = model.addJoint(parent, pin.JointModelRZ(), placement, f"joint{k}")
+    bodies: list[Body] = []
+    rotation, place, axis = np.eye(3), np.zeros(3), np.array([0.0, 0.0, 1.0])
+    for k, link in enumerate(links):
         alpha = np.deg2rad(link["alpha_deg"])
         # cos and sin of a right angle exactly, so that two builds of the arm agree to the last bits
         c, s = np.round(np.cos(alpha), 15), np.round(np.sin(alpha), 15)
-        rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        placement = pin.SE3(rotation, np.array([link["a"], 0.0, link["d"]]))
+        turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        at = np.array([link["a"], 0.0, link["d"]], dtype=np.float64)
         xx, yy, zz, xy, xz, yz = link["inertia"]
         about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        body = pin.Inertia(link["mass"], np.array(link["com"]), about_com)
-        model.appendBodyToJoint(parent, body, placement)
-    return model
+        com = at + turn @ np.array(link["com"], dtype=np.float64)
+        bodies.append(Body(k - 1, False, axis, rotation, place, float(link["mass"]), com,
+                           turn @ about_com @ turn.T))  # fmt: skip
+        rotation, place = turn, at
+    return bodies
 
 
 def make_dynamics(kind: str, parameters: Mapping[str, Any]) -> Dynamics:

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
+from textual import events
 from textual.app import App, SystemCommand
+from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 
 from zendsp.errors import ZendspError
 from zendsp.tui.actions import ACTIONS, bindings
 from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
+from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.port import Port
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
+from zendsp.tui.stopper import with_stop
 from zendsp.tui.workspace import Workspace
 from zendsp_isr.sources import gather, shipped_programs
+
+HELD_S = 5.0  # that keys wait for a dialog that is on its way
 
 
 class ZendspApp(App[None]):
@@ -76,11 +84,13 @@ class ZendspApp(App[None]):
         self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
+        self._expected = 0.0  # until when keys wait for a dialog
+        self._held: list[events.Key] = []
         self._screens: dict[str, LabScreen] = {}
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
-    def on_mount(self) -> None:
+    async def on_mount(self) -> None:
         from zendsp.tui.screens.console import ConsoleScreen
         from zendsp.tui.screens.execute import ExecuteScreen
         from zendsp.tui.screens.reference import ReferenceScreen
@@ -92,7 +102,9 @@ class ZendspApp(App[None]):
         makers = {"console": ConsoleScreen, "execute": ExecuteScreen, "reference": ReferenceScreen}
         for name, maker in makers.items():
             self.add_mode(name, lambda name=name, maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
-        self.switch_mode(self._first)
+        # All are built before the first picture: none has to be built when its key is pressed.
+        for name in sorted(makers, key=lambda name: name == self._first):
+            await self.switch_mode(name)
         if self._target:
             self.session.connect(self._target)
         elif self._begin:
@@ -105,8 +117,9 @@ class ZendspApp(App[None]):
 
     async def action_stop(self) -> None:
         """STOP."""
-        self.session.stop()
-        self.toast("STOP sent", "warning")
+        stopper = self.session.stopper
+        if stopper is None or not stopper.stop():
+            self.session.stop()
 
     async def action_show(self, name: str) -> None:
         """Show a screen; not while a dialog waits for an answer."""
@@ -125,6 +138,7 @@ class ZendspApp(App[None]):
 
     def action_connect(self) -> None:
         """Choose a target."""
+        self.expect_dialog()
         self.run_worker(self._ask_target, thread=True, exclusive=True, group="discovery")
 
     def _ask_target(self) -> None:
@@ -139,6 +153,7 @@ class ZendspApp(App[None]):
 
     def _offer_targets(self, options: list[Option]) -> None:
         if not options:
+            self.no_dialog()
             self.toast("no target answers, and none can be started here; start one with: zendsp target", "warning")
             return
         self.push_screen(Choose("Connect to", options), self._connect)
@@ -178,7 +193,46 @@ class ZendspApp(App[None]):
 
     def action_acknowledge(self) -> None:
         """Acknowledge a trip."""
+        self.session.acknowledged()
         self.drive("acknowledge", "acknowledge")
+
+    # -- keys -----------------------------------------------------------------------------------------------------------
+
+    def get_driver_class(self) -> type[Driver]:
+        """Read the keys that the process of STOP hands on."""
+        return with_stop(super().get_driver_class(), lambda: self.session.stopper, lambda: self.session.stop())
+
+    def expect_dialog(self) -> None:
+        """Hold back the keys from now on until a dialog is there to take them, for :data:`HELD_S` at the most."""
+        self._expected = time.monotonic() + HELD_S
+
+    def no_dialog(self) -> None:
+        """No dialog comes: what was typed for it is dropped, and never becomes a command."""
+        self._expected = 0.0
+        self._held.clear()
+
+    async def hand_over(self, dialog: Dialog[Any]) -> None:
+        """Hand the dialog what was typed before it was there; later keys wait in this task's queue meanwhile."""
+        self._expected = 0.0
+        dialog.opened = True
+        held, self._held = self._held, []
+        for key in held:
+            await super().on_event(key)
+
+    async def on_event(self, event: events.Event) -> None:
+        """Keep keys for a dialog that is on its way."""
+        if isinstance(event, events.Key) and not event.is_forwarded and self._dialog_comes():
+            self._held.append(event)
+            return
+        await super().on_event(event)
+
+    def _dialog_comes(self) -> bool:
+        screen = self.screen
+        if isinstance(screen, Dialog) and not screen.opened:
+            return True
+        if self._expected and time.monotonic() > self._expected:
+            self.no_dialog()
+        return bool(self._expected)
 
     # -- helpers of the screens -------------------------------------------------------------------------------------------
 

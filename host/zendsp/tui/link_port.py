@@ -13,6 +13,7 @@ import numpy.typing as npt
 from zendsp.errors import CompileFailed, LinkError, RunnerDied, ZendspError
 from zendsp.link import Rehearsal, Target, Trigger, connect, discover, local, rehearse
 from zendsp.link.live import LiveBlock
+from zendsp.link.programs import stopped
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
 from zendsp.tui.port import Build, Remark, Shot, Sink
@@ -127,9 +128,9 @@ class LinkPort:
 
     # -- program ------------------------------------------------------------------------------------------------------
 
-    def stop(self) -> None:
-        """STOP."""
-        self.target.stop()
+    def stop(self) -> str:
+        """STOP; returns how it ended."""
+        return stopped(self.target.stop())
 
     def start(self, ticks: int | None = None) -> None:
         """Start or continue the program."""

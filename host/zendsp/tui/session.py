@@ -1,7 +1,7 @@
 """Talks to the target from threads of its own and keeps the newest snapshot; screens only ever read that.
 
 Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects, the worker does what the
-user asked in order, and STOP has a thread to itself that never stands behind either.
+user asked in order, and STOP has threads to itself that never stand behind either.
 """
 
 from __future__ import annotations
@@ -11,19 +11,30 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from zendsp.errors import LinkError, ZendspError
+from zendsp.errors import LinkError, NotStopped, ZendspError
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.stopper import EMERGENCY, STOPPERS, Stopper
 
 T = TypeVar("T")
+SHOWN_S = 5.0  # at the least, of the word that the machine stopped
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How the last STOP ended, shown on every screen until it is acknowledged or no longer so."""
+
+    state: str  # "asked" | "stopped" | "not stopped"
+    text: str
+    time: float  # of the monotonic clock
 
 
 class Session:
@@ -46,6 +57,9 @@ class Session:
         self._wake = threading.Event()
         self._closing = threading.Event()
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
+        self.verdict: Verdict | None = None
+        self.stopper: Stopper | None = None
+        self._stops: queue.SimpleQueue[Future[str]] = queue.SimpleQueue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
         self._heard = (0, 0, 0.0)  # rows of the history, tick and time when a row last came
@@ -54,6 +68,8 @@ class Session:
             threading.Thread(target=self._poll, name="tui-poller", daemon=True),
             threading.Thread(target=self._work, name="tui-worker", daemon=True),
         ]
+        for number in range(STOPPERS):
+            threading.Thread(target=self._stop, name=f"tui-stop-{number}", daemon=True).start()
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
@@ -78,6 +94,8 @@ class Session:
         with self._lock:
             self._name = name
         self.snapshot = Snapshot(link="connecting", target=name)
+        self.verdict = None
+        self._ready_stopper(name)
         self._wake.set()
 
     def adopt(self, port: Port, name: str) -> None:
@@ -85,8 +103,31 @@ class Session:
         self._drop()
         with self._lock:
             self._name, self._port = name, port
+        self.verdict = None
+        self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
         self._wake.set()
+
+    def guard_keys(self) -> None:
+        """From now on a process of its own reads the keys first and does STOP; see :mod:`zendsp.tui.stopper`."""
+        self.stopper = Stopper(self._told)
+
+    def release_keys(self) -> None:
+        """End the process that reads the keys."""
+        if self.stopper is not None:
+            self.stopper.close()
+
+    def _told(self, state: str, text: str, detail: str = "") -> None:
+        self.verdict = Verdict(state, text, time.monotonic())
+        if state == "stopped":
+            self.events.add(f"STOP: {text}", "warning")
+        elif state == "not stopped":
+            self.events.add(detail, "error")
+        self._wake.set()
+
+    def _ready_stopper(self, name: str) -> None:
+        if self.stopper is not None:
+            self.stopper.want(name)
 
     # -- what the user asks ---------------------------------------------------------------------------------------------
 
@@ -103,24 +144,42 @@ class Session:
             raise LinkError("there is no link to a target; connect with Ctrl+O")
         return port
 
-    def stop(self) -> Future[None]:
-        """STOP: at once, on a thread of its own, past everything that waits."""
-        future: Future[None] = Future()
-        threading.Thread(target=self._stop, args=(future,), name="tui-stop", daemon=True).start()
+    def stop(self) -> Future[str]:
+        """STOP: at once, from any thread, past everything that waits; the verdict tells how it ended."""
+        future: Future[str] = Future()
+        self._stops.put(future)
         return future
 
-    def _stop(self, future: Future[None]) -> None:
-        port = self._port
-        try:
-            if port is None:
-                raise LinkError("STOP not sent: there is no link to a target; use the machine's own emergency stop")
-            port.stop()
-            self.events.add("STOP: velocity mode, zero reference", "warning")
-            future.set_result(None)
-        except Exception as error:
-            self.events.add(f"STOP failed: {error}", "error")
-            future.set_exception(error)
-        self._wake.set()
+    def _stop(self) -> None:
+        while True:
+            future = self._stops.get()
+            port = self._port
+            self._told("asked", "STOP asked: no word yet that it stopped")
+            try:
+                if port is None:
+                    raise NotStopped(f"{EMERGENCY} (there is no link to a target)")
+                text = port.stop()
+            except Exception as error:
+                detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
+                self._told("not stopped", EMERGENCY, detail)
+                future.set_exception(error)
+            else:
+                self._told("stopped", text)
+                future.set_result(text)
+
+    def acknowledged(self) -> None:
+        """Take the word about the last STOP away."""
+        self.verdict = None
+
+    def _judge(self, new: Snapshot, begin: float) -> None:
+        """Correct the verdict by a snapshot that was asked for at ``begin``."""
+        verdict = self.verdict
+        if verdict is None or verdict.state == "asked" or begin < verdict.time:
+            return
+        if verdict.state == "not stopped" and new.trip is not None:
+            self.verdict = Verdict("stopped", f"stopped, at sample {new.trip.tick}", begin)
+        elif verdict.state == "stopped" and new.trip is None and begin > verdict.time + SHOWN_S:
+            self.verdict = None
 
     def watch(self, channels: Sequence[Channel]) -> History:
         """Follow these signals live; returns the history that fills from now on."""
@@ -140,8 +199,10 @@ class Session:
                 try:
                     if self._live_wanted:
                         self._follow(port)
+                    begin = time.monotonic()
                     snapshot = port.snapshot()
                     if self._port is port:
+                        self._judge(snapshot, begin)
                         self._take(replace(snapshot, link="up", target=snapshot.target or name))
                         self._listen(snapshot)
                 except LinkError as error:
@@ -202,6 +263,7 @@ class Session:
                 return
             self._port = port
         self._complaint = ""
+        self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
         self.events.add(f"link to {name} is {'back' if lost else 'up'}", "good")
         self._wake.set()

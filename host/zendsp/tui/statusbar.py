@@ -14,6 +14,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from zendsp.tui.actions import SCREENS
+from zendsp.tui.session import Verdict
 from zendsp.tui.snapshot import Snapshot
 
 STATE_MARKS = {
@@ -120,10 +121,10 @@ class StatusBar(Widget):
                 yield self._line2
             yield StopButton()
 
-    def show(self, snapshot: Snapshot) -> None:
+    def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
         """Paint a snapshot; does nothing while nothing has changed."""
         clock = time.strftime("%H:%M:%S")
-        now = (id(snapshot), clock, self.app.theme)
+        now = (id(snapshot), clock, self.app.theme, verdict)
         if now == self._shown:
             return
         self._shown = now
@@ -134,8 +135,17 @@ class StatusBar(Widget):
         right.append(f" {clock} ", Style(dim=True))
         self._tabs.right = right
         self._tabs.refresh()
-        self._line1.update(self.where(snapshot), layout=False)
-        self._line2.update(self.loop(snapshot), layout=False)
+        where = self.where(snapshot)
+        self._line1.update(where if verdict is None else self.banner(verdict), layout=False)
+        self._line2.update(self.loop(snapshot) if verdict is None else where, layout=False)
+
+    def banner(self, verdict: Verdict) -> Text:
+        """Return the line that says how STOP ended, over the whole width."""
+        c = self.app.theme_variables
+        colour = c["warning"] if verdict.state == "stopped" else c["error"]
+        line = Text(f" ■ {verdict.text} ", Style(bold=True, color=colour, reverse=True), no_wrap=True, overflow="ellipsis")
+        line.pad_right(max(0, self._line1.size.width - line.cell_len))
+        return line
 
     def where(self, s: Snapshot) -> Text:
         """Return the line that names the target, its state and who commands."""

@@ -84,26 +84,34 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
 
 
 def _numbers(path: Path, rows: str, names: list[str], delimiter: str, first_line: int) -> dict[str, Any]:
-    import pyarrow
-    import pyarrow.csv
-
     decimal = "," if delimiter == ";" and "," in rows[:4096] and "." not in rows[:4096] else "."
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
+    text = rows.replace(",", ".") if decimal == "," else rows
     try:
-        table = pyarrow.csv.read_csv(
-            io.BytesIO(rows.encode()),
-            read_options=pyarrow.csv.ReadOptions(column_names=names),
-            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
-            convert_options=pyarrow.csv.ConvertOptions(
-                column_types={name: pyarrow.float64() for name in names},
-                null_values=["", "NaN", "nan", "NA", "null", "-nan"],
-                decimal_point=decimal,
-            ),
+        table = np.loadtxt(
+            io.StringIO(text), delimiter=delimiter, comments=None, quotechar='"', ndmin=2
         )
-    except pyarrow.ArrowInvalid as error:
-        raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
-    return {name: column.to_numpy() for name, column in zip(names, table.columns, strict=True)}
+        if table.shape[1] != len(names):
+            raise ValueError(f"{table.shape[1]} columns where the header names {len(names)}")
+    except ValueError as error:  # empty cells and words for NaN are read one by one
+        try:
+            table = _with_gaps(text, len(names), delimiter)
+        except ValueError:
+            raise _first_fault(path, rows, names, delimiter, decimal, first_line, error) from error
+    return {name: np.ascontiguousarray(table[:, k]) for k, name in enumerate(names)}
+
+
+def _with_gaps(text: str, width: int, delimiter: str) -> Any:
+    """All cells, with NaN for what is empty, ``NA`` or ``null``."""
+    table = []
+    for cells in csv.reader(io.StringIO(text), delimiter=delimiter):
+        if cells and len(cells) != width:
+            raise ValueError(f"{len(cells)} cells")
+        if cells:
+            words = (cell.strip() for cell in cells)
+            table.append([np.nan if word in ("", "NA", "null") else float(word) for word in words])
+    return np.array(table)
 
 
 def _first_fault(

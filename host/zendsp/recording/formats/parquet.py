@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from zendsp.errors import RecordingError
+from zendsp.extras import need
 from zendsp.recording.formats.raw import Raw
 
 if TYPE_CHECKING:
@@ -20,8 +21,7 @@ UNITS = b"zendsp_units"
 
 def write(recording: Recording, circumstances: str, path: Path) -> None:
     """Write ``recording``."""
-    import pyarrow
-    import pyarrow.parquet
+    pyarrow = _pyarrow()
 
     units = dict(zip(recording.columns, recording.column_units, strict=True)) | {"t": "s"}
     names = ["t", *recording.columns]
@@ -35,8 +35,7 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
 
 def read(path: Path) -> Raw:
     """Read any Parquet file; null becomes NaN; columns of lists of equal length become vectors."""
-    import pyarrow
-    import pyarrow.parquet
+    pyarrow = _pyarrow()
 
     try:
         table = pyarrow.parquet.ParquetFile(path).read()
@@ -61,7 +60,12 @@ def read(path: Path) -> Raw:
 
 
 def _is_number(kind: object) -> bool:
-    import pyarrow
+    pyarrow = _pyarrow()
 
     types = pyarrow.types
     return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind))
+
+
+def _pyarrow() -> Any:
+    need("pyarrow.parquet", "parquet", "a Parquet file", RecordingError)
+    return need("pyarrow", "parquet", "a Parquet file", RecordingError)

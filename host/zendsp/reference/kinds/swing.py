@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from zendsp.errors import ReferenceError_
+from zendsp.extras import need
 from zendsp.reference.core import Array, Mode, Reference
 from zendsp.reference.dynamics import G, predict_motion
 from zendsp.reference.kind import Kind, Parameter
@@ -42,7 +43,7 @@ class _Problem:
 
 def _collocate(p: _Problem, beta: float, duration: float | None, guess: dict[str, Array] | None) -> dict[str, Array]:
     """Solve on Radau points with the torque held over each interval; ``duration`` None minimises the time."""
-    import casadi as ca
+    ca = need("casadi", "swing", "the optimal swing", ReferenceError_)
 
     taus = np.append(0.0, ca.collocation_points(DEGREE, "radau"))
     basis = [np.poly1d([1.0]) for _ in taus]

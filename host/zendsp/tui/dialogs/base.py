@@ -27,6 +27,18 @@ class Dialog(ModalScreen[Result | None]):
     """
     BINDINGS = [Binding("escape", "cancel", "Cancel", priority=True)]  # noqa: RUF012
 
+    opened = False  # whether it takes keys already
+
+    def on_screen_resume(self) -> None:
+        """Take what was typed before the dialog was there, once the focus is where it will be."""
+        if not self.opened:
+            self.call_after_refresh(self._ready)
+
+    def _ready(self) -> None:
+        hand_over = getattr(self.app, "hand_over", None)
+        if hand_over is not None:
+            self.app.call_later(hand_over, self)
+
     def on_mount(self) -> None:
         """Keep in sight that STOP works here too."""
         for box in self.query(".box"):

@@ -62,7 +62,7 @@ class LabScreen(Screen[None]):
         if self not in self.app.screen_stack:  # another screen is shown; a dialog over this one is not another screen
             return
         snapshot = self.lab.session.snapshot
-        self.bar.show(snapshot)
+        self.bar.show(snapshot, self.lab.session.verdict)
         fresh = snapshot is not self._pulled
         self._pulled = snapshot
         self.pull(snapshot, fresh)

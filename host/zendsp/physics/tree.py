@@ -1,0 +1,217 @@
+"""Rigid bodies in a tree of joints: read from a URDF, and the torque of a motion (Newton-Euler)."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+
+Array = npt.NDArray[np.float64]
+GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
+
+
+@dataclass(frozen=True)
+class Body:
+    """A moving link with the joint that carries it; vectors in the joint's own frame."""
+
+    parent: int  # -1: the base
+    slides: bool
+    axis: Array
+    rotation: Array  # of the joint's frame at q = 0, in the parent's frame
+    place: Array  # m
+    mass: float  # kg
+    com: Array  # m
+    inertia: Array  # kg m^2, about the centre of mass
+
+
+def inverse_dynamics(
+    bodies: list[Body], gravity: Array, q: Array, qd: Array, qdd: Array
+) -> Array:
+    """Torque of each joint, N m or N, by recursive Newton-Euler; all of shape (n, joints)."""
+    n, joints = q.shape
+    R: list[tuple[Array, Array]] = []
+    W: list[Array] = []
+    WD: list[Array] = []
+    A: list[Array] = []
+    F: list[Array] = []
+    N: list[Array] = []
+    zero = np.zeros((n, 3))
+    for k, b in enumerate(bodies):
+        if b.slides:
+            turn = np.broadcast_to(b.rotation, (n, 3, 3))
+            place = b.place + q[:, k, None] * (b.rotation @ b.axis)
+        else:
+            turn, place = b.rotation @ _turn(b.axis, q[:, k]), np.broadcast_to(b.place, (n, 3))
+        root = b.parent < 0
+        w, wd = (zero, zero) if root else (W[b.parent], WD[b.parent])
+        a = (zero - gravity) if root else A[b.parent]
+        a = a + _cross(wd, place) + _cross(w, _cross(w, place))
+        w, wd, a = (np.einsum("nji,nj->ni", turn, v) for v in (w, wd, a))
+        speed, rate = qd[:, k, None] * b.axis, qdd[:, k, None] * b.axis
+        if b.slides:
+            a = a + rate + 2 * _cross(w, speed)
+        else:
+            wd = wd + rate + _cross(w, speed)
+            w = w + speed
+        centre = a + _cross(wd, b.com) + _cross(w, _cross(w, b.com))
+        force = b.mass * centre
+        R.append((turn, place))
+        W.append(w)
+        WD.append(wd)
+        A.append(a)
+        F.append(force)
+        N.append(wd @ b.inertia + _cross(w, w @ b.inertia) + _cross(b.com, force))
+    torque = np.empty((n, joints))
+    for k in reversed(range(joints)):
+        b = bodies[k]
+        torque[:, k] = (F[k] if b.slides else N[k]) @ b.axis
+        if b.parent >= 0:
+            turn, place = R[k]
+            force = np.einsum("nij,nj->ni", turn, F[k])
+            F[b.parent] = F[b.parent] + force
+            N[b.parent] = N[b.parent] + np.einsum("nij,nj->ni", turn, N[k]) + _cross(place, force)
+    return torque
+
+
+def forward_dynamics(
+    bodies: list[Body], gravity: Array, q: Array, qd: Array, tau: Array
+) -> Array:
+    """Acceleration of each joint in one state; all of shape (joints,)."""
+    joints = len(bodies)
+    at, speed = np.tile(q, (joints + 1, 1)), np.tile(qd, (joints + 1, 1))
+    unit = np.vstack([np.zeros(joints), np.eye(joints)])
+    rows = inverse_dynamics(bodies, gravity, at, speed, unit)
+    return np.asarray(np.linalg.solve((rows[1:] - rows[0]).T, tau - rows[0]))
+
+
+def read_urdf(path: str) -> tuple[list[Body], Array]:
+    """Moving links of a URDF and gravity; a parent before its children, siblings by joint name.
+
+    Links on fixed joints become part of the link that carries them.
+
+    Raises
+    ------
+    ModelError
+        Not a URDF, or a joint that is neither revolute with limits, prismatic nor fixed.
+    """
+    try:
+        robot = ET.parse(Path(path)).getroot()
+        return _read(robot, path), np.array(GRAVITY)
+    except (ET.ParseError, OSError, ValueError, KeyError, AttributeError) as error:
+        raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
+
+
+def _read(robot: ET.Element, path: str) -> list[Body]:
+    if robot.tag != "robot":
+        raise ModelError(f"{path}: is not a URDF: its root is <{robot.tag}>, expected <robot>")
+    links = {str(link.attrib["name"]): link for link in robot.findall("link")}
+    joints = sorted(robot.findall("joint"), key=lambda joint: joint.attrib["name"])
+    children: dict[str, list[ET.Element]] = {name: [] for name in links}
+    carried = set()
+    for joint in joints:
+        parent, child = (joint.find(tag).attrib["link"] for tag in ("parent", "child"))  # type: ignore[union-attr]
+        if parent not in links or child not in links or child in carried:
+            raise ModelError(
+                f"{path}: joint {joint.attrib['name']!r} joins {parent!r} and {child!r}: each must be"
+                " a link of the file, and no link may hang on two joints"
+            )
+        children[parent].append(joint)
+        carried.add(child)
+    roots = [name for name in links if name not in carried]
+    if len(roots) != 1:
+        raise ModelError(f"{path}: has {len(roots)} links without a parent; expected one")
+    bodies: list[Body] = []
+
+    def visit(name: str, index: int, rotation: Array, place: Array) -> None:
+        if index >= 0:
+            bodies[index] = _joined(bodies[index], *_inertial(links[name], rotation, place))
+        for joint in children[name]:
+            kind, child = joint.attrib["type"], joint.find("child").attrib["link"]  # type: ignore[union-attr]
+            turn, at = _origin(joint)
+            turn, at = rotation @ turn, place + rotation @ at
+            if kind == "fixed":
+                visit(child, index, turn, at)
+                continue
+            if kind not in ("revolute", "prismatic"):
+                raise ModelError(
+                    f"{path}: joint {joint.attrib['name']!r} is {kind}: use revolute with limits, prismatic or fixed"
+                )
+            if joint.find("limit") is None or joint.find("mimic") is not None:
+                raise ModelError(f"{path}: joint {joint.attrib['name']!r} needs <limit> and no <mimic>")
+            found = joint.find("axis")
+            axis = _numbers("1 0 0" if found is None else found.attrib["xyz"])
+            length = float(np.linalg.norm(axis))
+            if not length > 0.0:
+                raise ModelError(f"{path}: joint {joint.attrib['name']!r} has an axis of no length")
+            bodies.append(
+                Body(index, kind == "prismatic", axis / length, turn, at, 0.0, np.zeros(3), np.zeros((3, 3)))
+            )
+            visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
+
+    visit(roots[0], -1, np.eye(3), np.zeros(3))
+    if not bodies:
+        raise ModelError(f"{path}: has no joint that moves")
+    return bodies
+
+
+def _joined(b: Body, mass: float, com: Array, inertia: Array) -> Body:
+    total = b.mass + mass
+    if total <= 0.0:
+        return b
+    centre = (b.mass * b.com + mass * com) / total
+    both = _about(b.mass, b.com - centre, b.inertia) + _about(mass, com - centre, inertia)
+    return Body(b.parent, b.slides, b.axis, b.rotation, b.place, total, centre, both)
+
+
+def _about(mass: float, d: Array, inertia: Array) -> Array:
+    return np.asarray(inertia + mass * (float(d @ d) * np.eye(3) - np.outer(d, d)))
+
+
+def _inertial(link: ET.Element, rotation: Array, place: Array) -> tuple[float, Array, Array]:
+    found = link.find("inertial")
+    if found is None:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    turn, at = _origin(found)
+    turn = rotation @ turn
+    i = {key: float(value) for key, value in found.find("inertia").attrib.items()}  # type: ignore[union-attr]
+    xy, xz, yz = (i.get(key, 0.0) for key in ("ixy", "ixz", "iyz"))
+    own = np.array([[i["ixx"], xy, xz], [xy, i["iyy"], yz], [xz, yz, i["izz"]]])
+    mass = float(found.find("mass").attrib["value"])  # type: ignore[union-attr]
+    return mass, place + rotation @ at, turn @ own @ turn.T
+
+
+def _origin(element: ET.Element) -> tuple[Array, Array]:
+    found = element.find("origin")
+    words = {} if found is None else found.attrib
+    r, p, y = _numbers(words.get("rpy", "0 0 0"))
+    turn = np.eye(3)
+    for axis, angle in (((0, 0, 1), y), ((0, 1, 0), p), ((1, 0, 0), r)):
+        turn = turn @ _turn(np.array(axis, dtype=np.float64), np.array([angle]))[0]
+    return turn, _numbers(words.get("xyz", "0 0 0"))
+
+
+def _numbers(text: str) -> Array:
+    values = np.array([float(word) for word in text.split()])
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise ValueError(f"{text!r} is not three numbers")
+    return values
+
+
+def _turn(axis: Array, angle: Array) -> Array:
+    """Rotation matrices, shape (n, 3, 3), about a unit axis."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + s * cross + (1.0 - c) * (cross @ cross))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """As ``np.cross`` of rows of three; on few rows it takes a third of the time."""
+    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    u, v, w = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)

@@ -1,0 +1,32 @@
+"""What the tests of several rooms share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zendsp.reference import load_machine
+
+
+@pytest.fixture
+def wam_of_pinocchio() -> Any:
+    """The seven-joint arm as a ``pinocchio.Model``, built from its Denavit-Hartenberg table."""
+    import pinocchio as pin
+
+    parameters = load_machine("wam7").parameters
+    model = pin.Model()
+    model.gravity.linear = np.array(parameters["gravity"], dtype=np.float64)
+    placement, parent = pin.SE3.Identity(), 0
+    for k, link in enumerate(parameters["link"], start=1):
+        parent = model.addJoint(parent, pin.JointModelRZ(), placement, f"joint{k}")
+        alpha = np.deg2rad(link["alpha_deg"])
+        c, s = np.round(np.cos(alpha), 15), np.round(np.sin(alpha), 15)
+        rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        placement = pin.SE3(rotation, np.array([link["a"], 0.0, link["d"]]))
+        xx, yy, zz, xy, xz, yz = link["inertia"]
+        about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        body = pin.Inertia(link["mass"], np.array(link["com"]), about_com)
+        model.appendBodyToJoint(parent, body, placement)
+    return model

@@ -1,0 +1,129 @@
+"""However a host ends, its process is gone within 2 s and the policy of the target acts."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+from journey import Installed, until
+
+GONE_S = 2.0
+SPARE_S = 3.0  # for a machine that is busy with everything else
+ENDINGS = {
+    "end": "",
+    "exception": "raise RuntimeError('by the user')",
+    "sys.exit": "import sys; sys.exit(3)",
+    "os._exit": "import os; os._exit(0)",
+    "ctrl-c": "time.sleep(60)",
+    "terminate": "time.sleep(60)",
+    "kill": "time.sleep(60)",
+    "a forked child first": "import os; os.fork() or sys.exit(0); os.wait()",
+    "workers": "import multiprocessing; multiprocessing.get_context('fork').Pool(2).map(abs, [1, -2])",
+}
+SIGNALS = {"ctrl-c": signal.SIGINT, "terminate": signal.SIGTERM, "kill": signal.SIGKILL}
+OPENINGS = {
+    "connect": "t = zendsp.connect('imi')",
+    "local": "t = zendsp.local('imi_planar')",
+    "view": "t = zendsp.connect('imi'); v = t.live(['tick'], callback=lambda block: None); w = t.live(['tick'])",
+    "matdsp": "from zendsp.matdsp import MatDSPconnect, MatDSPvariable; t = MatDSPconnect('imi'); MatDSPvariable('Kp1')",
+}
+COMMANDING = """
+import sys, time, zendsp
+t = zendsp.connect('imi')
+t.take_command(); t.acknowledge(); t.start()
+view = t.live(['q'], callback=lambda block: None)
+while not view.received: time.sleep(0.01)
+print('moves', flush=True)
+"""
+PREPARE = """
+import zendsp
+with zendsp.connect('imi') as t:
+    t.download('pd.c')
+"""
+LOOK = """
+import json, zendsp
+with zendsp.connect('imi') as t:
+    s = t.status()
+    print(json.dumps([s.state, s.trip.reason if s.trip else '']))
+"""
+
+
+def _finish(process: subprocess.Popen[str], ending: str) -> float:
+    """Wait for the end of a script that has said its last word; return how long it took."""
+    begin = time.monotonic()
+    if ending in SIGNALS:
+        os.kill(process.pid, SIGNALS[ending])
+    try:
+        process.wait(GONE_S + SPARE_S)
+    except subprocess.TimeoutExpired:
+        pytest.fail(f"{ending}: the process is still there after {GONE_S + SPARE_S:g} s")
+    return time.monotonic() - begin
+
+
+@pytest.mark.parametrize("opening", OPENINGS)
+def test_a_script_ends_however_it_ends(installed: Installed, opening: str) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    running = {}
+    for number, (name, ending) in enumerate(ENDINGS.items()):
+        text = f"import sys, time, zendsp\n{OPENINGS[opening]}\nprint('ready', flush=True)\n{ending}\n"
+        running[name] = installed.start("python", installed.write(f"s{number}.py", text))
+    for name, process in running.items():
+        assert process.stdout is not None
+        assert "ready" in process.stdout.readline(), name
+    for name, process in running.items():
+        _finish(process, name)
+    if opening == "local":
+        until(lambda: installed.run("ls").stdout.count("imi_planar-") == 0, "all that were started here have ended", 5.0)
+
+
+def test_the_policy_acts_however_the_commanding_script_ends(installed: Installed) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    for number, (name, ending) in enumerate(ENDINGS.items()):
+        process = installed.start("python", installed.write(f"c{number}.py", COMMANDING + ending + "\n"))
+        assert process.stdout is not None
+        assert "moves" in process.stdout.readline(), name
+        _finish(process, name)
+        seen: list[object] = []
+
+        def acted(seen: list[object] = seen) -> bool:
+            seen[:] = json.loads(installed.script(LOOK).stdout)
+            return seen == ["stopped", "host lost"]
+
+        until(acted, f"{name}: the policy acts", 5.0)
+
+
+def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
+    text = "import zendsp\ndef test_one():\n    t = zendsp.local('imi_planar')\n    t.download('pd.c')\n    t.live(['tick'])\n"
+    installed.write("test_mine.py", text + "def test_two():\n    zendsp.local('imi_planar'); assert False\n")
+    process = installed.start("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py")
+    said, _ = process.communicate(timeout=40)
+    assert "1 failed, 1 passed" in said
+
+
+def test_a_notebook_kernel_ends_and_its_target_with_it(installed: Installed) -> None:
+    pytest.importorskip("nbclient")
+    text = """
+import nbformat
+from nbclient import NotebookClient
+cells = ["import zendsp; t = zendsp.local('imi_planar'); t.download('pd.c'); v = t.live(['tick'])", "t.status().state"]
+notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
+client = NotebookClient(notebook, timeout=40, kernel_name="python3")
+with client.setup_kernel():
+    for number, cell in enumerate(notebook.cells):
+        client.execute_cell(cell, number)
+    pid = client.km.provisioner.pid
+print(notebook.cells[1].outputs[0]["data"]["text/plain"])
+"""
+    spec = installed.folder / ".local/share/jupyter/kernels/python3"
+    spec.mkdir(parents=True)
+    command = [str(installed.python), "-m", "ipykernel_launcher", "-f", "{connection_file}"]
+    (spec / "kernel.json").write_text(json.dumps({"argv": command, "display_name": "p", "language": "python"}))
+    done = installed.script(text)
+    assert "'loaded'" in done.stdout, done.stdout + done.stderr
+    until(lambda: "imi_planar-" not in installed.run("ls").stdout, "the kernel's target has ended", 5.0)

@@ -1,0 +1,97 @@
+"""Everyday work needs no extra; where one is needed, the refusal names it with its pip line."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from journey import Installed
+
+MODELS = Path(__file__).parents[2] / "examples" / "models"
+BLOCKED = ("casadi", "pyarrow", "pinocchio", "pin", "pandas", "xarray", "mujoco", "distributed",
+           "dask", "pooch", "pysindy", "sysidentpy", "textual_serve", "sklearn")  # fmt: skip
+BLOCKER = f"""
+import sys
+
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {BLOCKED!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Blocker())
+"""
+
+SLOW = ("--period", "10", "--f-max", "0.9", "--periods", "1")
+RECORD = """
+import sys, zendsp
+from pathlib import Path
+machine, program = sys.argv[1:]
+rec = zendsp.simulate(program, f"{machine}.toml", reference="motion.mat",
+                      channels=["measured", "plant_torque"])
+names = {"measured": "q", "plant_torque": "tau"}
+rec.save("raw.csv")
+lines = Path("raw.csv").read_text().splitlines()[1:]
+for old, new in names.items():
+    lines[0] = lines[0].replace(old, new)
+Path("run.csv").write_text("\\n".join(lines))
+"""
+
+
+@pytest.fixture
+def slim(installed: Installed) -> Installed:
+    """The installed wheel where the packages of every extra are missing."""
+    folder = installed.folder / "blocked"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(BLOCKER)
+    installed.env["PYTHONPATH"] = str(folder)
+    blocked = installed.script("import pinocchio")
+    assert "No module named 'pinocchio'" in blocked.stderr
+    return installed
+
+
+def test_the_demo_and_an_experiment_need_no_extra(slim: Installed) -> None:
+    demo = slim.run("demo", "--effect", "ripple", "--seed", "1")
+    assert demo.returncode == 0, demo.stdout + demo.stderr
+    made = slim.run("experiment", "pendulum-electrical")
+    assert made.returncode == 0, made.stdout + made.stderr
+
+
+def test_the_link_records_a_csv_and_refuses_parquet_by_name(slim: Installed) -> None:
+    slim.target("imi")
+    assert slim.run("run", "pd.c", "-t", "imi").returncode == 0
+    for name in ("run.csv", "run.mat"):
+        got = slim.run("acquire", "q", "--seconds", "0.1", "--out", name, "-t", "imi")
+        assert got.returncode == 0, got.stderr
+    read = "import zendsp; print(len(zendsp.Recording.load('run.csv')))"
+    assert int(slim.script(read).stdout) >= 50
+    refused = slim.script("import zendsp; zendsp.Recording.load('run.csv').save('run.parquet')")
+    assert "a Parquet file needs pyarrow: pip install 'zendsp[parquet]'" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("machine", "program", "amplitude"),
+    [
+        ("imi_planar", "pd.c", "0.05"),
+        ("pendulum", "pendulum_track.c", "0.5"),
+        ("wam7", "wam_pd_gravity.c", "0.05"),
+    ],
+)
+def test_a_shipped_machine_is_simulated_and_diagnosed(
+    slim: Installed, machine: str, program: str, amplitude: str
+) -> None:
+    for file in MODELS.glob(f"{machine}.*"):
+        shutil.copy(file, slim.folder)
+    plan = ("reference", "multisine", "--machine", machine, "--out", "motion.mat")
+    planned = slim.run(*plan, "--amplitude", amplitude, *SLOW)
+    assert planned.returncode == 0, planned.stderr
+    made = slim.script(RECORD, machine, program)
+    assert made.returncode == 0, made.stderr
+    said = slim.run("diagnose", "run.csv", "--model", f"{machine}.toml", "--jobs", "1")
+    assert said.returncode == 0, said.stdout + said.stderr
+
+
+def test_the_optimal_swing_is_refused_with_its_pip_line(slim: Installed) -> None:
+    refused = slim.run("reference", "swing", "--machine", "pendulum", "--out", "swing.mat")
+    assert refused.returncode != 0
+    assert "the optimal swing needs casadi: pip install 'zendsp[swing]'" in refused.stderr

@@ -1,0 +1,116 @@
+"""Who may come in: what decides it is refused where it would let in everybody."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from zendsp_protocol.errors import Refused
+from zendsp_protocol.verbs import ROLES, VERBS
+from zendsp_target.admission import Doors, access_control, check_role, read_roles, read_users, settle
+from zendsp_target.endpoints import Security
+from zendsp_target.registration import own_folder, users_file
+
+
+def write(path: Path, text: str) -> str:
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "names no user; an empty file would let everybody in"),
+        ("\n", "line 1: expected user:password"),
+        ("anna\n", "line 1: expected user:password"),
+        ("anna:\n", "line 1: expected user:password"),
+        (":secret\n", "line 1: expected user:password"),
+        ("anna:secret\nbo", "line 2: expected user:password"),
+        ("anna:secret\nbo:sec", "was the file cut off"),
+        ("anna:secret\nanna:other\n", "stands there twice"),
+        ("an/na:secret\n", "line 1: expected user:password"),
+        ("owner:secret\n", "is the target's own"),
+    ],
+)
+def test_a_users_file_that_is_empty_cut_or_doubtful_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(Refused, match=words):
+        settle("imi", [], [], Security(users=write(tmp_path / "users", text)))
+
+
+def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Refused, match="cannot be read"):
+        read_users(str(tmp_path / "none"))
+    assert read_users(write(tmp_path / "users", "anna:secret\nbo:x:y\n")) == {"anna": "secret", "bo": "x:y"}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "expected a table"),
+        ("[roles]\n", "expected a table"),
+        ('[roles]\nanna = "tuna"\n', "did you mean tune"),
+        ('[roles]\nowner = "tune"\n', "owner"),
+        ("[roles\n", "cannot be read"),
+    ],
+)
+def test_a_roles_file_that_says_nothing_clear_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(Refused, match=words):
+        read_roles(write(tmp_path / "roles.toml", text))
+
+
+def test_a_roles_file_that_others_may_write_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\n')
+    os.chmod(path, 0o666)
+    with pytest.raises(Refused, match="others may write it"):
+        read_roles(path)
+    os.chmod(path, 0o644)
+    assert read_roles(path) == {"anna": "tune"}
+
+
+def test_every_verb_needs_a_role() -> None:
+    assert [verb.name for verb in VERBS.values() if verb.role not in ROLES] == []
+
+
+@pytest.mark.parametrize("verb", VERBS.values(), ids=lambda verb: verb.name)
+def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: object) -> None:
+    needed = ROLES.index(verb.role)  # type: ignore[attr-defined]
+    for role in ("", *ROLES):
+        allowed = verb.name == "stop" or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
+        if allowed:
+            check_role("anna", role, verb)  # type: ignore[arg-type]
+        else:
+            with pytest.raises(Refused, match="anna has"):
+                check_role("anna", role, verb)  # type: ignore[arg-type]
+
+
+def test_who_is_in_no_list_has_no_role() -> None:
+    doors = Doors((), roles={"anna": "tune"})
+    assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == ("tune", "", "download")
+
+
+def test_a_loopback_port_needs_a_token_that_only_this_user_can_read(tmp_path: Path) -> None:
+    doors = settle("imi", ["tcp/127.0.0.1:0"], [], Security())
+    user, password = doors.token
+    assert doors.users == {user: password} and len(password) == 48
+    with users_file("imi", doors.users) as path:
+        assert os.stat(path).st_mode & 0o777 == 0o600
+    assert not os.path.exists(path)
+    assert access_control("imi", doors)["default_permission"] == "deny"
+
+
+def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(tmp_path: Path) -> None:
+    files = Security("one.pem", "one.key", "ca.pem")
+    with pytest.raises(Refused, match="every user of this computer"):
+        settle("imi", ["tls/0.0.0.0:7447", "tcp/127.0.0.1:0"], [], files)
+    assert settle("imi", ["tls/0.0.0.0:7447", "here"], [], files).token == ("", "")
+
+
+def test_a_folder_that_others_may_use_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_to_all = tmp_path / "open"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o755)
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(open_to_all))
+    with pytest.raises(Refused, match="chmod 700"):
+        own_folder()

@@ -1,0 +1,72 @@
+"""Which bytes of a terminal are STOP, and which are not; and keys typed before their dialog is there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Future
+
+import pytest
+from textual.pilot import Pilot
+
+from zendsp.tui import stopper
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Choose
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+F9 = b"\x1b[20~"
+
+
+def _stops(*parts: bytes, web: bool = False) -> bool:
+    keys = stopper.keys_of(web)
+    return any(stopper.is_stop(key) for part in parts for key in keys(part))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [(F9,), (b"\x1b[2", b"0~"), (b"\x1b\x1b[20~",), (b"\x1b[20;2~",), (b"\x1b[20;1:1~",), (b"\0",), (b"\x1b[32;5u",), (b"s" + F9 + b"s",)],
+)  # fmt: skip
+def test_the_sequences_of_all_terminals_stop(parts: tuple[bytes, ...]) -> None:
+    assert _stops(*parts)
+
+
+@pytest.mark.parametrize("part", [b"\x1b[200~" + F9 + b"\x1b[201~", b"\x1b[19~", b"\x1b[21~", b"20~", b"9"])
+def test_other_keys_and_pasted_text_do_not(part: bytes) -> None:
+    assert not _stops(part)
+
+
+def test_the_packets_of_a_page_are_read_too() -> None:
+    assert _stops(b"D" + len(F9).to_bytes(4, "big") + F9, web=True)
+
+
+def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stopper, "PASTE_S", 0.01)
+    keys = stopper.keys_of(False)
+    assert not list(keys(b"\x1b[200~abc"))
+    time.sleep(0.02)
+    assert any(stopper.is_stop(key) for key in keys(F9))
+
+
+async def test_what_is_typed_before_a_dialog_opens_is_no_command(lab: ZendspApp, until: Until) -> None:
+    asked: list[str] = []
+
+    def do(label: str, job: object) -> Future[None]:
+        asked.append(label)
+        return Future()
+
+    lab.session.do = do  # type: ignore[method-assign, assignment]
+
+    def slow() -> list[tuple[str, str]]:
+        time.sleep(0.5)
+        return [("one", "a target")]
+
+    lab._find = slow
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        asked.clear()
+        await pilot.press("ctrl+o", "b", "s", "o")
+        assert not isinstance(lab.screen, Choose), "typed before the dialog was there"
+        await until(pilot, lambda: isinstance(lab.screen, Choose) and lab.screen.opened and not lab._held, "handed over")
+        assert not asked
+        await pilot.press("escape", "b")
+        await until(pilot, lambda: bool(asked), "a command once more")
