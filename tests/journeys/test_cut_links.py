@@ -86,9 +86,12 @@ def cut_links(host: list[str], folder: Path, env: dict[str, str], port: int, cut
 def test_no_change_is_lost_doubled_late_or_unknown_over_cut_links(installed: Installed) -> None:
     installed.write("a.c", PROGRAM)
     script = installed.write("host.py", HOST)
-    installed.target("cut", "imi_planar")
-    (found,) = json.loads(installed.run("ls", "--json").stdout)
-    endpoint = next(e for e in found["endpoints"] if e.startswith("tcp/"))
-    counts = cut_links([str(installed.python), str(script)], installed.folder, installed.env, int(endpoint.rpartition(":")[2]), CUTS)
+    installed.target("cut", "imi_planar", "--listen", "tcp/127.0.0.1:0")
+    (path,) = Path(installed.env["ZENDSP_RUNTIME_DIR"]).glob("*.json")
+    entry = json.loads(path.read_text())  # as the target's own user, through a port that the registry does not know
+    (endpoint,) = entry["endpoints"]
+    env = {**installed.env, "ZENDSP_USER": entry["user"], "ZENDSP_PASSWORD": entry["password"]}
+    host = [str(installed.python), str(script)]
+    counts = cut_links(host, installed.folder, env, int(endpoint.rpartition(":")[2]), CUTS)
     assert counts["updates"] > 50, counts
     assert {k: v for k, v in counts.items() if k not in ("cuts", "updates")} == dict.fromkeys(("lost", "doubled", "late", "unknown", "wrong"), 0), counts
