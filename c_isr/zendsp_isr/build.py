@@ -211,7 +211,9 @@ def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names}
 
 
-RUNNER_SOURCES = ("main.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c", "stream.c", "safety.c")
+RUNNER_SOURCES = (
+    "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c", "stream.c", "safety.c",
+)  # fmt: skip
 
 
 def build_runner() -> Path:
