@@ -188,7 +188,7 @@ def _compile(
         # the folder is gone afterwards: what the debugger and the linker say shall be the user's own names
         own_names = f"-ffile-prefix-map={work}=."
         arguments = [*flags, own_names, *(_SHARED if shared else ()), "-I.", *(f"-I{folder}" for folder in include)]
-        outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s)
+        outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s, include)
         if outcome.ok:
             # notes first: a target without notes would be compiled again, notes without a target do no harm
             scratch = work / "notes"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
 
 from zendsp_isr.build import Built, build, cache_root, source_root
 from zendsp_protocol.errors import Refused
@@ -51,7 +52,9 @@ def _load_problem(path: Path) -> str:
     try:
         with path.open("rb") as file:
             symbols = ELFFile(file).get_section_by_name(".dynsym")
-            found = {} if symbols is None else {s.name: s for s in symbols.iter_symbols() if s["st_shndx"] != "SHN_UNDEF"}
+            if not isinstance(symbols, SymbolTableSection):
+                return "the compiler made a shared object without symbols"
+            found = {s.name for s in symbols.iter_symbols() if s["st_shndx"] != "SHN_UNDEF"}
     except (ELFError, OSError, ValueError) as error:
         return f"the compiler made no shared object that can be read: {error}"
     missing = [name for name in _NEEDED if name not in found]
