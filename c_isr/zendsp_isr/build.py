@@ -188,7 +188,7 @@ def _compile(
         # the folder is gone afterwards: what the debugger and the linker say shall be the user's own names
         own_names = f"-ffile-prefix-map={work}=."
         arguments = [*flags, own_names, *(_SHARED if shared else ()), "-I.", *(f"-I{folder}" for folder in include)]
-        outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s)
+        outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s, include)
         if outcome.ok:
             # notes first: a target without notes would be compiled again, notes without a target do no harm
             scratch = work / "notes"
@@ -211,7 +211,9 @@ def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in names}
 
 
-RUNNER_SOURCES = ("main.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c", "stream.c", "safety.c")
+RUNNER_SOURCES = (
+    "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c", "stream.c", "safety.c",
+)  # fmt: skip
 
 
 def build_runner() -> Path:

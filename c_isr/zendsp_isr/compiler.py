@@ -5,23 +5,37 @@ Order of the search: ``$CC``, then ``cc``, ``gcc``, ``clang``, then the ``ziglan
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
 import json
+import math
 import os
 import re
+import select
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from zendsp_protocol.errors import CompileFailed
 
-_LIMITS = 'ulimit -t "$1" -f "$2" 2>/dev/null; shift 2; exec "$@"'
-_MAX_FILE_BLOCKS = 1_000_000  # 512 bytes each: no compiler output is larger
+_MAX_FILE = 256 << 20  # bytes of one file
+_MAX_MEMORY = 2 << 30  # bytes of one process; the shipped programs take a tenth
+_MAX_MEMORY_ZIG = 8 << 30  # it reserves more addresses than it uses
+_MAX_OUTPUT = 4 << 20  # bytes of messages
+_MAX_MESSAGES = 200
+_MAX_TEXT = 2000  # characters of one message
+# what a compiler is made of; nothing else can be read while an upload is compiled
+_TOOLCHAIN = (
+    "/bin", "/lib", "/lib32", "/lib64", "/usr/bin", "/usr/include", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/libexec",
+    "/usr/local/bin", "/usr/local/include", "/usr/local/lib", "/etc/ld.so.cache", "/etc/alternatives", "/dev/urandom",
+)  # fmt: skip
 _TEXT = re.compile(
     r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
     r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
@@ -126,17 +140,21 @@ def find_compiler() -> Compiler:
     return _search(os.environ.get("CC") or None, os.environ.get("PATH", ""))
 
 
-def run_compiler(compiler: Compiler, arguments: Sequence[str], cwd: Path, timeout_s: float = 60.0) -> Outcome:
-    """Run the compiler in a process of its own, with limits on time and on the size of its output.
+def run_compiler(
+    compiler: Compiler, arguments: Sequence[str], cwd: Path, timeout_s: float = 60.0, readable: Sequence[Path] = ()
+) -> Outcome:
+    """Run the compiler in processes of its own: limited in time, memory, files and messages, and shut off from other files.
 
     Parameters
     ----------
     compiler : Compiler
     arguments : sequence of str
     cwd : Path
-        Where it runs; file names in its messages are relative to it.
+        Where it runs, and the only folder that it writes to; file names in its messages are relative to it.
     timeout_s : float
         Wall-clock and CPU limit, s.
+    readable : sequence of Path
+        Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock nothing else can be opened.
 
     Returns
     -------
@@ -144,23 +162,107 @@ def run_compiler(compiler: Compiler, arguments: Sequence[str], cwd: Path, timeou
         Whether it succeeded, and its messages in the user's own files, lines and columns.
     """
     style = ["-fdiagnostics-format=json"] if compiler.json else ["-fno-color-diagnostics"]
-    command = [*compiler.command, *style, *arguments]
-    limits = [str(max(1, round(timeout_s))), str(_MAX_FILE_BLOCKS)]
-    environment = {**os.environ, "LC_ALL": "C"}
-    try:
-        done = subprocess.run(
-            ["/bin/sh", "-c", _LIMITS, "sh", *limits, *command],
-            cwd=cwd, env=environment, capture_output=True, text=True, errors="replace", timeout=timeout_s, check=False,
-            stdin=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        text = f"the compiler did not finish within {timeout_s:g} s and was stopped"
-        return Outcome(False, (Message("error", "", 0, 0, text),))
-    messages = parse_messages(done.stderr)
-    if done.returncode != 0 and not any(m.severity == "error" for m in messages):
-        text = done.stderr.strip()[-2000:] or f"the compiler ended with status {done.returncode}"
+    allowed = [*_toolchain(compiler), *map(str, readable)]
+    zig = _zig(compiler)
+    settings = {
+        "cpu_s": max(1, math.ceil(timeout_s)), "memory": _MAX_MEMORY if not zig else _MAX_MEMORY_ZIG, "file": _MAX_FILE,
+        "read": allowed, "write": [str(cwd), "/dev/null", *zig.values()],
+    }  # fmt: skip
+    script = Path(__file__).with_name("confine.py")
+    launch = [sys.executable, "-I", "-S", str(script), json.dumps(settings)]
+    # no file of the user's is found through the environment
+    inherited = {key: os.environ[key] for key in ("PATH", "LD_LIBRARY_PATH") if key in os.environ}
+    environment = {**inherited, "LC_ALL": "C", "TMPDIR": str(cwd), "HOME": str(cwd), **zig}
+    ended = _run([*launch, *compiler.command, *style, "-fmax-errors=50", *arguments], cwd, environment, timeout_s)
+    if ended.why:
+        return Outcome(False, (Message("error", "", 0, 0, ended.why),))
+    inside = [cwd, *map(Path, allowed)]
+    messages = tuple(m for m in parse_messages(ended.text) if _is_inside(m.file, cwd, inside))[:_MAX_MESSAGES]
+    messages = tuple(replace(m, message=m.message[:_MAX_TEXT]) for m in messages)
+    if ended.status != 0 and not any(m.severity == "error" for m in messages):
+        text = f"the compiler ended with status {ended.status}{_reason(ended.text)}"
         messages = (*messages, Message("error", "", 0, 0, text))
-    return Outcome(done.returncode == 0, messages)
+    return Outcome(ended.status == 0, messages)
+
+
+@dataclass(frozen=True)
+class _Ended:
+    status: int
+    text: str
+    why: str = ""
+
+
+def _run(command: Sequence[str], cwd: Path, environment: Mapping[str, str], timeout_s: float) -> _Ended:
+    """The command to its end, or to a limit; nothing of its process group is left."""
+    text = bytearray()
+    deadline = time.monotonic() + timeout_s
+    why = ""
+    with subprocess.Popen(
+        command, cwd=cwd, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        try:
+            while not why:
+                left = deadline - time.monotonic()
+                ready = select.select([process.stderr], [], [], max(0.0, left))[0]
+                if not ready:
+                    why = f"the compiler did not finish within {timeout_s:g} s and was stopped"
+                    break
+                part = os.read(process.stderr.fileno(), 1 << 16)
+                if not part:
+                    break
+                text += part
+                if len(text) > _MAX_OUTPUT:
+                    why = f"the compiler wrote more than {_MAX_OUTPUT >> 20} MB of messages and was stopped"
+            if not why:
+                try:
+                    process.wait(max(0.1, deadline - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    why = f"the compiler did not finish within {timeout_s:g} s and was stopped"
+        finally:
+            # the leader is not yet waited for or just was: its group is still its own
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+    return _Ended(process.returncode, text.decode(errors="replace"), why)
+
+
+def _toolchain(compiler: Compiler) -> list[str]:
+    first = shutil.which(compiler.command[0]) or compiler.command[0]
+    real = Path(first).resolve()
+    own = [str(real.parent)] if not str(real).startswith(("/usr/", "/bin/")) else []
+    if "ziglang" in compiler.command:
+        package = importlib.util.find_spec("ziglang")
+        own += [sys.prefix, sys.base_prefix, *(package.submodule_search_locations or () if package else ())]
+    elif own:  # a compiler unpacked elsewhere: its headers and libraries stand beside its bin
+        own.append(str(real.parent.parent) if real.parent.name == "bin" else str(real.parent))
+    return [*_TOOLCHAIN, *own]
+
+
+def _zig(compiler: Compiler) -> dict[str, str]:
+    """Zig compiles its own libraries once and keeps them."""
+    if "ziglang" not in compiler.command:
+        return {}
+    folder = Path(os.environ.get("ZIG_GLOBAL_CACHE_DIR") or Path.home() / ".cache" / "zig")
+    folder.mkdir(parents=True, exist_ok=True)
+    return {"ZIG_GLOBAL_CACHE_DIR": str(folder)}
+
+
+def _is_inside(file: str, cwd: Path, folders: Sequence[Path]) -> bool:
+    """Whether a message speaks of the upload or the toolchain: one about another file would show what stands there."""
+    if not file:
+        return True
+    place = (cwd / file).resolve()
+    return any(place.is_relative_to(folder.resolve()) for folder in folders)
+
+
+def _reason(text: str) -> str:
+    """Why it failed, in our words: its own may quote a file that is not the user's."""
+    if "out of memory" in text or "memory exhausted" in text or "std::bad_alloc" in text:
+        return f": it needs more than the {_MAX_MEMORY >> 20} MB that a compilation may take"
+    if "File size limit" in text or "File too large" in text or "file truncated" in text:
+        return f": its result exceeds {_MAX_FILE >> 20} MB; download data as a TABLE instead"
+    return ""
 
 
 def parse_messages(text: str) -> tuple[Message, ...]:

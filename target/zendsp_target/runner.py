@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import shutil
@@ -222,12 +223,19 @@ class RunnerProcess:
             except subprocess.TimeoutExpired:
                 self.kill()
                 self.make_safe()
+        self.end_group()
 
     def kill(self) -> None:
         """End it at once."""
+        self.end_group()
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
+
+    def end_group(self) -> None:
+        """End what is left of its process group: what it started, where the system could not refuse that."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
 
     def make_safe(self) -> None:
         """Bring real hardware into its safe state from a fresh process; a simulated machine ended with its runner.

@@ -55,6 +55,7 @@ class Supervisor:
             if stalled > allowed:
                 self._end_hung()
                 return
+        self._process.end_group()
         self._each_round()
         if not self._expected.is_set():
             self._process.make_safe()

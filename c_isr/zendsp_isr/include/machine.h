@@ -18,7 +18,7 @@
 #include <stdint.h> /* fixed-width integers */
 
 enum {
-    MACHINE_ABI = 1,    /* raised when anything below changes */
+    MACHINE_ABI = 2,    /* raised when anything below changes */
     MACHINE_JOINTS = 8, /* most joints a machine may have */
     MACHINE_ADCS = 8,   /* most analog inputs */
     MACHINE_NAME = 32,  /* bytes of a name, with its final zero */
@@ -109,6 +109,11 @@ typedef struct machine_ops {
     int (*home)(void *handle, const machine_sensors *sensors, machine_actuators *actuators);
 
     void (*close)(void *handle); /* (may be NULL) */
+
+    /* Hardware watchdog (may be NULL): tell it that all is well. Called from the real-time thread at the end of each sample that is
+     * healthy, after write() and user code, and about every 0.5 ms while paused; never from elsewhere. Not called once samples
+     * overran as often in a row as `overrun.limit` says (100 at most), until one is in time again. A register write: it may not block. */
+    void (*keep_alive)(void *handle);
 } machine_ops;
 
 #endif

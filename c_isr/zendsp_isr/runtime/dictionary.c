@@ -222,6 +222,7 @@ static int map_data(runner *r) {
         snprintf(c->error, sizeof c->error, "shared memory: %s", strerror(errno));
         return -1;
     }
+    contain_memory(r->data, c->data_bytes);
     return 0;
 }
 

@@ -6,6 +6,7 @@
 #include "timing.h"
 
 enum { CATCH_UP = 1000 }; /* most samples that a simulated machine makes good after a stall */
+enum { MOST_LATE = 100 }; /* overruns in a row after which the machine's watchdog is left alone, whatever a host has set */
 static const uint64_t idle_poll_ns = 500000; /* while paused */
 static const double coast_s = 1.0; /* machine time that the fast clock goes on after STOP, for the machine to come to rest */
 
@@ -91,9 +92,16 @@ static void step_machine(runner *r) {
     }
 }
 
+/* The machine's own watchdog: nothing that hangs, ends or is late again and again comes here. */
+static void keep_alive(runner *r) {
+    if (r->machine->keep_alive && r->overruns_in_row < (uint32_t)r->set.overrun_limit && r->overruns_in_row < MOST_LATE)
+        r->machine->keep_alive(r->handle);
+}
+
 static void finish_sample(runner *r) {
     control *c = r->control;
     step_machine(r);
+    keep_alive(r);
     store64(&c->tick, c->tick + 1);
     store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);
 }
@@ -124,6 +132,8 @@ static void idle(runner *r) {
         }
         publish(r, c->tick);
     }
+    r->overruns_in_row = 0;
+    keep_alive(r);
     store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);
     sleep_ns(idle_poll_ns);
 }

@@ -30,6 +30,8 @@ static control *map_control(const char *path) {
     }
     control *c = mmap(NULL, sizeof *c, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
     close(file);
+    if (c != MAP_FAILED)
+        contain_memory(c, sizeof *c);
     if (c == MAP_FAILED || c->magic != LAYOUT_MAGIC || c->version != LAYOUT_VERSION || c->bytes != sizeof *c) {
         fprintf(stderr, "runner: %s: made by another version of zendsp\n", path);
         return NULL;
@@ -196,17 +198,21 @@ int main(int count, char **arguments) {
     prepare_io(r);
     dictionary_builtins(r);
     safety_reset(r);
-    if (load_program(r) != 0)
-        return 1;
-    const int failed = service_start(r);
+    const int failed = service_start(r); /* before user code, which may start none */
     if (failed)
         return fail(r->control, "threads", strerror(failed));
+    contain_enter();
+    if (load_program(r) != 0)
+        return 1;
     realtime_enter(r);
+    contain_say(r->control);
     store32(&r->control->phase, PHASE_READY);
     loop(r);
     r->machine->safe(r->handle);
     if (r->machine->close)
         r->machine->close(r->handle);
     store32(&r->control->phase, PHASE_ENDED);
+    if (getppid() != r->control->monitor)
+        contain_end_group();
     _exit(0); /* the other threads are within user code: no destructors beneath their feet */
 }

@@ -89,7 +89,7 @@ void realtime_enter(runner *r) {
         return;
     }
     const struct sched_param priority = {.sched_priority = c->priority};
-    granted = sched_setscheduler(0, SCHED_FIFO, &priority) == 0;
+    granted = sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &priority) == 0;
     if (granted)
         say(c, "SCHED_FIFO %d", c->priority);
     else

@@ -118,6 +118,12 @@ void realtime_stay_awake(bool wanted); /* between runs only: opens or closes a f
 /* service.c */
 int service_start(runner *r);
 
+/* contain.c */
+void contain_memory(void *at, size_t bytes);
+void contain_enter(void);
+void contain_say(control *c);
+void contain_end_group(void);
+
 /* loop.c */
 void loop(runner *r);
 

@@ -66,6 +66,8 @@ static stream *map(const control *c, const char *path, int *failed) {
         void *at = mmap(NULL, s->bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
         s->head = at == MAP_FAILED ? NULL : at;
         *failed = s->head ? resolve(c, s) : errno;
+        if (s->head)
+            contain_memory(s->head, s->bytes);
         if (s->head && c->clock == CLOCK_REAL)
             mlock(s->head, s->bytes); /* beyond a limit it is refused: then it is present, though not locked */
     } else {
@@ -104,6 +106,7 @@ static void end_orphan(runner *r) {
     store32(&r->control->run, RUN_QUIT);
     sleep_ns(2000000000u);
     r->machine->safe(r->handle);
+    contain_end_group();
     _exit(1);
 }
 
@@ -125,6 +128,10 @@ static void *background(void *argument) {
     sigaltstack(&stack, NULL);
     this_thread_is = WITHIN_BACKGROUND;
     setpriority(PRIO_PROCESS, (id_t)syscall(SYS_gettid), 10);
+    while (load32(&r->control->phase) < PHASE_READY)
+        sleep_ns(1000000);
+    if (!r->background)
+        return NULL;
     for (;;) {
         if (load32(&r->control->running) == RUN_ISR)
             r->background();
@@ -133,11 +140,11 @@ static void *background(void *argument) {
     return NULL;
 }
 
-/* Start the threads; 0, or an errno. */
+/* Start the threads, before user code is there; 0, or an errno. */
 int service_start(runner *r) {
     pthread_t thread;
     int failed = pthread_create(&thread, NULL, service, r);
-    if (!failed && r->background)
+    if (!failed)
         failed = pthread_create(&thread, NULL, background, r);
     return failed;
 }

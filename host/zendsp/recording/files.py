@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -17,6 +18,7 @@ from zendsp.recording.names import FloatArray, element_names, gather_vectors, li
 from zendsp.recording.recording import Channel, ParameterChange, Recording
 from zendsp.recording.table import _upright, read_raw
 
+CHECK = "checksum"
 FORM = 1  # version of the layout below; readers refuse what is newer
 FIELDS = (
     "sample_time", "start_tick", "decimation", "trigger_row", "lost", "timing", "parameters", "sources", "compiler",
@@ -78,7 +80,20 @@ def circumstances(recording: Recording) -> str:
     body |= {name: getattr(recording, name) for name in FIELDS}
     body["log"] = [asdict(change) for change in recording.log]
     body["source_hash"] = recording.source_hash
-    return json.dumps(body, default=_plain)
+    text = json.dumps(body, default=_plain)
+    body = json.loads(text)
+    body[CHECK] = _checksum(text, recording.t, recording.data)
+    return json.dumps(body)
+
+
+def _checksum(text: str, t: FloatArray, data: FloatArray) -> str:
+    """SHA-256 of the description and every number; the same in all formats, so not of the file's bytes."""
+    digest = hashlib.sha256(text.encode())
+    for array in (t, data):
+        values = np.array(array, dtype="<f8", order="C")
+        values[np.isnan(values)] = np.nan  # text keeps that it is none, not which
+        digest.update(values.data)
+    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:
@@ -93,13 +108,19 @@ def _plain(value: Any) -> Any:
 
 def load(path: Path) -> Recording:
     """See :meth:`Recording.load`."""
-    raw = read_raw(path)
+    try:
+        raw = read_raw(path)
+    except RecordingError:
+        raise
+    except Exception as error:  # on damaged bytes the libraries raise whatever they ran into
+        raise RecordingError(f"{path}: is damaged: it cannot be read ({type(error).__name__}: {error})") from error
     return _own(path, raw) if raw.circumstances else _foreign(path, raw)
 
 
 def _own(path: Path, raw: Raw) -> Recording:
     try:
         body = json.loads(raw.circumstances)
+        expected = body.pop(CHECK, None)
         form = body["form"]
         if form > FORM:
             raise RecordingError(
@@ -111,7 +132,14 @@ def _own(path: Path, raw: Raw) -> Recording:
         fields["flags"] = tuple(fields["flags"])
         available = raw.columns | {name: np.array([value]) for name, value in raw.constants.items()}
         data = _matrix(path, available, channels)
-        return Recording(available["t"].reshape(-1), data, channels, log=log, **fields)
+        t = available["t"].reshape(-1)
+        # files of zendsp 0.1.0 have none
+        if expected is not None and _checksum(json.dumps(body), t, data) != expected:
+            raise RecordingError(
+                f"{path}: is damaged, or was changed after it was saved: its numbers do not match its checksum. "
+                "Take another copy"
+            )
+        return Recording(t, data, channels, log=log, **fields)
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise

@@ -1,0 +1,152 @@
+/* contain.c: user code starts nothing, ends nobody else, and nothing that it might start could reach the machine.
+ *
+ * A filter of system calls (seccomp) refuses new processes, new threads, other programs and signals to others, with EPERM. Where
+ * the system has no filter, what is left: no process may be added for this user (RLIMIT_NPROC), a child of fork() ends at
+ * once, has none of the shared memory and none of the open files after an exec, and is not real-time.
+ */
+#define _GNU_SOURCE
+#include <errno.h>        /* errno */
+#include <fcntl.h>        /* FD_CLOEXEC */
+#include <linux/audit.h>  /* AUDIT_ARCH_… */
+#include <linux/filter.h> /* sock_filter */
+#include <linux/seccomp.h>
+#include <pthread.h>      /* pthread_atfork */
+#include <signal.h>       /* kill */
+#include <stddef.h>       /* offsetof */
+#include <stdio.h>        /* snprintf */
+#include <string.h>       /* strlen, strerror */
+#include <sys/mman.h>     /* madvise */
+#include <sys/prctl.h>    /* PR_SET_NO_NEW_PRIVS */
+#include <sys/resource.h> /* setrlimit */
+#include <sys/syscall.h>  /* numbers of the calls */
+#include <unistd.h>       /* syscall, _exit */
+
+#include "runner.h"
+
+#if defined(__x86_64__)
+#define NATIVE AUDIT_ARCH_X86_64
+#elif defined(__aarch64__)
+#define NATIVE AUDIT_ARCH_AARCH64
+#elif defined(__arm__)
+#define NATIVE AUDIT_ARCH_ARM
+#elif defined(__riscv)
+#define NATIVE AUDIT_ARCH_RISCV64
+#endif
+
+enum { MOST_FILES = 256, LAST_FILE = 65536, X32_CALL = 0x40000000 };
+
+static int refused; /* errno of the filter, 0: it holds */
+
+#ifdef NATIVE
+#define FIELD(name) BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, name))
+#define DENY(error) BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | (error))
+#define ALLOW BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW)
+#define DENY_CALL(number) BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 1), DENY(EPERM)
+/* A signal: to this process, or its group; the low word of the number stands first or second by the byte order. */
+#if __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
+#define FIRST_ARGUMENT BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, args))
+#else
+#define FIRST_ARGUMENT BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, args) + 4)
+#endif
+#define OWN_ONLY(number, own)                                                                                   \
+    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), FIRST_ARGUMENT,                                        \
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (own), 2, 0), BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), \
+        ALLOW
+
+static int filter_calls(void) {
+    const uint32_t own = (uint32_t)getpid();
+    struct sock_filter code[] = {
+        FIELD(arch),
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, NATIVE, 1, 0),
+        DENY(EPERM),
+        FIELD(nr),
+#if defined(__x86_64__)
+        BPF_JUMP(BPF_JMP | BPF_JGE | BPF_K, X32_CALL, 0, 1),
+        DENY(EPERM),
+#endif
+        DENY_CALL(__NR_clone),
+#ifdef __NR_clone3
+        DENY_CALL(__NR_clone3),
+#endif
+#ifdef __NR_fork
+        DENY_CALL(__NR_fork),
+#endif
+#ifdef __NR_vfork
+        DENY_CALL(__NR_vfork),
+#endif
+        DENY_CALL(__NR_execve),
+        DENY_CALL(__NR_execveat),
+        DENY_CALL(__NR_ptrace),
+        DENY_CALL(__NR_process_vm_readv),
+        DENY_CALL(__NR_process_vm_writev),
+        DENY_CALL(__NR_unshare),
+        DENY_CALL(__NR_setns),
+        DENY_CALL(__NR_setsid),
+        DENY_CALL(__NR_setpgid),
+        DENY_CALL(__NR_tkill),
+        DENY_CALL(__NR_rt_sigqueueinfo),
+        DENY_CALL(__NR_rt_tgsigqueueinfo),
+#ifdef __NR_pidfd_send_signal
+        DENY_CALL(__NR_pidfd_send_signal),
+#endif
+        OWN_ONLY(__NR_kill, own),
+        OWN_ONLY(__NR_tgkill, own),
+        ALLOW,
+    };
+    const struct sock_fprog program = {.len = sizeof code / sizeof code[0], .filter = code};
+    if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0)
+        return errno;
+    /* all threads at once, since the background runs user code too; and without the mitigation that older kernels add to a
+     * filter, which slows every load after a store */
+    const unsigned long how = SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW;
+    const long other = syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER, how, &program);
+    return other == 0 ? 0 : other > 0 ? EBUSY : errno;
+}
+#else
+static int filter_calls(void) { return ENOSYS; }
+#endif
+
+static void end_child(void) { _exit(127); }
+
+static void limit(int what, rlim_t most) {
+    const struct rlimit both = {.rlim_cur = most, .rlim_max = most};
+    struct rlimit now;
+    if (getrlimit((__rlimit_resource_t)what, &now) == 0 && now.rlim_max > most)
+        setrlimit((__rlimit_resource_t)what, &both);
+}
+
+/* A child does not get this memory. */
+void contain_memory(void *at, size_t bytes) { madvise(at, bytes, MADV_DONTFORK); }
+
+/* Before the first line of user code, constructors included; the machine is open and our own threads run. */
+void contain_enter(void) {
+    for (int file = 3; file < LAST_FILE; file++) {
+        const int flags = fcntl(file, F_GETFD);
+        if (flags >= 0)
+            fcntl(file, F_SETFD, flags | FD_CLOEXEC);
+        else if (file >= MOST_FILES)
+            break;
+    }
+    pthread_atfork(NULL, NULL, end_child);
+    limit(RLIMIT_NPROC, 0);
+    limit(RLIMIT_NOFILE, MOST_FILES);
+    refused = filter_calls();
+}
+
+/* Added to the sentence on scheduling. */
+void contain_say(control *c) {
+    const size_t used = strlen(c->scheduling);
+    char *rest = c->scheduling + used;
+    if (refused == 0)
+        snprintf(rest, sizeof c->scheduling - used, "; user code starts nothing");
+    else
+        snprintf(rest, sizeof c->scheduling - used,
+                 "; NO FILTER OF SYSTEM CALLS (seccomp: %s): %s", strerror(refused),
+                 geteuid() == 0 ? "user code of root could start processes" : "processes are refused by their number");
+}
+
+/* The watcher is gone: whatever is left of our process group goes with us. */
+void contain_end_group(void) {
+    if (getpgrp() == getpid())
+        kill(0, SIGKILL);
+}

@@ -1,0 +1,89 @@
+"""Compiling what a stranger sends takes no more than its limits, ends with all that it started, and shows no other file."""
+
+from __future__ import annotations
+
+import resource
+import time
+from pathlib import Path
+
+import pytest
+
+from zendsp_isr.confine import landlock_version
+from zendsp_target.compile_service import compile_program
+
+HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid UserISR_INT2(void) { x = 1.0; }\n'
+SECRET = "root_x_secret_7113"
+
+needs_landlock = pytest.mark.skipif(landlock_version() < 1, reason="this kernel has no Landlock")
+
+
+@pytest.fixture
+def secret(tmp_path: Path) -> Path:
+    """A file that the target may read and nobody else."""
+    path = tmp_path / "secret"
+    path.write_text(f"{SECRET}:$6$hash:19000:0\n")
+    path.chmod(0o600)
+    return path
+
+
+def test_a_bomb_of_macros_ends_at_its_time_with_all_that_it_started() -> None:
+    double = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
+    began = time.monotonic()
+    result = compile_program({"bomb.c": HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=1.5)
+    assert not result.ok
+    assert time.monotonic() - began < 10.0
+    here = {p.parent for p in Path("/proc").glob("[0-9]*/cmdline") if _is_bomb(p)}
+    assert here == set()
+
+
+def _is_bomb(path: Path) -> bool:
+    try:
+        return b"bomb.c" in path.read_bytes() and b"cc1" in path.read_bytes()
+    except OSError:
+        return False
+
+
+def test_a_bomb_of_memory_is_refused_its_memory() -> None:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    double = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
+    result = compile_program({"much.c": HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=20.0)
+    assert not result.ok
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    assert most < 2_300_000 or most == before, "kB"
+
+
+def test_a_bomb_of_messages_is_cut() -> None:
+    lines = "".join(f"#warning {'w' * 200} {i}\n" for i in range(60_000))
+    result = compile_program({"loud.c": HEAD + lines})
+    assert len(result.diagnostics) <= 200
+    assert sum(len(d.message) for d in result.diagnostics) < 500_000
+
+
+def test_a_huge_result_is_refused() -> None:
+    result = compile_program({"huge.c": HEAD + "char y[400 << 20] = {1};\n"}, timeout_s=10.0)
+    assert not result.ok
+
+
+WAYS = {
+    "include": '#include "{path}"\n',
+    "angle": "#include <{path}>\n",
+    "climb": '#include "../../../../../../../../../../../..{path}"\n',
+    "macro": '#define P "{path}"\n#include P\n',
+    "line": '#line 1 "{path}"\n#error here\n',
+    "has_include": '#if __has_include("{path}")\n#error ' + SECRET + "\n#endif\n",
+    "incbin": 'asm(".section .rodata\\n.global got\\ngot: .incbin \\"{path}\\"\\n.previous");\n',
+    "escaped": 'asm(".section .rodata\\n.global got\\ngot: .inc\\142in \\"{path}\\"\\n.previous");\n',
+    "assembler": 'asm(".include \\"{path}\\"");\n',
+}
+
+
+@needs_landlock
+@pytest.mark.parametrize("way", list(WAYS))
+def test_a_file_outside_is_never_shown(way: str, secret: Path) -> None:
+    from zendsp_target.compile_service import program_path
+
+    result = compile_program({"peek.c": HEAD + WAYS[way].format(path=secret)})
+    assert SECRET not in str(result.diagnostics)
+    assert way == "has_include" or not result.ok
+    if result.ok:
+        assert SECRET.encode() not in program_path(result.key).read_bytes()

@@ -1,0 +1,117 @@
+"""User code starts nothing that outlives it, and nothing that could drive the machine in its place."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from zendsp_target.runtime import Runtime
+
+Make = Callable[..., Runtime]
+
+PROGRAM = """
+#define _GNU_SOURCE
+#include "isr.h"
+#include <errno.h>
+#include <pthread.h>
+#include <sched.h>
+#include <signal.h>
+#include <spawn.h>
+#include <stdlib.h>
+#include <sys/syscall.h>
+#include <sys/wait.h>
+#include <unistd.h>
+extern char **environ;
+static double answer = -1.0, refused;
+static char *const sleeper[] = {"sleep", "%(mark)s", NULL};
+static int started(void) { execvp("sleep", sleeper); _exit(0); }
+static inline long attempt(void) { %(how)s }
+%(constructor)s
+void UserInit(void) {
+    SIGNAL(answer, "", ""); SIGNAL(refused, "", "");
+    (void)started; (void)sleeper; (void)attempt;
+    %(init)s
+}
+void UserISR_INT2(void) {
+    %(isr)s
+}
+"""
+TRY = "{ errno = 0; answer = (double)attempt(); refused = errno; }"
+
+WAYS = {
+    "fork": "const pid_t p = fork(); if (p == 0) started(); return p;",
+    "double_fork": "const pid_t p = fork(); if (p == 0) { setsid(); if (fork() == 0) started(); _exit(0); } return p;",
+    "vfork": "const pid_t p = vfork(); if (p == 0) { execvp(\"sleep\", sleeper); _exit(0); } return p;",
+    "raw_clone": "const long p = syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0); if (p == 0) started(); return p;",
+    "raw_clone3": "unsigned long a[8] = {0, 0, 0, 0, SIGCHLD}; const long p = syscall(SYS_clone3, a, sizeof a);"
+    " if (p == 0) started(); return p;",
+    "spawn": "pid_t p = -1; const int e = posix_spawnp(&p, \"sleep\", NULL, NULL, sleeper, environ);"
+    " if (e) errno = e; return e ? -1 : p;",
+    "system": "return system(\"sleep %(mark)s &\") == 0 ? 1 : -1;",
+    "exec": "return execvp(\"sleep\", sleeper);",
+    "bomb": "long n = 0; for (int i = 0; i < 50; i++) { const pid_t p = fork(); if (p == 0) started(); n += p; } return n;",
+}  # fmt: skip
+
+
+def _left(mark: str) -> list[int]:
+    """Processes whose command line has the mark."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (folder / "cmdline").read_bytes().split(b"\0"):
+                found.append(int(folder.name))
+        except OSError:
+            continue
+    return found
+
+
+def _program(how: str, mark: str, where: str) -> str:
+    parts = {"constructor": "", "init": "", "isr": ""}
+    parts[where] = TRY if where != "constructor" else f"__attribute__((constructor)) static void c(void) {TRY}"
+    return PROGRAM % {"how": how % {"mark": mark}, "mark": mark, **parts}
+
+
+@pytest.fixture
+def mark() -> str:
+    """The seconds that a process would sleep that got away; no other has this number."""
+    return f"{300 + time.time_ns() % 1_000_000_000 / 1e9:.9f}"
+
+
+@pytest.mark.parametrize("where", ["constructor", "init", "isr"])
+@pytest.mark.parametrize("way", list(WAYS))
+def test_user_code_starts_no_process(make_runtime: Make, way: str, where: str, mark: str) -> None:
+    runtime = make_runtime(_program(WAYS[way], mark, where))
+    runtime.start(ticks=3)
+    runtime.wait_paused()
+    assert _left(mark) == []
+    values = runtime.read(["answer", "refused"])[1]
+    assert values["answer"] < 0.0, values
+    runtime.close()
+    assert _left(mark) == []
+
+
+def test_user_code_starts_no_thread(make_runtime: Make, mark: str) -> None:
+    how = "static pthread_t t; return -(long)pthread_create(&t, NULL, (void *(*)(void *))started, NULL);"
+    runtime = make_runtime(_program(how, mark, "init"))
+    assert runtime.read(["answer"])[1]["answer"] < 0.0
+
+
+def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
+    other = subprocess.Popen(["sleep", "300"])
+    try:
+        how = f"return kill({other.pid}, SIGKILL) | (kill(getppid(), SIGKILL) & kill(-1, SIGKILL));"
+        runtime = make_runtime(_program(how, mark, "init"))
+        assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
+        assert other.poll() is None
+    finally:
+        other.kill()
+        other.wait()
+
+
+def test_it_is_said_what_holds_user_code(make_runtime: Make, mark: str) -> None:
+    runtime = make_runtime(_program("return -1;", mark, "init"), clock="real")
+    assert "user code starts nothing" in runtime.status().scheduling
