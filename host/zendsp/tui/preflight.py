@@ -55,6 +55,7 @@ def preflight(
         found.append(_fits(references, machine))
         if player is not None:
             found.append(_playable(s, references, machine, setup, player))
+            found.append(Condition("Start tries the run on a simulated twin first", True))
     found.append(
         Condition(
             "no trip, no STOP",
