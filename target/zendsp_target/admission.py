@@ -25,6 +25,7 @@ log = logging.getLogger(__name__)
 
 _USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
+OPEN = ("stop", "status")  # verbs that need no role: without the second, whoever stops it could not see that it stopped
 OWNER = "owner"  # name that goes with the token of a loopback port
 
 
@@ -164,14 +165,14 @@ class Doors:
 
 
 def check_role(user: str, role: str, verb: Verb) -> None:
-    """Refuse what a user's role does not include; STOP is open to everyone who was let in.
+    """Refuse what a user's role does not include; STOP, and seeing that it stopped, is open to everyone who was let in.
 
     Raises
     ------
     Refused
         Naming the role that is needed, the one there is, and who can change it.
     """
-    if verb.name == "stop":
+    if verb.name in OPEN:
         return
     if not role or ROLES.index(role) < ROLES.index(verb.role):
         has = f"has the role {role!r}" if role else "has none"
@@ -213,6 +214,9 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     endpoints = tuple(own_socket(name) if e == "here" else e for e in listen or ("here",))
     check(endpoints, security)
     check_connect(connect, security)
+    for option, file in (("cert", security.certificate), ("key", security.key), ("ca", security.authority)):
+        if file and not (os.path.isfile(file) and os.access(file, os.R_OK)):
+            raise Refused(f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes them)")
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
