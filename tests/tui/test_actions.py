@@ -121,17 +121,17 @@ async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> Non
         assert app.current_mode == "reference"
 
 
-async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp) -> None:
+async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp, until: Until) -> None:
     results: list[object] = []
     async with app.run_test() as pilot:
         app.push_screen(Form("f", [Field("x", "Level", "1", unit="[V]", check=float)]), results.append)
+        await until(pilot, lambda: app.focused is not None and app.focused.id == "f-x" and app.focused.has_focus, "the form is open")
         await pilot.press("end", "x", "enter")
-        await pilot.pause()
+        await until(pilot, lambda: "Level" in str(app.screen.query_one("#problem").render()), "what is wrong is said")
         assert results == []
-        assert "Level" in str(app.screen.query_one("#problem").render())
         assert "[V]" in "".join(str(w.render()) for w in app.screen.query(".unit"))
         await pilot.press("backspace", "enter")
-        await pilot.pause()
+        await until(pilot, lambda: results, "the form is closed")
         assert results == [{"x": 1.0}] or results == [{"x": 11.0}]
 
 

@@ -182,7 +182,7 @@ KIND = Kind(
         QUANTITY,
         START,
         Parameter("amplitude", "joints", "rad or N m", 0.3, "Peak of each joint; 0 keeps one still.", 0.0, 1e6,
-                  by_machine={"wam7": [0.3, 0.2, 0.3, 0.3, 0.4, 0.4, 0.4]}),
+                  by_machine={"wam7": [0.2, 0.15, 0.2, 0.2, 0.3, 0.3, 0.25]}),
         Parameter("period", "float", "s", 10.0, "Period; its inverse is the spacing of the lines.", 0.05, 3600.0),
         Parameter("f_min", "float", "Hz", 0.1, "Lowest frequency.", 1e-4, 1e5),
         Parameter("f_max", "float", "Hz", 2.0, "Highest frequency.", 1e-4, 1e5),

@@ -77,7 +77,7 @@ class Form(Dialog[Mapping[str, Any]]):
 
     def on_mount(self) -> None:
         first = self.query_one(f"#f-{self._fields[0].key}")
-        first.focus()
+        self.set_focus(first)  # now: what was typed before the form was there is for it
         if isinstance(first, Input):
             first.action_select_all()
         self._check()
