@@ -48,12 +48,12 @@ def default(field: msgspec.structs.FieldInfo) -> str:
 
 def verb_table() -> str:
     """One row for each verb."""
-    lines = ["| verb | lane | arguments | result | limit, s |", "|---|---|---|---|---|"]
+    lines = ["| verb | role | lane | arguments | result | limit, s |", "|---|---|---|---|---|---|"]
     for verb in verbs.VERBS.values():
         fields = msgspec.structs.fields(verb.arguments)
         arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace("|", "\\|")
         lines.append(
-            f"| `{verb.name}` | {verb.lane} | {arguments or '–'} | {kind(verb.result)} | {verb.timeout:g} |"
+            f"| `{verb.name}` | {verb.role} | {verb.lane} | {arguments or '–'} | {kind(verb.result)} | {verb.timeout:g} |"
         )
     return "\n".join(lines)
 

@@ -8,10 +8,11 @@ they are there, and nothing else: only the target answers and publishes under it
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,8 +21,11 @@ from zendsp_protocol.errors import Refused, did_you_mean
 from zendsp_protocol.verbs import ROLES, Verb
 from zendsp_target.endpoints import Security, check, check_connect, is_local
 
+log = logging.getLogger(__name__)
+
 _USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
+OPEN = ("stop", "status", "info")  # need no role: without the others, nobody could connect to stop it, and see that it stopped
 OWNER = "owner"  # name that goes with the token of a loopback port
 
 
@@ -83,6 +87,54 @@ def read_roles(path: str) -> dict[str, str]:
     return dict(roles)
 
 
+class RolesFile(Mapping[str, str]):
+    """The roles of a file as it is now: one that is taken away is gone with the next request.
+
+    A file that is damaged later gives nobody a role. The names that the target lets in are those of its start.
+
+    Parameters
+    ----------
+    path : str
+
+    Raises
+    ------
+    Refused
+        As `read_roles`.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._seen = self._stamp()
+        self._roles = read_roles(path)
+
+    def _stamp(self) -> tuple[int, ...]:
+        try:
+            found = os.stat(self._path)
+        except OSError:
+            return ()
+        return found.st_mtime_ns, found.st_ctime_ns, found.st_size, found.st_ino
+
+    def _now(self) -> dict[str, str]:
+        stamp = self._stamp()
+        if stamp != self._seen:
+            try:
+                self._roles = read_roles(self._path)
+            except Refused as error:
+                log.error("nobody has a role from now on: %s", error)
+                self._roles = {}
+            self._seen = stamp
+        return self._roles
+
+    def __getitem__(self, name: str) -> str:
+        return self._now()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._now())
+
+    def __len__(self) -> int:
+        return len(self._now())
+
+
 @dataclass(frozen=True)
 class Doors:
     """Where a target listens and who may come in, settled before the machine is touched.
@@ -113,14 +165,14 @@ class Doors:
 
 
 def check_role(user: str, role: str, verb: Verb) -> None:
-    """Refuse what a user's role does not include; STOP is open to everyone who was let in.
+    """Refuse what a user's role does not include; STOP, and seeing that it stopped, is open to everyone who was let in.
 
     Raises
     ------
     Refused
         Naming the role that is needed, the one there is, and who can change it.
     """
-    if verb.name == "stop":
+    if verb.name in OPEN:
         return
     if not role or ROLES.index(role) < ROLES.index(verb.role):
         has = f"has the role {role!r}" if role else "has none"
@@ -133,6 +185,10 @@ def own_socket(name: str) -> str:
     """The endpoint that only this user can open, a loopback port where its path would be too long."""
     path = Path(registry.folder()).absolute() / registry.socket_name(name)
     return f"unixsock-stream/{path}" if len(os.fsencode(path)) <= LONGEST_SOCKET else "tcp/127.0.0.1:0"
+
+
+def _protocol(endpoint: str) -> str:
+    return endpoint.partition("/")[0]
 
 
 def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: Security) -> Doors:
@@ -158,8 +214,17 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     endpoints = tuple(own_socket(name) if e == "here" else e for e in listen or ("here",))
     check(endpoints, security)
     check_connect(connect, security)
+    for option, file in (("cert", security.certificate), ("key", security.key), ("ca", security.authority)):
+        if file and not (os.path.isfile(file) and os.access(file, os.R_OK)):
+            raise Refused(f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes them)")
     users = read_users(security.users) if security.users else {}
-    roles = read_roles(security.roles) if security.roles else None
+    roles = RolesFile(security.roles) if security.roles else None
+    both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
+    if both and (users or roles is not None):
+        raise Refused(
+            f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host could not be told from the router, "
+            "for which --users and --roles do not hold. Listen there or connect to the router, not both; the router has rules of its own"
+        )
     sockets = [e for e in endpoints if e.startswith("unixsock-stream/")]
     certified = [e for e in endpoints if e.startswith(("tls/", "quic/")) and security.authority]
     exposed = [e for e in endpoints if is_local(e) and e not in (*sockets, *certified)]

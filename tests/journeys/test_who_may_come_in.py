@@ -151,3 +151,32 @@ def test_a_role_allows_what_it_says_and_stop_is_for_everyone(
     refused = [a for a in answers if a.startswith("no:")]
     assert all(f"two has the role '{role}'" in a for a in refused)
     assert answers[5].startswith("two@") == (may >= 2), answers
+
+
+def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) -> None:
+    pytest.importorskip("cryptography")
+    for line in ("init", "target imi", "user anna --role observe"):
+        said = installed.run("keys", *line.split())
+        assert said.returncode == 0, said.stderr
+    target = installed.start(
+        "zendsp", "target", "--machine", "imi_planar", "--name", "imi", "--clock", "fast", "--listen", "here", "--listen",
+        "tls/127.0.0.1:0", "--tls-cert", "lab/targets/imi.pem", "--tls-key", "lab/targets/imi.key", "--tls-ca", "lab/ca.pem",
+        "--roles", "lab/roles.toml",
+    )  # fmt: skip
+    until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=target)
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    anna = {
+        "ZENDSP_CONNECT": next(e for e in entry(installed)["endpoints"] if e.startswith("tls/")),  # type: ignore[attr-defined]
+        "ZENDSP_TLS_CA": "lab/ca.pem", "ZENDSP_TLS_CERT": "lab/users/anna.pem", "ZENDSP_TLS_KEY": "lab/users/anna.key",
+    }  # fmt: skip
+    assert installed.run("get", "Kp1", "-t", "imi", env=anna).returncode == 0
+    refused = installed.run("set", "Kp1=410", "-t", "imi", env=anna)
+    assert refused.returncode == 2 and "needs the role 'tune'; anna has the role 'observe'" in refused.stderr
+    assert installed.run("keys", "user", "anna", "--role", "tune").returncode == 0
+    assert installed.run("set", "Kp1=410", "-t", "imi", env=anna).returncode == 0
+    assert installed.run("keys", "revoke", "anna").returncode == 0
+    refused = installed.run("set", "Kp1=420", "-t", "imi", env=anna)
+    assert refused.returncode == 2 and "anna has none" in refused.stderr
+    stopped = installed.run("stop", "-t", "imi", env=anna)
+    assert stopped.returncode == 0, stopped.stdout + stopped.stderr
+    assert "revoked" in installed.run("keys", "list").stdout

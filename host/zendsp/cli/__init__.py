@@ -42,6 +42,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "model2c": ("zendsp.cli.codegen:command", "Turn a model into C for control programs."),
     "experiment": ("zendsp.cli.experiment:command", "Measure a machine: friction, motor, tracking; all results in one report."),
     "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),
+    "keys": ("zendsp.cli.keys:command", "Make a lab's certificates, and say who may do what."),
     "prove": ("zendsp.cli.prove:command", "Judge the diagnosis on concealed cases and real machines."),
 }
 

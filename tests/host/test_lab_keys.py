@@ -1,0 +1,228 @@
+"""A lab's keys: who holds one is let in for what the list says, and everything else is refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from fake_runtime import FakeRuntime
+
+import zendsp
+from zendsp.errors import LinkError, Refused
+from zendsp.lab_keys import Holder, Lab
+from zendsp.link import connect
+from zendsp.link.settings import Credentials, common_name
+from zendsp_target.admission import settle
+from zendsp_target.endpoints import Security
+from zendsp_target.monitor import Monitor, Options
+
+x509 = pytest.importorskip("cryptography.x509", reason="zendsp keys needs cryptography")
+Open = Callable[..., Monitor]
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Lab:
+    return Lab.create(tmp_path / "lab")
+
+
+@pytest.fixture
+def start(runtime: FakeRuntime) -> Iterator[Open]:
+    """Start a target with a certificate of a lab, for those with one."""
+    running: list[Monitor] = []
+
+    def begin(lab: Lab, holder: Holder, roles: bool = True) -> Monitor:
+        files = Security(str(holder.certificate), str(holder.key), str(lab.authority), "", str(lab.roles_file) if roles else "")
+        running.append(Monitor(runtime, Options("fake", "fake_machine", ["tls/127.0.0.1:0"], (), files)))
+        return running[-1]
+
+    yield begin
+    for monitor in running:
+        monitor.close()
+
+
+def enter(monitor: Monitor, lab: Lab, holder: Holder, timeout: float = 5.0) -> zendsp.link.Target:
+    given = Credentials(str(lab.authority), str(holder.certificate), str(holder.key))
+    return connect("fake", monitor.endpoints[0], given, timeout)
+
+
+def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
+    target, anna = lab.add_target("imi"), lab.add_user("anna", "observe")
+    with enter(start(lab, target), lab, anna) as host:
+        assert host.status().state == "empty"
+        with pytest.raises(Refused, match="needs the role 'download'; anna has the role 'observe'"):
+            host.download({"a.c": "int a;"})
+        again = lab.add_user("anna", "download")
+        assert again.until == anna.until, "a new role needs no new certificate"
+        host.download({"a.c": "int a;"})
+        host.start()
+        host.update(Kp1=2.0)
+        assert host.log()[-1].author.startswith("anna@")
+        lab.revoke("anna")
+        with pytest.raises(Refused, match="anna has none"):
+            host.update(Kp1=3.0)
+        host.request("stop")  # whoever was let in may stop it, and see that it stopped
+        assert host.status().state != "running"
+
+
+def test_a_damaged_list_gives_nobody_a_role(lab: Lab, start: Open, caplog: pytest.LogCaptureFixture) -> None:
+    target, anna = lab.add_target("imi"), lab.add_user("anna", "download")
+    with enter(start(lab, target), lab, anna) as host:
+        lab.roles_file.write_text("[rol")
+        with pytest.raises(Refused, match="anna has none"):
+            host.limits()
+        assert "nobody has a role from now on" in caplog.text
+        lab.roles_file.unlink()
+        with pytest.raises(Refused, match="anna has none"):
+            host.limits()
+
+
+def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start: Open) -> None:
+    """Asked under another's name, nothing answers: not with her key expression, and not with her name in the message."""
+    target, anna, bo = lab.add_target("imi"), lab.add_user("anna", "observe"), lab.add_user("bo", "download")
+    monitor = start(lab, target)
+    with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
+        good.download({"a.c": "int a;"})
+        good.start()
+        from zendsp_protocol import codec, keys
+
+        def ask(key: str, by: str) -> list[bytes]:
+            data = codec.encode_request("update", {"values": {"Kp1": 9.0}}, by)
+            replies = bad.link.session.get(key, payload=data, timeout=1.0)
+            return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+        assert ask(keys.rpc("fake", "sync", "bo"), "bo@lab:1") == []
+        assert ask(keys.rpc("fake", "sync"), "bo@lab:1") == [], "nor as the target's own user"
+        (refused,) = ask(keys.rpc("fake", "sync", "anna"), "bo@lab:1")
+        assert b"anna has the role 'observe'" in refused
+        lab.add_user("anna", "tune")
+        (done,) = ask(keys.rpc("fake", "sync", "anna"), "bo@lab:1")
+        assert b"error" not in done
+        assert good.log()[-1].author == "anna"
+
+
+def test_nobody_is_made_present_or_absent_by_another(lab: Lab, start: Open) -> None:
+    target, anna, bo = lab.add_target("imi"), lab.add_user("anna", "observe"), lab.add_user("bo", "download")
+    monitor = start(lab, target)
+    with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
+        from zendsp_protocol import keys
+
+        liveliness = bad.link.session.liveliness()
+        false = [liveliness.declare_token(keys.host("fake", name)) for name in (good.link.author, "bo@ghost:1")]
+        assert bad.status().hosts == good.status().hosts  # what was declared before has been seen by then
+        assert "bo@ghost:1" not in good.status().hosts
+        for token in false:
+            token.undeclare()  # type: ignore[no-untyped-call]
+        bad.status()
+        assert good.link.author in good.status().hosts
+
+
+@pytest.mark.parametrize("what", ["another authority", "over", "a target's"])
+def test_a_certificate_that_does_not_fit_opens_nothing(lab: Lab, start: Open, tmp_path: Path, what: str) -> None:
+    target, anna = lab.add_target("imi"), lab.add_user("anna", "download")
+    monitor = start(lab, target)
+    with enter(monitor, lab, anna):
+        pass
+    if what == "another authority":
+        foreign = Lab.create(tmp_path / "other").add_user("anna", "download")
+        bad = Holder("anna", "user", "", foreign.until, foreign.certificate, foreign.key)
+    elif what == "over":
+        bad = lab.add_user("anna", "download", renew=True)
+        _end(lab, bad)
+    else:
+        bad = target
+    with pytest.raises(LinkError):
+        enter(monitor, lab, bad, 1.5)
+
+
+def _end(lab: Lab, holder: Holder) -> None:
+    """Sign a certificate again, so that it ended an hour ago."""
+    from cryptography.hazmat.primitives import hashes, serialization
+
+    old = x509.load_pem_x509_certificate(holder.certificate.read_bytes())
+    signer = serialization.load_pem_private_key((lab.folder / "ca.key").read_bytes(), None)
+    now = datetime.now(UTC)
+    builder = (
+        x509.CertificateBuilder().subject_name(old.subject).issuer_name(old.issuer).public_key(old.public_key())
+        .serial_number(old.serial_number).not_valid_before(now - timedelta(days=2)).not_valid_after(now - timedelta(hours=1))
+    )  # fmt: skip
+    for extension in old.extensions:
+        builder = builder.add_extension(extension.value, extension.critical)
+    holder.certificate.write_bytes(builder.sign(signer, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+
+
+def test_a_person_s_key_makes_no_target(lab: Lab, start: Open) -> None:
+    """Who has a key of the lab cannot wait for hosts under a target's name."""
+    anna, bo = lab.add_user("anna", "download"), lab.add_user("bo", "download")
+    rogue = start(lab, anna)
+    with pytest.raises(LinkError):
+        enter(rogue, lab, bo, 1.5)
+
+
+@pytest.mark.parametrize("broken", ["certificate", "key", "authority", "another's key", "an empty authority"])
+def test_a_target_does_not_start_with_files_that_do_not_fit(lab: Lab, runtime: FakeRuntime, broken: str) -> None:
+    imi, other = lab.add_target("imi"), lab.add_target("other")
+    empty = lab.folder / "empty.pem"
+    empty.touch()
+    files = {"certificate": str(imi.certificate), "key": str(imi.key), "authority": str(lab.authority)}
+    if broken in files:
+        files[broken] = str(lab.folder / "none.pem")
+    elif broken == "another's key":
+        files["key"] = str(other.key)
+    else:
+        files["authority"] = str(empty)
+    lab.add_user("anna", "tune")
+    security = Security(**files, roles=str(lab.roles_file))
+    words = "none.pem.*cannot be read" if broken in files else "cannot listen"
+    with pytest.raises((Refused, LinkError), match=words):
+        Monitor(runtime, Options("fake", "fake_machine", ["tls/127.0.0.1:0"], (), security))
+
+
+def test_a_router_is_never_taken_for_a_host(lab: Lab) -> None:
+    imi = lab.add_target("imi")
+    lab.add_user("anna", "observe")
+    files = Security(str(imi.certificate), str(imi.key), str(lab.authority), "", str(lab.roles_file))
+    with pytest.raises(Refused, match="could not be told from the router"):
+        settle("imi", ["tls/127.0.0.1:0"], ["tls/127.0.0.1:7447"], files)
+    settle("imi", ["here"], ["tls/127.0.0.1:7447"], files)
+
+
+def test_what_is_private_is_so_and_names_are_given_once(lab: Lab) -> None:
+    imi, anna = lab.add_target("imi", ["robot.lab", "192.168.1.5"]), lab.add_user("anna", "tune")
+    for key in (lab.folder / "ca.key", imi.key, anna.key):
+        assert os.stat(key).st_mode & 0o777 == 0o600
+    assert os.stat(lab.folder).st_mode & 0o777 == 0o700
+    assert common_name(str(anna.certificate)) == "anna"
+    names = x509.load_pem_x509_certificate(imi.certificate.read_bytes()).extensions
+    reached = names.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert reached.get_values_for_type(x509.DNSName) == ["robot.lab", "localhost"]
+    assert [str(ip) for ip in reached.get_values_for_type(x509.IPAddress)] == ["192.168.1.5", "127.0.0.1"]
+    for name in ("imi", "owner", "an/na", ""):
+        with pytest.raises(Refused):
+            lab.add_user(name, "tune")
+    with pytest.raises(Refused, match="name of a user"):
+        lab.add_target("anna")
+    lab.revoke("anna")
+    with pytest.raises(Refused, match="was revoked on"):
+        lab.add_user("anna", "tune")
+    assert [(h.name, h.kind, h.role) for h in lab.holders()] == [("imi", "target", ""), ("anna", "user", "revoked")]
+
+
+def test_an_authority_is_not_overwritten_nor_shared(lab: Lab, tmp_path: Path) -> None:
+    with pytest.raises(Refused, match="holds an authority already"):
+        Lab.create(lab.folder)
+    with pytest.raises(Refused, match="holds no authority"):
+        Lab(tmp_path / "none")
+    (lab.folder / "ca.key").chmod(0o640)
+    with pytest.raises(Refused, match="chmod 600"):
+        Lab(lab.folder)
+
+
+def test_nothing_is_signed_for_longer_than_the_authority_lives(lab: Lab) -> None:
+    with pytest.raises(Refused, match="longer than the authority"):
+        lab.add_user("anna", "tune", days=4000)
+    with pytest.raises(Refused, match="one day or more"):
+        lab.add_user("anna", "tune", days=0)
+    assert lab.holders() == []
