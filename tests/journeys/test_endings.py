@@ -127,3 +127,22 @@ print(notebook.cells[1].outputs[0]["data"]["text/plain"])
     done = installed.script(text)
     assert "'loaded'" in done.stdout, done.stdout + done.stderr
     until(lambda: "imi_planar-" not in installed.run("ls").stdout, "the kernel's target has ended", 5.0)
+
+
+QUIET_END = """
+import sys, threading, zendsp
+threading.Thread(target=lambda: [None for _ in iter(int, 1)], daemon=True).start()  # wants the GIL all the time
+with zendsp.connect('imi') as t:
+    view = t.live(['tick'])
+"""
+
+
+def test_the_end_of_a_host_is_quiet(installed: Installed) -> None:
+    """Threads in Zenoh that come back while the interpreter goes down would abort the process."""
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    path = installed.write("quiet.py", QUIET_END)
+    for _ in range(5):
+        for process in [installed.start("python", path) for _ in range(4)]:
+            said = process.communicate(timeout=60)
+            assert process.returncode == 0, said

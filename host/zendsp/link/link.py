@@ -27,6 +27,7 @@ from zendsp_protocol.verbs import VERBS, Verb
 
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
+_background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 _Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
@@ -304,9 +305,21 @@ class Link:
         self._lost.clear()
         self._alive.set()
         if again:
-            threading.Thread(target=self._meet, name="returned", daemon=True).start()
+            background("returned", self._meet)
             for callback in list(self._returned):
-                threading.Thread(target=callback, name="returned", daemon=True).start()
+                background("returned", callback)
+
+
+def background(name: str, work: Callable[..., object], *arguments: object) -> None:
+    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for a little.
+
+    Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it, and Rust takes
+    the whole process down for that ("FATAL: exception not rethrown"): so the links are closed first, which ends
+    what waits in Zenoh, and these threads are given the time to leave.
+    """
+    thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
+    _background.add(thread)
+    thread.start()
 
 
 class Listener:
@@ -318,7 +331,7 @@ class Listener:
 
     def __init__(self, subscriber: zenoh.Subscriber[Any], take: Callable[[zenoh.Sample], None], name: str) -> None:
         self._subscriber = subscriber
-        threading.Thread(target=_pull, args=(subscriber.handler, take), name=name, daemon=True).start()
+        background(name, _pull, subscriber.handler, take)
 
     def undeclare(self) -> None:
         """End it."""
@@ -384,18 +397,19 @@ def _author(identity: str = "") -> str:
 @atexit.register
 def _close_all() -> None:
     """Let go of every target; one that cannot be told (a frozen peer) notices within the lease."""
-    closing = [threading.Thread(target=link.close, daemon=True) for link in list(_open_links)]
-    for thread in closing:
-        thread.start()
+    for link in list(_open_links):
+        background("closing", link.close)
     deadline = time.monotonic() + END_S
-    for thread in closing:
-        thread.join(max(0.0, deadline - time.monotonic()))
+    for thread in list(_background):
+        if thread is not threading.current_thread():
+            thread.join(max(0.0, deadline - time.monotonic()))
 
 
 def _disown_all() -> None:
     for link in list(_open_links):
         link.disown()
     _open_links.clear()
+    _background.clear()
 
 
 os.register_at_fork(after_in_child=_disown_all)
