@@ -73,6 +73,16 @@ def test_every_verb_needs_a_role() -> None:
     assert [verb.name for verb in VERBS.values() if verb.role not in ROLES] == []
 
 
+def test_what_runs_code_or_moves_the_machine_needs_the_role_for_it() -> None:
+    """Written out a second time on purpose: an entry of the table is not lowered by a slip of the pen."""
+    at_least = {role: {v.name for v in VERBS.values() if ROLES.index(v.role) >= n} for n, role in enumerate(ROLES)}
+    assert at_least["download"] == {"compile", "load", "unload"}
+    assert at_least["command"] - at_least["download"] == {
+        "start", "pause", "set_limits", "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "drive",
+    }  # fmt: skip
+    assert at_least["tune"] >= {"write", "update", "table_begin", "table_chunk", "table_commit", "acquire_configure"}
+
+
 @pytest.mark.parametrize("verb", VERBS.values(), ids=lambda verb: verb.name)
 def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: object) -> None:
     needed = ROLES.index(verb.role)  # type: ignore[attr-defined]
