@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from journey import Installed, until
+from journey import Installed
 from pages import PAGES, ROOT, Block, blocks
 
 NETWORK = "fetches packages: tests/whole/test_wheel.py builds and installs the wheel"
