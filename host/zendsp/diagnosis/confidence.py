@@ -38,4 +38,4 @@ def confidence(claim: Claim, decision: Decision) -> float:
         law = 1.0
     if claim.same:
         law = min(law, 0.5 + 0.5 / (1 + len(claim.same)))
-    return min(MOST, max(0.05, mechanism * (0.3 + 0.7 * law)))
+    return float(min(MOST, max(0.05, mechanism * (0.3 + 0.7 * law))))
