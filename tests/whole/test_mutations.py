@@ -1,0 +1,104 @@
+"""The catalogue of what must never be lost fits the code, and its command tells what was noticed from what was not.
+
+Running the catalogue takes longer than a test may: `python -m tests.mutations`, before a release.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.mutations.__main__ import main
+from tests.mutations.catalogue import Stale, catalogue
+
+ROOT = Path(__file__).parents[2]
+CODE = "LIMIT = 3\ndef allowed(x):\n    return x < LIMIT\n"
+TESTS = """
+import sys
+from pathlib import Path
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from code_of_it import allowed
+
+def test_small(): assert allowed(1)
+def test_large(): assert not allowed(5)
+"""
+ENTRY = '[[mutation]]\nname = "{}"\nlost = "x"\nfile = "code_of_it.py"\nold = "{}"\nnew = "{}"\ntests = [{}]\n'
+LARGE, SMALL = '"tests/test_it.py::test_large"', '"tests/test_it.py::test_small"'
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A small project under git, and a folder for its catalogue beside it."""
+    root = tmp_path / "project"
+    (root / "tests").mkdir(parents=True)
+    (root / "code_of_it.py").write_text(CODE)
+    (root / "tests" / "test_it.py").write_text(TESTS)
+    (tmp_path / "catalogue").mkdir()
+    subprocess.run(["git", "init", "-q", str(root)], check=True)
+    return root
+
+
+def _run(tree: Path, *entries: str, words: tuple[str, ...] = (), alive: str = "import code_of_it") -> int:
+    folder = tree.parent / "catalogue"
+    (folder / "limits.toml").write_text("\n".join(entries))
+    return main(words, tree, folder, alive)
+
+
+def test_every_mutation_applies_and_names_tests_that_exist() -> None:
+    known = catalogue()
+    for mutation in known:
+        assert mutation.mutated(ROOT) != (ROOT / mutation.file).read_text(), mutation.name
+        mutation.check_tests(ROOT)
+    assert {"limits", "stop", "updates", "access", "containment"} <= {m.topic for m in known}
+
+
+def test_what_is_noticed_is_told_from_what_survives(tree: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    entries = [
+        ENTRY.format("seen", "x < LIMIT", "True", LARGE),
+        ENTRY.format("unseen", "x < LIMIT", "True", SMALL),
+        ENTRY.format("half", "x < LIMIT", "True", f"{LARGE}, {SMALL}"),
+        ENTRY.format("dead", "def allowed", "deff allowed", LARGE),
+    ]
+    page = tmp_path / "page.md"
+    assert _run(tree, *entries, words=("--report", str(page))) == 1
+    said = capsys.readouterr().out
+    for name, outcome in (("seen", "noticed"), ("unseen", "SURVIVED"), ("half", "partly"), ("dead", "BROKEN")):
+        assert any(line.split()[1:3] == [name, outcome] for line in said.splitlines()), (name, said)
+    assert "1 of 4 noticed" in said and "- half: `tests/test_it.py::test_small`" in page.read_text()
+    assert (tree / "code_of_it.py").read_text() == CODE, "the working tree is never changed"
+    assert _run(tree, *entries, words=("--only", "seen", "--report", str(page))) == 1, "unseen has the word too"
+    assert _run(tree, entries[0], words=("--only", "limits")) == 0
+
+
+def test_a_test_that_fails_without_any_change_proves_nothing(tree: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tree / "tests" / "test_it.py").write_text(TESTS.replace("not allowed", "allowed"))
+    assert _run(tree, ENTRY.format("seen", "x < LIMIT", "True", LARGE)) == 2
+    assert "fail without any mutation: tests/test_it.py::test_large" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("entry", "why"),
+    [
+        (ENTRY.format("gone", "x <= LIMIT", "True", LARGE), "stands 0 times"),
+        (ENTRY.format("twice", "LIMIT", "True", LARGE), "stands 2 times"),
+        (ENTRY.format("file", "x", "y", LARGE).replace("code_of_it", "other"), "there is no other.py"),
+        (ENTRY.format("test", "x < LIMIT", "True", '"tests/test_it.py::test_none"'), "there is no test"),
+        (ENTRY.format("none", "x < LIMIT", "True", ""), "names no test"),
+        (ENTRY.format("fields", "x < LIMIT", "True", LARGE) + 'extra = 1\n', "needs the fields"),
+    ],
+)
+def test_an_entry_that_the_code_has_left_behind_fails_loudly(tree: Path, capsys: pytest.CaptureFixture[str], entry: str, why: str) -> None:
+    assert _run(tree, entry) == 2
+    assert why in capsys.readouterr().err
+
+
+def test_a_name_stands_once(tree: Path) -> None:
+    folder = tree.parent / "catalogue"
+    (folder / "a.toml").write_text(ENTRY.format("same", "x < LIMIT", "True", LARGE) * 2)
+    with pytest.raises(Stale, match="stands twice"):
+        catalogue(folder)
