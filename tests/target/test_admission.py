@@ -10,7 +10,7 @@ import pytest
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
 from zendsp_target.admission import Doors, access_control, check_role, read_roles, read_users, settle
-from zendsp_target.endpoints import Security
+from zendsp_target.endpoints import Security, check
 from zendsp_target.registration import own_folder, users_file
 
 
@@ -124,3 +124,20 @@ def test_a_folder_that_others_may_use_is_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(open_to_all))
     with pytest.raises(Refused, match="chmod 700"):
         own_folder()
+
+
+@pytest.mark.parametrize(
+    ("security", "words"),
+    [
+        (Security(), "needs --tls-cert and --tls-key and --tls-ca or --users"),
+        (Security(authority="ca.pem"), "needs --tls-cert and --tls-key$"),
+        (Security(certificate="one.pem", authority="ca.pem"), "needs --tls-cert and --tls-key$"),
+        (Security("one.pem", "one.key"), "needs --tls-ca or --users$"),
+    ],
+)
+def test_what_others_can_reach_needs_encryption_and_hosts_that_say_who_they_are(security: Security, words: str) -> None:
+    for endpoint in ("tls/192.0.2.1:7447", "quic/[2001:db8::1]:7447", "tls/robot.lab:7447"):
+        with pytest.raises(Refused, match=words):
+            check([endpoint], security)
+        check([endpoint], Security("one.pem", "one.key", authority="ca.pem"))
+        check([endpoint], Security("one.pem", "one.key", users="users"))
