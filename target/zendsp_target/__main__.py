@@ -8,7 +8,6 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NoReturn
 
 from zendsp_protocol.errors import ZendspError
@@ -29,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
         epilog="Example: python -m zendsp_target --machine imi_planar --name imi --rate 1000 --clock real",
     )
     p.add_argument("--machine", default="imi_planar", help="machine to drive (default: imi_planar)")
-    p.add_argument("--name", default="", help="name of the target (default: that of the machine, or of its file)")
+    p.add_argument("--name", default="", help="name of the target (default: that of the machine)")
     p.add_argument(
         "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate in Hz (default: 1000)"
     )
@@ -65,14 +64,13 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a target until it is told to end; return the exit status."""
     args = parser().parse_args(arguments)
-    args.name = args.name or Path(args.machine).stem  # of a machine of your own, the name of its file
     logging.basicConfig(
         level=logging.DEBUG if args.verbose else logging.WARNING, format="%(levelname)s %(message)s"
     )
     security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users, args.roles)
     listen = args.listen or []
     try:
-        settle(args.name, listen, args.connect, security)  # before the machine is touched
+        settle(args.name or args.machine, listen, args.connect, security)  # before the machine is touched
         if os.getuid() == 0:
             print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)
@@ -102,16 +100,17 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     try:
         monitor = Monitor(
             runtime,
-            Options(args.name, args.machine, listen, args.connect, security, args.managed),
+            Options(args.name or args.machine, args.machine, listen, args.connect, security, args.managed),
         )
     except BaseException:
         runtime.close()
         raise
+    name = args.name or args.machine
 
     def announce() -> None:
         where = ", ".join(monitor.endpoints)
-        text = f"target {args.name} listens on {where}; Ctrl-C ends it"
-        print(json.dumps({"name": args.name, "endpoints": monitor.endpoints}) if args.json else text, flush=True)
+        text = f"target {name} listens on {where}; Ctrl-C ends it"
+        print(json.dumps({"name": name, "endpoints": monitor.endpoints}) if args.json else text, flush=True)
 
     monitor.run(args.parent, announce)
     return 0

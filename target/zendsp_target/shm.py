@@ -52,19 +52,10 @@ class SharedFolder:
     def __init__(self) -> None:
         base = _base()
         _remove_abandoned(base)
-        while not self._claimed(base):  # another target that started just now swept it, before the lock was held
-            pass
-
-    def _claimed(self, base: Path) -> bool:
         self.path = base / f"{_PREFIX}{os.getpid()}-{uuid.uuid4().hex[:8]}"
         self.path.mkdir(mode=0o700)
-        lock = self.path / "lock"
-        self._lock = lock.open("w")
+        self._lock = (self.path / "lock").open("w")
         fcntl.flock(self._lock, fcntl.LOCK_EX)
-        if lock.exists():
-            return True
-        self._lock.close()
-        return False
 
     def free_bytes(self) -> int:
         """Bytes that still fit, into the file system and into memory, which it is made of."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import pytest
 
 from zendsp_protocol.errors import Refused, RunnerDied
-from zendsp_target import shm
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
@@ -182,11 +179,7 @@ def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:
 
 ORPHAN = """
 import sys, time
-from pathlib import Path
-from typing import IO
-from zendsp_target import shm
 from zendsp_target.runtime import Runtime
-shm._base = lambda: Path(sys.argv[2])
 runtime = Runtime("imi_planar", clock="real", hang_s=60.0)
 runtime.load(runtime.compile({"user.c": sys.argv[1]}).key)
 runtime.start()
@@ -196,16 +189,12 @@ time.sleep(600)
 
 
 @pytest.mark.parametrize("code", [GOOD, GOOD.replace("x += 1.0;", "for (;;) x += 1.0;")], ids=["well", "hung"])
-def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(
-    wait_for: Wait, code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # a base of its own: any target that starts on this computer clears up after the dead ones of its base
-    monkeypatch.setattr(shm, "_base", lambda: tmp_path)
-    command = [sys.executable, "-c", ORPHAN, code, str(tmp_path)]
-    monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait, code: str) -> None:
+    monitor = subprocess.Popen([sys.executable, "-c", ORPHAN, code], stdout=subprocess.PIPE, text=True)
     try:
         assert monitor.stdout is not None
         runner, folder = monitor.stdout.readline().split()
+        assert os.path.isdir(folder)  # not later: any target that starts on this computer clears up after dead ones
     finally:
         monitor.send_signal(signal.SIGKILL)
         monitor.wait()
@@ -220,26 +209,5 @@ def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(
             return True
 
     wait_for(gone)
-    assert os.path.isdir(folder)
     Runtime("imi_planar").close()  # the next target clears up after the dead one
     assert not os.path.exists(folder)
-
-
-def test_a_folder_that_another_target_swept_before_it_was_locked_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(shm, "_base", lambda: tmp_path)
-    real, swept = fcntl.flock, []
-
-    def flock(file: IO[str], how: int) -> None:
-        if not swept:  # the other target comes just now
-            swept.append(file)
-            shm._remove_abandoned(tmp_path)
-        real(file, how)
-
-    monkeypatch.setattr(fcntl, "flock", flock)
-    folder = shm.SharedFolder()
-    assert swept and (folder.path / "lock").exists()
-    shm._remove_abandoned(tmp_path)
-    assert list(tmp_path.iterdir()) == [folder.path], "it is alive, and alone"
-    folder.close()
