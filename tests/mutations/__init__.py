@@ -16,4 +16,7 @@ A mutation is an entry of a TOML file in this folder:
 
 Each is applied alone to a copy of the tree. Every test that it names has to fail there, and to pass without it. A change that leaves no
 program running proves nothing and counts as broken, and so does one whose ``old`` is gone from the file.
+
+A test that is named here must do no harm where the promise is gone: it asks for the right to send a signal (signal 0) in place of ending
+the computer's processes. All runs in a PID namespace of its own with bounded memory, and where there is none, not at all.
 """

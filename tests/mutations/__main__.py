@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +22,11 @@ from tests.mutations.catalogue import ROOT, Mutation, Stale, catalogue, chosen, 
 SOURCES = ("host", "target", "protocol", "c_isr")
 LIMIT_S = 900.0  # for the tests of one mutation; each test has pytest's own limit
 PATIENCE_S = 20.0  # for pytest to clear up after Ctrl-C
+MOST_KB = 4 << 20  # of memory of one process: a compilation without its limit shall not take the computer's
+# Without its protection, what a test tries comes about: processes that stay, or end others. It happens in a namespace of its own,
+# where there are no others, and which takes with it all that it holds. sh is there to wait for orphans.
+NAMESPACES = (("--pid",), ("--user", "--map-current-user", "--pid"))
+CAGE = ("--fork", "--mount-proc", "--kill-child", "sh", "-c", f'ulimit -v {MOST_KB}; "$@"; exit $?', "sh")
 # A change after which nothing runs any more would be noticed by every test, and says nothing about any of them.
 ALIVE = """
 import zendsp, zendsp_target, sys
@@ -55,10 +60,34 @@ class Result:
     said: str = ""
 
 
-class Lab:
-    """A copy of the tree in which commands run."""
+def cage() -> tuple[str, ...]:
+    """Return what to put before a command, so that nothing it lets loose reaches a process outside.
 
-    def __init__(self, root: Path, folder: Path, alive: str = ALIVE) -> None:
+    Raises
+    ------
+    RuntimeError
+        This computer allows no such thing.
+    """
+    said = ""
+    for namespace in NAMESPACES:
+        command = ("unshare", *namespace, *CAGE)
+        try:
+            done = subprocess.run([*command, "true"], capture_output=True, text=True, check=False)
+        except OSError as error:
+            raise RuntimeError(f"mutations need the command unshare: {error}") from error
+        if done.returncode == 0:
+            return command
+        said = done.stderr.strip()
+    raise RuntimeError(
+        f"mutations need a PID namespace ({said}): without protection, what a test tries could end every process of this user"
+    )
+
+
+class Lab:
+    """A copy of the tree in which commands run; ``before`` stands before each."""
+
+    def __init__(self, root: Path, folder: Path, alive: str, before: Sequence[str]) -> None:
+        self._before = tuple(before)
         self.tree = copy_tree(root, folder / "tree")
         self._alive = alive
         self._folder = folder
@@ -74,7 +103,7 @@ class Lab:
 
     def _run(self, command: Sequence[str]) -> tuple[int, str]:
         process = subprocess.Popen(
-            command, cwd=self.tree, env=self._env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            [*self._before, *command], cwd=self.tree, env=self._env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             text=True, start_new_session=True,
         )  # fmt: skip
         try:
@@ -161,7 +190,10 @@ def page(results: Sequence[Result], command: str, version: str) -> str:
     return "\n".join([*lines, *(["", "## Did not notice", "", *silent] if silent else []), ""])
 
 
-def main(words: Sequence[str] | None = None, root: Path = ROOT, folder: Path | None = None, alive: str = ALIVE) -> int:
+def main(
+    words: Sequence[str] | None = None, root: Path = ROOT, folder: Path | None = None, alive: str = ALIVE,
+    caged: Callable[[], Sequence[str]] = cage,
+) -> int:  # fmt: skip
     """Run the command; returns its exit status: 0 only if every test noticed."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutations", description=__doc__)
     parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="those with the word in their name, or of this topic")
@@ -182,10 +214,15 @@ def main(words: Sequence[str] | None = None, root: Path = ROOT, folder: Path | N
     if asked.list:
         print("\n".join(f"{m.topic:12} {m.name:36} {m.lost}" for m in mutations))
         return 0
+    try:
+        before = caged()
+    except RuntimeError as error:
+        print(error, file=sys.stderr)
+        return 2
     tests = sorted({test for m in mutations for test in m.tests})
     results: list[Result] = []
     with tempfile.TemporaryDirectory(prefix="zm-", ignore_cleanup_errors=True) as place:
-        lab = Lab(root, Path(place), alive)
+        lab = Lab(root, Path(place), alive, before)
         print(f"{len(mutations)} mutations; first their {len(tests)} tests without any …", flush=True)
         if dead := lab.lives():
             print(f"the copy does not run: {dead}", file=sys.stderr)

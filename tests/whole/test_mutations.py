@@ -5,6 +5,7 @@ Running the catalogue takes longer than a test may: `python -m tests.mutations`,
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tests.mutations.__main__ import main
+from tests.mutations.__main__ import cage, main
 from tests.mutations.catalogue import Stale, catalogue
 
 ROOT = Path(__file__).parents[2]
@@ -46,7 +47,7 @@ def tree(tmp_path: Path) -> Path:
 def _run(tree: Path, *entries: str, words: tuple[str, ...] = (), alive: str = "import code_of_it") -> int:
     folder = tree.parent / "catalogue"
     (folder / "limits.toml").write_text("\n".join(entries))
-    return main(words, tree, folder, alive)
+    return main(words, tree, folder, alive, tuple)
 
 
 def test_every_mutation_applies_and_names_tests_that_exist() -> None:
@@ -102,3 +103,33 @@ def test_a_name_stands_once(tree: Path) -> None:
     (folder / "a.toml").write_text(ENTRY.format("same", "x < LIMIT", "True", LARGE) * 2)
     with pytest.raises(Stale, match="stands twice"):
         catalogue(folder)
+
+
+def test_nothing_that_is_let_loose_reaches_a_process_outside(tmp_path: Path) -> None:
+    try:
+        before = cage()
+    except RuntimeError as error:
+        pytest.skip(str(error))
+    stays = "sleep 577.25 & echo $!; wait"
+    code = f"import os, subprocess, sys\nsubprocess.Popen(['sh', '-c', {stays!r}], start_new_session=True)\nos.kill({os.getpid()}, 0)\n"
+    done = subprocess.run([*before, sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 1 and "ProcessLookupError" in done.stderr, "this process is not to be seen from there"
+    left = [path.parent.name for path in Path("/proc").glob("[0-9]*/cmdline") if b"577.25" in _words(path)]
+    assert left == [], "what was started there is gone with it"
+
+
+def _words(path: Path) -> list[bytes]:
+    try:
+        return path.read_bytes().split(b"\0")
+    except OSError:
+        return []
+
+
+def test_without_a_cage_nothing_is_run(tree: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.mutations.__main__.NAMESPACES", (("--none-such",),))
+    with pytest.raises(RuntimeError, match="could end every process"):
+        cage()
+    folder = tree.parent / "catalogue"
+    (folder / "limits.toml").write_text(ENTRY.format("seen", "x < LIMIT", "True", LARGE))
+    assert main((), tree, folder, "import code_of_it", cage) == 2
+    assert "could end every process" in capsys.readouterr().err
