@@ -25,6 +25,7 @@ TERMINAL = "is an application in a terminal: test_stop_banner.py and test_slim_i
 BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
 HOURS = "takes an hour or more; `.ci/run` has `zendsp prove --quick`"
 DRAWING = "is a drawing"
+CLONE = "takes half an hour, of a clone: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
 EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
 REAL = "needs the published recordings: tests/proof/test_real.py"
@@ -44,6 +45,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
      "No I/O, no Zenoh session."): DRAWING,
     ("docs/code_overview.md", "host process                target: monitor process (Python)        "
      "runner process (native, no interpreter)"): DRAWING,
+    ("docs/code_overview.md", "python -m tests.mutations"): CLONE,
     ("docs/diagnosis.md", "pip install 'zendsp[fleet]'"): NETWORK,
     ("docs/experiments.md", "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
@@ -52,6 +54,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/experiments.md", "ModelTorque(q, qd, a, tau);      /* inverse dynamics: the torque for accelerations a, "
      "friction and all */"): "names the functions that model2c writes: tests/physics/test_codegen.py compiles them",
     ("docs/machines.md", "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }"): SYNTAX,
+    ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
+    ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
     ("docs/proof.md", "zendsp prove --seed 6 --sample 200"): HOURS,
     ("docs/proof.md", "zendsp prove --real --limit 600"): REAL,
     ("docs/proof.md", "zendsp prove --implant --jobs 2"): REAL,
