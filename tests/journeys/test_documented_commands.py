@@ -322,6 +322,7 @@ class Reader:
         return "" if done.returncode == 0 else (done.stdout + done.stderr)[-1500:]
 
 
+@pytest.mark.timeout(300)  # a page is many commands
 @pytest.mark.parametrize("page", PAGES_TO_RUN, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_says_to_type_works(installed: Installed, page: Path) -> None:
     name = str(page.relative_to(ROOT))
