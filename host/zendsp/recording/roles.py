@@ -37,7 +37,7 @@ WORDS = {
 MEASURED = {"meas", "measured", "actual", "sensor", "sensed"}
 ACCELERATION = {"qdd", "ddq", "acc", "acceleration", "accel"}
 UNITS = {
-    "s": Role.TIME, "rad": Role.POSITION, "m": Role.POSITION, "rad/s": Role.VELOCITY, "m/s": Role.VELOCITY, "N m": Role.COMMAND,
+    "rad": Role.POSITION, "m": Role.POSITION, "rad/s": Role.VELOCITY, "m/s": Role.VELOCITY, "N m": Role.COMMAND,
     "Nm": Role.COMMAND, "N": Role.COMMAND, "V": Role.COMMAND, "A": Role.CURRENT, "°C": Role.TEMPERATURE, "degC": Role.TEMPERATURE,
 }  # fmt: skip
 ALLOWED = {  # units that a role can have; any where the file states none
