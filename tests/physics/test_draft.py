@@ -54,7 +54,7 @@ def test_what_the_recording_cannot_say_is_asked() -> None:
     del columns["r"]
     draft = draft_model(Table({"q": columns["q"], "iq": columns["tau"]}, {"iq": "A"}, {}, Path("run.csv")))
     asked = "\n".join(draft.questions)
-    for words in ("no time column", "does it turn (rad) or slide (m)", "how many N m (N) does one A of iq make", "How long until"):
+    for words in ("no time column", "does it turn (rad) or slide (m)", "how many N m (N) does one A of iq make", "how long until"):
         assert words.lower() in asked.lower()
     assert draft.text.count("# ? ") == len(draft.questions)
     assert model_of(draft.text).columns["command"] == "iq"

@@ -99,7 +99,7 @@ def draft_model(table: Table, name: str = "") -> Draft:
     command = _best(groups, Role.COMMAND, joints) or _best(groups, Role.CURRENT, joints)
     page = _Page()
     page.line(comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new {table.path.name}")
-    page.line(comment="# ? is a question that the recording cannot answer, on the line below it. docs/models.md explains every key.")
+    page.line(comment="What the recording cannot tell is asked with a question mark, above its line. docs/models.md explains every key.")
     for note in table.notes:
         page.line(comment=note)
     page.line(f"name = {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}")
