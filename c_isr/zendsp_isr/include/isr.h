@@ -67,6 +67,10 @@ typedef struct table {
 #define READ_POSITION(ch) ((zendsp->enc[(ch)&7] - zendsp->zero_counts[(ch)&7]) / zendsp->counts_per_unit[(ch)&7])
 #define WRITE_TORQUE(ch, tau) (zendsp->aout[(ch)&7] = (tau)*zendsp->mv_per_torque[(ch)&7])
 
+/* What the machine says of a joint: its largest torque, N m (or N), and what it turns, kg m^2 (or kg; 0 where it does not say). */
+#define TORQUE_MAX(ch) (zendsp->torque_max[(ch)&7])
+#define JOINT_INERTIA(ch) (zendsp->inertia[(ch)&7])
+
 /* ---- Time, state, acquisition ---------------------------------------------------------------------------------------------- */
 
 #define SAMPLE_PERIOD (zendsp->period) /* s */
@@ -99,7 +103,7 @@ static inline double TableValue(const table *source, double row, int32_t column)
 
 /* ---- Beneath: how the macros reach the runtime ------------------------------------------------------------------------------ */
 
-enum { ZENDSP_ISR_ABI = 2 }; /* raised when anything below changes; checked at load */
+enum { ZENDSP_ISR_ABI = 3 }; /* raised when anything below changes; checked at load */
 enum { ZENDSP_PARAMETER = 1, ZENDSP_SIGNAL = 2, ZENDSP_TABLE = 3 };
 enum { ZENDSP_DOUBLE = 1, ZENDSP_FLOAT = 2, ZENDSP_INT32 = 3, ZENDSP_BOOL = 4 };
 
@@ -121,6 +125,7 @@ typedef struct zendsp_io {
     int32_t enc[8];
     double adc[8], aout[8];
     double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
+    double torque_max[8], inertia[8];
     int32_t first, reserved;
     void (*declare)(const zendsp_declaration *declaration);
     void (*acquire)(void);

@@ -180,7 +180,7 @@ static void pendulum_read(void *handle, machine_sensors *sensors) {
     double measured[PLANT_JOINTS];
     plant_measure(&m->plant, measured);
     m->current = measured_current(m);
-    sensors->enc[0] = plant_counts(&m->info.joint[0], measured[0]);
+    sensors->enc[0] = plant_counts(&m->plant, &m->info, 0, measured[0]);
     sensors->adc[0] = m->current;
     sensors->adc[1] = m->voltage;
     sensors->din = 0;
