@@ -63,6 +63,7 @@ static void describe(machine_info *info) {
         joint->speed_max = speed_max[j];
         joint->torque_max = torque_max[j];
         joint->length = length[j];
+        joint->inertia = j == 0 ? p1 + 2.0 * p3 : p2;
     }
 }
 

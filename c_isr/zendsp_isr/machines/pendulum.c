@@ -126,6 +126,7 @@ static void describe(machine_info *info, int by_voltage) {
     joint->speed_max = 100.0;
     joint->torque_max = torque_max;
     joint->length = 0.170;
+    joint->inertia = inertia;
 }
 
 static void make_plant(pendulum *m, double brake) {

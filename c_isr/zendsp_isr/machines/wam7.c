@@ -69,6 +69,7 @@ static void describe(machine_info *info) {
         joint->speed_max = speed_max[j];
         joint->torque_max = torque_max[j];
         joint->home = home[j];
+        joint->inertia = about[j];
     }
 }
 
