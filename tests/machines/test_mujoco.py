@@ -178,7 +178,7 @@ def test_more_joints_than_a_machine_has_are_counted_and_a_choice_is_asked_for(tm
         close += "</body>"
     snake = tmp_path / "snake.xml"
     snake.write_text(f"<mujoco><worldbody>{chain}{close}</worldbody></mujoco>")
-    with pytest.raises(ValueError, match="9 joints with a drive, a machine has 8 at most.*joints=NAME"):
+    with pytest.raises(ValueError, match=r"9 joints with a drive, a machine has 8 at most.*joints=NAME"):
         robot(snake)
     with robot(snake, "joints = j0,j8") as plant:
         assert plant.joints == 2
