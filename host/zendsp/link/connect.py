@@ -7,7 +7,12 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+<<<<<<< HEAD
 from typing import IO, TYPE_CHECKING
+=======
+from pathlib import Path
+from typing import IO
+>>>>>>> c493326
 
 from zendsp.errors import LinkError
 from zendsp.link.find import CONNECT, local_entries, reach, remote_endpoints
@@ -120,7 +125,7 @@ def local(
     Parameters
     ----------
     machine : str
-        For example ``"imi_planar"``.
+        A shipped one, for example ``"imi_planar"``; a ``.c`` file, or a MuJoCo model (``.xml``).
     clock : str
         ``"real"``, or ``"fast"``: as fast as the CPU allows, with identical results.
     rate : float, Hz
@@ -146,7 +151,7 @@ def local(
     >>> with zendsp.local("imi_planar", clock="fast") as target:    # doctest: +SKIP
     ...     target.download("pd.c")
     """
-    name = name or f"{machine}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
+    name = name or f"{Path(machine).stem}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
     command = [
         sys.executable, "-m", "zendsp_target", "--machine", machine, "--name", name, "--rate", repr(float(rate)),
         "--clock", clock, "--parent", str(os.getpid()), "--json", *options,
