@@ -7,12 +7,8 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-<<<<<<< HEAD
-from typing import IO, TYPE_CHECKING
-=======
 from pathlib import Path
-from typing import IO
->>>>>>> c493326
+from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.link.find import CONNECT, local_entries, reach, remote_endpoints
