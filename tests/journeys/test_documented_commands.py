@@ -56,6 +56,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/machines.md", "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }"): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
+    ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     ("docs/proof.md", "zendsp prove --seed 6 --sample 200"): HOURS,
     ("docs/proof.md", "zendsp prove --real --limit 600"): REAL,
     ("docs/proof.md", "zendsp prove --implant --jobs 2"): REAL,
@@ -160,6 +161,17 @@ for name, amplitude in (("run1", 0.1), ("run2", 0.08), ("test", 0.09)):
 """
 
 
+def recorded(user: Installed) -> None:
+    """A recording of the bench, and no model file yet."""
+    bench(user)
+    (user.folder / "bench.toml").unlink()
+
+
+def arm(user: Installed) -> None:
+    """An arm in a MuJoCo file."""
+    user.write("arm.xml", (ROOT / "tests" / "machines" / "models" / "bench_arm.xml").read_text())
+
+
 def benches(user: Installed) -> None:
     """For docs/diagnosis.md: recordings of the bench, and a fleet of two like it."""
     bench(user)
@@ -244,7 +256,8 @@ PLANS: dict[str, Plan] = {
     "docs/isr.md": Plan(running, files={'#include "isr.h"': "control.c"}),
     "docs/machines.md": Plan(files={"#include <math.h>": "my_axis.c"}),
     "docs/machines_simulated.md": Plan(files={'friction = "plain"': "hidden.toml"}),
-    "docs/models.md": Plan(files={'name = "bench"': "bench.toml"}),
+    "docs/machines_mujoco.md": Plan(arm, stands_for={"--seconds 20": "--seconds 2"}),
+    "docs/models.md": Plan(recorded, files={'name = "bench"': "as_on_the_page.toml"}),
     "docs/protocol.md": Plan(running, arguments=first_target),
     "docs/references.md": Plan(running, prelude="import zendsp\ntarget = zendsp.connect()\n"),
     "docs/security.md": Plan(
