@@ -157,7 +157,9 @@ for name, amplitude in (("run1", 0.1), ("run2", 0.08), ("test", 0.09)):
     rec = zendsp.simulate("pd.c", "examples/models/imi_planar.toml", reference=motion, channels=["measured", "plant_torque"])
     q, tau = rec["measured"], rec["plant_torque"]
     columns = {"q": q, "tau": tau}
-    zendsp.Recording.from_columns(columns, t=rec.t, units={"q": "rad", "tau": "N m"}).save(f"{name}.mat")
+    recording = zendsp.Recording.from_columns(columns, t=rec.t, units={"q": "rad", "tau": "N m"})
+    recording.save(f"{name}.mat")
+recording.save("run.csv")
 """
 
 
@@ -230,6 +232,12 @@ def lab(user: Installed) -> None:
         path.chmod(0o600)
 
 
+def lab_and_arm(user: Installed) -> None:
+    """For the README."""
+    lab(user)
+    arm(user)
+
+
 def lab_of_the_page(user: Installed) -> None:
     """For docs/security.md, whose commands make the lab: its files are taken from a lab made before, which is then gone."""
     lab(user)
@@ -246,7 +254,7 @@ def first_target(user: Installed) -> list[str]:
 
 ROBOT = {"robot.lab:7447": "localhost:PORT", "0.0.0.0:7447": "127.0.0.1:PORT"}
 PLANS: dict[str, Plan] = {
-    "README.md": Plan(lab, stands_for=ROBOT),
+    "README.md": Plan(lab_and_arm, stands_for=ROBOT),
     "docs/diagnosis.md": Plan(
         benches,
         files={"def simulate(recording, parameters):": "pendulum_sim.py", "[mechanism]": "pendulum.toml"},
