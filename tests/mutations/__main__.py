@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import os
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from tests.mutations.catalogue import ROOT, Mutation, Stale, catalogue, chosen, 
 SOURCES = ("host", "target", "protocol", "c_isr")
 LIMIT_S = 900.0  # for the tests of one mutation; each test has pytest's own limit
 PATIENCE_S = 20.0  # for pytest to clear up after Ctrl-C
-MOST_KB = 4 << 20  # of memory of one process: a compilation without its limit shall not take the computer's
+MOST_KB = 6 << 20  # of memory of one process: a compilation without its limit shall not take the computer's
 # Without its protection, what a test tries comes about: processes that stay, or end others. It happens in a namespace of its own,
 # where there are no others, and which takes with it all that it holds. sh is there to wait for orphans.
 NAMESPACES = (("--pid",), ("--user", "--map-current-user", "--pid"))
@@ -156,6 +157,8 @@ class Lab:
     def judge(self, mutation: Mutation) -> Result:
         """Apply a mutation, and see which of its tests notice."""
         begin = time.monotonic()
+        # What a compilation said is kept beside the program: it would be told again without the code that is gone.
+        shutil.rmtree(self._folder / "cache" / "program", ignore_errors=True)
         with mutation.applied(self.tree):
             dead = self.lives()
             if dead:

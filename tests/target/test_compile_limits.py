@@ -54,9 +54,11 @@ def _is_compiling(path: Path, name: str) -> bool:
 
 def test_a_bomb_of_memory_is_refused_its_memory() -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    double = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
-    result = compile_program({"much.c": HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=20.0)
+    eight = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(4))
+    string = f'#define A0 "{"x" * (900 << 10)}"\n{eight}const char y[] = A4;\n'  # 3.5 GB within seconds
+    result = compile_program({"much.c": HEAD + string})
     assert not result.ok
+    assert "needs more than the 2048 MB" in result.diagnostics[-1].message
     most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     assert most < 2_300_000 or most == before, "kB"
 
@@ -66,6 +68,11 @@ def test_a_bomb_of_messages_is_cut() -> None:
     result = compile_program({"loud.c": HEAD + lines})
     assert len(result.diagnostics) <= 200
     assert sum(len(d.message) for d in result.diagnostics) < 500_000
+
+
+def test_of_many_messages_the_first_are_told() -> None:
+    result = compile_program({"loud.c": HEAD + "".join(f"#warning w {i}\n" for i in range(1000))})
+    assert [d.message.partition("w ")[2].split()[0] for d in result.diagnostics] == [str(i) for i in range(200)]
 
 
 def test_a_huge_result_is_refused() -> None:
