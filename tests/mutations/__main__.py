@@ -180,7 +180,7 @@ def page(results: Sequence[Result], command: str, version: str) -> str:
         "# Mutations: checks that cannot be removed unnoticed", "",
         f"`{command}`, {day}, commit {version}: {kept} of {len(results)} were noticed, in {sum(r.seconds for r in results):.0f} s.",
         "", "Each line is a promise that was taken out of a copy of the tree, alone. The tests named in `tests/mutations/` ran on the copy;",
-        "*noticed* means that every one of them failed. This page is written by the command (`--report`).",
+        "*noticed* means that every one of them failed. `--report FILE` writes such a page.",
     ]  # fmt: skip
     topic = ""
     for result in results:
