@@ -22,7 +22,8 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 BANDS = (64.0, 32.0, 16.0, 8.0)  # rad/s of the observers; slower ones see less of a torque, and far less noise
-BLOCK = 0.5  # s, over which energies are summed before their variance is taken
+BLOCK = 0.5  # s, over which energies are summed before their variance is taken; less where there would be
+BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
@@ -87,10 +88,12 @@ def noise(record: JointRecord, model: Model, band: float) -> float:
 def energy_blocks(data: Data, squares: Sequence[Array], joint: int, band: float) -> tuple[Array, Array]:
     """Sums over blocks of time of some series, one a recording, and the number of samples in each block."""
     sums, counts = [], []
+    seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
+    block = max(min(BLOCK, seconds / BLOCKS), 8.0 / band)
     for series, rec in zip(squares, data.records, strict=True):
         record = rec[joint - 1]
         use = series[kept(record, band)]
-        size = max(10, round(max(BLOCK, 8.0 / band) / record.sample_time))
+        size = max(10, round(block / record.sample_time))
         count = max(1, len(use) // size)
         for part in np.array_split(use, count):
             sums.append(float(part.sum()))
