@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
+import re
 import signal
 import struct
 import termios
@@ -51,6 +52,11 @@ class Screen:
     def text(self) -> str:
         """All rows as they are now."""
         return "\n".join(self.shown.display)
+
+    def clock(self) -> str:
+        """The time of day in the status bar, empty before it is there: it goes on while the screen lives."""
+        found = re.search(r"\d\d:\d\d:\d\d", self.text())
+        return found.group() if found else ""
 
     def keys(self, data: bytes) -> None:
         """Type."""
