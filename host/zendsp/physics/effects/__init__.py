@@ -5,13 +5,18 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import pkgutil
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 
 from zendsp.errors import ModelError
-from zendsp.physics.effects.base import Effect, Parameter, unit_of
+from zendsp.physics.effects.base import MECHANISMS, Effect, Parameter, unit_of
 
-__all__ = ["Effect", "Parameter", "get_effect", "library", "load_effects", "unit_of"]
+__all__ = ["MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "library", "load_effects", "mechanism_of", "unit_of"]
+
+# names of findings that no term of a model stands for
+OUTSIDE = {"disturbance": "disturbance", "payload": "inertia", "body": "inertia", "base_tilt": "inertia"}
+SUPPORT = {"dry": ("dry",), "friction": ("dry", "viscous")}  # what else an effect may need, by the sites that give it
 
 _extra: dict[str, Effect] = {}
 
@@ -63,6 +68,51 @@ def get_effect(name: str) -> Effect:
         return _shipped().get(name) or _extra[name]
     except KeyError:
         raise ModelError(f"no physical effect is called {name!r}; known: {', '.join(library())}") from None
+
+
+def mechanism_of(name: str) -> str:
+    """The mechanism of a machine that an effect is a law of.
+
+    Parameters
+    ----------
+    name : str
+        As in model files and reports.
+
+    Returns
+    -------
+    str
+        One of ``MECHANISMS``.
+
+    Raises
+    ------
+    ModelError
+        Where nothing of that name is known. A finding called "unknown" carries its mechanism itself.
+
+    Examples
+    --------
+    >>> from zendsp.physics.effects import mechanism_of
+    >>> mechanism_of("stribeck")
+    'dry_friction'
+    """
+    known = library()
+    return OUTSIDE[name] if name in OUTSIDE and name not in known else get_effect(name).mechanism
+
+
+def is_supported(effect: Effect, present: Collection[str]) -> bool:
+    """Whether a joint has what an effect means nothing without.
+
+    Parameters
+    ----------
+    effect : Effect
+    present : collection of str
+        Names of the joint's effects.
+
+    Returns
+    -------
+    bool
+    """
+    sites = {get_effect(name).site for name in present}
+    return all(need in present or bool(sites.intersection(SUPPORT.get(need, ()))) for need in effect.needs)
 
 
 def load_effects(path: str | Path) -> list[Effect]:

@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="coulomb",
     site="dry",
+    mechanism="dry_friction",
     parameters=(Parameter("level", "torque", lower=0),),
     c="return p[0];",
     sentence=(

@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="gravity",
     site="torque",
+    mechanism="position_torque",
     parameters=(
         Parameter("torque", "torque", lower=0),
         Parameter("angle", "angle", lower=-6.5, upper=6.5),

@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="load_friction",
     site="dry",
+    mechanism="dry_friction",
     parameters=(Parameter("coefficient", "ratio", lower=0, upper=0.9),),
     c="return p[0] * fabs(s->tau);",
     sentence=("Friction of joint {joint} grows with the transmitted torque: coefficient {coefficient}."),

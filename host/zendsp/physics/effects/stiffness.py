@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from zendsp.physics.effects.axes import near, neutral_limits
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="stiffness",
     site="torque",
+    mechanism="position_torque",
     parameters=(
         Parameter("coefficient", "torque/position", lower=0),
-        Parameter("neutral", "position", default=0.0),
+        Parameter("neutral", "position", default=0.0, limits=neutral_limits),
     ),
     c="return p[0] * (s->q - p[1]);",
     sentence=("A spring of {coefficient} with its neutral point at {neutral} pulls on joint {joint}."),
@@ -18,4 +20,5 @@ EFFECT = Effect(
     linear=("coefficient",),
     rivals=("gravity", "cubic_stiffness", "torque_offset"),
     compensable="p[0] * (q - p[1])",
+    restart=near(1),
 )

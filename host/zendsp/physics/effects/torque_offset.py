@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="torque_offset",
     site="torque",
+    mechanism="actuator",
     parameters=(Parameter("level", "torque"),),
     c="return p[0];",
     sentence=("A constant torque of {level} acts on joint {joint}."),
