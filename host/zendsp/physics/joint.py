@@ -141,7 +141,7 @@ def along(record: JointRecord, model: Model) -> Along:
     """The measured motion of a joint, for the column of an effect."""
     q, qd, qdd = record.motion.states
     return Along(
-        q=q, qd=qd, qdd=qdd, t=record.t0 + record.sample_time * np.arange(record.n),
+        q=q, qd=qd, qdd=qdd, t=np.asarray(record.t0 + record.sample_time * np.arange(record.n), dtype=np.float64),
         torque=per_joint(model.actuator.gain, record.joint, 1.0) * record.command, sample_time=record.sample_time,
         inertia=effective_inertia(record, model),
         gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,

@@ -57,14 +57,14 @@ def neutral_limits(facts: Facts) -> tuple[float, float]:
     return facts.centre - 3 * facts.scale.position, facts.centre + 3 * facts.scale.position
 
 
-def near(power: int) -> Callable[[Facts, dict[str, float]], dict[str, float]]:
+def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
     """Another start of a spring: with its neutral point in the middle of the motion, or at its edge where it was far outside.
 
     What screens as a weak spring with a distant neutral point may be a strong one with a near one: a constant torque and a stiffness
     lie in one narrow valley, along which a fit hardly moves. ``power``: of the deflection in the torque.
     """
 
-    def other(facts: Facts, values: dict[str, float]) -> dict[str, float]:
+    def other(facts: Facts, values: Numbers) -> Numbers:
         reach = 0.5 * facts.scale.position
         away = values["neutral"] - facts.centre
         far = abs(away) > reach

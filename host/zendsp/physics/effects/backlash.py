@@ -6,7 +6,12 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from zendsp.physics.effects.axes import load_limits, resonance, transmission_damping_limits, transmission_limits
+from zendsp.physics.effects.axes import (
+    load_limits,
+    resonance,
+    transmission_damping_limits,
+    transmission_limits,
+)
 from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 
 # While the gap is open the motor's inertia alone is moved: a basin spans a factor of three in the gap, of sixteen in the stiffness,

@@ -6,7 +6,12 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from zendsp.physics.effects.axes import load_limits, resonance, transmission_damping_limits, transmission_limits
+from zendsp.physics.effects.axes import (
+    load_limits,
+    resonance,
+    transmission_damping_limits,
+    transmission_limits,
+)
 from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 
 RESONANCES = (4.0, 8.0, 15.0, 30.0, 60.0)  # Hz
