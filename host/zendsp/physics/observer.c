@@ -130,8 +130,13 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         z[l] = zh[l] = a[l] = rub[l] = 0; gone[l] = 0;
         wave[l] = bend[l] = load[l] = 0; slope[l] = 1; seen[l] = q[l]; fade[l] = exp(-h / N->filter[l]);
         if (filtered) { q[l] += N->filter[l] * qd[l]; ql[l] = q[l]; } /* what is seen is late by the filter */
-        if (wavy && side) q[l] -= N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]);
-        else if (wavy) ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]);
+        if (wavy) { /* the motor where the load is known, and the other way round */
+            for (int i = 0; i < 10 && side; i++)
+                q[l] -= (q[l] + N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]) - ql[l]) / (1 + N->w_amp[l] * N->w_order[l] * cos(N->w_order[l] * q[l] + N->w_phase[l]));
+            slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cos(N->w_order[l] * q[l] + N->w_phase[l]);
+            if (side) qd[l] /= slope[l];
+            else { ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]); qdl[l] *= slope[l]; }
+        }
         ex[l] = exp(-h / N->lag[l]); mean[l] = N->lag[l] / h * (1 - ex[l]);
         if (two_mass && !N->gapped) { /* a load in a gap may be anywhere in it */
             double jm, jl;
