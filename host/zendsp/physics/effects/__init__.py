@@ -12,7 +12,7 @@ from pathlib import Path
 from zendsp.errors import ModelError
 from zendsp.physics.effects.base import MECHANISMS, Effect, Parameter, unit_of
 
-__all__ = ["MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "library", "load_effects", "mechanism_of", "unit_of"]
+__all__ = ["MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "laws_of", "library", "load_effects", "mechanism_of", "unit_of"]
 
 # names of findings that no term of a model stands for
 OUTSIDE = {"disturbance": "disturbance", "payload": "inertia", "body": "inertia", "base_tilt": "inertia"}
@@ -81,12 +81,7 @@ def mechanism_of(name: str) -> str:
     Returns
     -------
     str
-        One of ``MECHANISMS``.
-
-    Raises
-    ------
-    ModelError
-        Where nothing of that name is known. A finding called "unknown" carries its mechanism itself.
+        One of ``MECHANISMS``; the name itself where none is stated: an effect of a user's own is a mechanism by itself.
 
     Examples
     --------
@@ -94,8 +89,30 @@ def mechanism_of(name: str) -> str:
     >>> mechanism_of("stribeck")
     'dry_friction'
     """
-    known = library()
-    return OUTSIDE[name] if name in OUTSIDE and name not in known else get_effect(name).mechanism
+    effect = library().get(name)
+    return (effect.mechanism if effect else OUTSIDE.get(name, "")) or name
+
+
+def laws_of(mechanism: str) -> tuple[str, ...]:
+    """The names of the effects that are laws of a mechanism.
+
+    Parameters
+    ----------
+    mechanism : str
+        One of ``MECHANISMS``.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order, those first that a model file can hold.
+
+    Examples
+    --------
+    >>> from zendsp.physics.effects import laws_of
+    >>> laws_of("fluid_friction")
+    ('quadratic_drag', 'viscous', 'viscous_asymmetry')
+    """
+    return tuple(name for name in (*library(), *OUTSIDE) if mechanism_of(name) == mechanism)
 
 
 def is_supported(effect: Effect, present: Collection[str]) -> bool:

@@ -231,7 +231,7 @@ class Effect:
         command. ``drive``: a map of the actuator's torque that knows the speed. ``sensor``: added to the measured position.
         ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
     mechanism : str
-        What of the machine it is a law of: one of ``MECHANISMS``.
+        What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its own name.
     c : str
         Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c), ``dir`` the direction for ``dry``.
     linear : tuple of str
@@ -289,11 +289,11 @@ class Effect:
 
     name: str
     site: str
-    mechanism: str
     parameters: tuple[Parameter, ...]
     c: str
     sentence: str
     experiment: str
+    mechanism: str = ""
     equation: str = ""
     linear: tuple[str, ...] = ()
     grid: Mapping[str, Axis] = field(default_factory=dict)
@@ -322,7 +322,7 @@ class Effect:
     why_not: str = ""
 
     def __post_init__(self) -> None:
-        if self.mechanism not in MECHANISMS:
+        if self.mechanism and self.mechanism not in MECHANISMS:
             raise ModelError(f"effect {self.name!r}: mechanism = {self.mechanism!r}: expected {' | '.join(MECHANISMS)}")
 
     def parameter(self, name: str) -> Parameter:
