@@ -315,9 +315,6 @@ static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, doubl
 {
     OF(numbers) numbers, *N = &numbers;
     OF(set_up)(M, N);
-    const int rare = N->wavy || N->filtered || N->drives;
-    if (!rare && !N->two_mass && !N->hidden) return OF(predict)(M, N, r, xq, xqd, torque, 0, 0, 0, 0, 0);
-    if (!rare && !N->two_mass) return OF(predict)(M, N, r, xq, xqd, torque, 0, 1, 0, 0, 0);
-    if (!rare && !N->hidden) return OF(predict)(M, N, r, xq, xqd, torque, 1, 0, 0, 0, 0);
-    return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, 1, N->wavy, N->filtered, N->drives);
+    if (N->wavy || N->filtered || N->drives) return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, 1, N->wavy, N->filtered, N->drives);
+    return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, N->hidden, 0, 0, 0);
 }
