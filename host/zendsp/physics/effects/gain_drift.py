@@ -20,7 +20,7 @@ EFFECT = Effect(
     linear=("ratio",),
     grid={"time_constant": (0.1, 0.3, 1.0)},
     shape="time_constant",
-    slow=True,
+    loosens_inertia=True,
     rivals=("friction_drift", "torque_gain"),
     why_not="it changes with time: identify the gain again when the machine is warm",
 )

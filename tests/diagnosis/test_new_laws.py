@@ -1,0 +1,89 @@
+"""Laws beyond rigid friction: the screen finds each in a recording of independent code, and the fit finds its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+import pytest
+import reality
+
+from zendsp.diagnosis.prepare import prepare
+from zendsp.diagnosis.reading import Signals, unused_effects
+from zendsp.diagnosis.search import Searcher, calibrate_joint
+from zendsp.physics.effects import mechanism_of
+from zendsp.physics.fit import Data
+from zendsp.physics.model import Model
+from zendsp.physics.model_file import parse_model
+
+RATE, SECONDS = 500.0, 9.0
+VISCOUS = {"kind": "viscous", "joint": 1, "coefficient": 0.004}
+COULOMB = {"kind": "coulomb", "joint": 1, "level": 0.03}
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the machine has and the model has not: parameter -> true value, and how far off it may be found."""
+
+    machine: reality.Machine
+    true: dict[str, float]
+    within: float = 0.05
+    given: tuple[dict[str, object], ...] = ()
+    reference: dict[str, float] = field(default_factory=dict)
+
+
+FAST = {"high": 12.0}
+CASES: dict[str, Case] = {
+    "gain_drift": Case(reality.Machine(fade=-0.25), {"ratio": -0.25, "time_constant": 3.0}),
+    "sensor_harmonic": Case(reality.Machine(oval=0.01), {"order": 2.0, "amplitude": 0.01}, reference={"size": 2.0}),
+    "position_filter": Case(reality.Machine(smear=0.006), {"time_constant": 0.006}, reference=FAST),
+    "column_shift": Case(reality.Machine(late=2), {"time": 0.004}, reference=FAST),
+    "voltage_limit": Case(reality.Machine(supply=0.7, back=0.08), {"level": 0.7, "slope": 0.08}, reference={"size": 2.0, "high": 3.0}),
+    "stiffening": Case(
+        reality.Machine(soft=15.0, hard=8e3, load=0.006), {"stiffness": 15.0, "stiffness3": 8e3, "load_inertia": 0.006}, 0.1,
+        ({"kind": "elasticity", "joint": 1, "stiffness": 25.0, "damping": 0.02, "load_inertia": 0.005},), FAST,
+    ),
+    "transmission_error": Case(
+        reality.Machine(wobble=0.01, gravity=0.2), {"order": 5.0, "amplitude": 0.01}, reference={"size": 2.0, "high": 6.0}
+    ),
+    "friction_temperature": Case(reality.Machine(thin=0.03), {"coefficient": -0.03}),
+}  # fmt: skip
+
+
+@cache
+def data_of(name: str) -> tuple[Data, Model]:
+    """A recording of the machine, and the model that lacks the law."""
+    case = CASES[name]
+    columns = reality.simulate(case.machine, reality.multisine(SECONDS, RATE, 1, **case.reference), RATE)
+    model = parse_model({
+        "sample_time": 1.0 / RATE, "effect": [VISCOUS, COULOMB, *case.given],
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.0102}, "gravity": {"value": case.machine.gravity}}},
+    })  # fmt: skip
+    extra = {"temperature": columns["warm"][:, None]} if "warm" in columns else {}
+    q, u = columns["q"][:, None], columns["u"][:, None]
+    signals = Signals("run", columns["t"], 1.0 / RATE, q, u, None, np.array([reality.RESOLUTION]), extra=extra)
+    return prepare([signals], model, 64.0), model
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_law_is_first_in_a_search_with_its_numbers(name: str) -> None:
+    data, model = data_of(name)
+    case = CASES[name]
+    base = calibrate_joint(data, model, 1)
+    rivals = Searcher(data, 1, lambda *_: True, 1, lambda _: None).round(base)
+    told = [(r.effect, round(base.deviance - r.value)) for r in rivals[:4]]
+    first = rivals[0]
+    assert mechanism_of(first.effect) == mechanism_of(name), told
+    assert first.effect == name, told
+    term = next(t for t in first.scored.model.at(1) if t.effect == name)
+    for key, true in case.true.items():
+        assert term.value(key) == pytest.approx(true, rel=case.within), (key, told)
+
+
+def test_an_effect_without_its_column_is_not_considered_and_the_report_says_so() -> None:
+    data, model = data_of("gain_drift")
+    assert not data.records[0][0].columns
+    signals = Signals("run", np.zeros(2), 1.0, np.zeros((2, 1)), np.zeros((2, 1)), None, np.zeros(1))
+    (note,) = unused_effects([signals], model)
+    assert note == "friction_temperature was not considered: the model's [columns] names no column of temperature"
