@@ -70,7 +70,7 @@ def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float
         count += (
             sum(1 for p in effect.parameters if p.fitted)
             + (1 if effect.grid or effect.hidden else 0)
-            - 0.01 * (effect.name in ("coulomb", "torque_offset"))
+            - effect.odds
         )
         if effect.name in replacing:
             count -= 1

@@ -22,6 +22,7 @@ from zendsp.diagnosis.hypothesis import (
     JointSearch,
     Rival,
     Step,
+    counterpart,
     price,
     vanishes,
     with_numbers,
@@ -31,8 +32,8 @@ from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import run
-from zendsp.physics.model import Model
+from zendsp.physics.joint import facts, run
+from zendsp.physics.model import Model, Term
 
 Progress = Callable[[str], None]
 
@@ -209,9 +210,18 @@ class Searcher:
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
-            if not any(vanishes(r.scored.fit, t) for t in r.terms)
+            if not any(vanishes(r.scored.fit, t) or self._too_small(r, t) for t in r.terms)
         ]
         return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
+
+    def _too_small(self, rival: Rival, term: Term) -> bool:
+        """Whether a term is below what its effect says that a recording can show of it."""
+        least = get_effect(term.effect).least
+        if least is None:
+            return False
+        record = max((rec[self.joint - 1] for rec in self.data.records), key=lambda r: r.n)
+        fitted = counterpart(rival.scored.model.terms, term)
+        return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Order hypotheses by what they gain.
@@ -353,7 +363,7 @@ def _freedom(rival: Rival) -> float:
     count = 0.0
     for term in rival.terms:
         effect = get_effect(term.effect)
-        count += sum(p.fitted for p in effect.parameters) + effect.hidden
+        count += sum(p.fitted for p in effect.parameters) + effect.hidden - effect.odds
     return count - len(rival.replaces)
 
 

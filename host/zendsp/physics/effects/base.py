@@ -257,6 +257,10 @@ class Effect:
         Parameters without which, at zero or at a bound, it is not itself; the one that it is linear in where empty.
     shape : str
         Parameter that is judged as known when the essence is: without any size there is no shape.
+    least : callable or None
+        Sizes below which it is not itself, but the way in which a recording was sampled.
+    odds : float
+        Of hypotheses that explain a recording alike the commoner goes first: what this one counts less (or, below 0, more), in parameters.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
     rough : bool
@@ -306,6 +310,8 @@ class Effect:
     hidden: bool = False
     essence: tuple[str, ...] = ()
     shape: str = ""
+    least: Callable[[Facts], Numbers] | None = None
+    odds: float = 0.0
     slow: bool = False
     rough: bool = False
     loosens_inertia: bool = False

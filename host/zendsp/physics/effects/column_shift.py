@@ -1,7 +1,7 @@
 """The command column is shifted in time against the position column: rows written before or after the sample that they belong to.
 
 A column that is late holds at each row what acted before: the command of the future explains the motion, which no machine can.
-One that is early is a delay of the actuator by another name.
+One that is early is a delay of the actuator by another name, and the delay the likelier of the two.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ import numpy as np
 
 from zendsp.physics.effects.axes import late
 from zendsp.physics.effects.base import Along, Array, Effect, Facts, Numbers, Parameter
+
+ROW = 0.25  # of a row: a machine that is integrated in steps is off by a part of a step
 
 
 def _early(along: Along, p: Numbers) -> Array:
@@ -43,6 +45,8 @@ EFFECT = Effect(
     column=_early,
     retime=_moved,
     hidden=True,
+    least=lambda f: {"time": ROW * f.sample_time},
+    odds=-1.0,
     family="timing",
     rivals=("delay", "lag", "position_filter"),
     why_not="it is in the recording, not in the machine: write command and position of one sample into one row",

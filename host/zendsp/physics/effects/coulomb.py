@@ -16,6 +16,7 @@ EFFECT = Effect(
     experiment=("Slow moves both ways with reversals: the torque steps by twice the level at each reversal."),
     equation="Fc sign(q̇)",
     linear=("level",),
+    odds=0.01,
     rivals=("viscous", "stribeck"),
     compensable="p[0] * sgn(qd)",
 )

@@ -14,6 +14,7 @@ EFFECT = Effect(
     experiment=("The same poses reached from both sides."),
     equation="τ0",
     linear=("level",),
+    odds=0.01,
     rivals=("coulomb_asymmetry", "gravity", "stiffness"),
     compensable="p[0]",
 )
