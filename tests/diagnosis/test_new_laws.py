@@ -81,6 +81,25 @@ def test_law_is_first_in_a_search_with_its_numbers(name: str) -> None:
         assert term.value(key) == pytest.approx(true, rel=case.within), (key, told)
 
 
+def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -> None:
+    def first(machine: reality.Machine) -> list[str]:
+        columns = reality.simulate(machine, reality.multisine(SECONDS, RATE, 1, **FAST), RATE)
+        model = parse_model({
+            "sample_time": 1.0 / RATE, "effect": [VISCOUS, COULOMB],
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.0102}}},
+        })  # fmt: skip
+        q, u = columns["q"][:, None], columns["u"][:, None]
+        signals = Signals("run", columns["t"], 1.0 / RATE, q, u, None, np.array([reality.RESOLUTION]))
+        data = prepare([signals], model, 64.0)
+        base = calibrate_joint(data, model, 1)
+        rivals = Searcher(data, 1, lambda *_: True, 1, lambda _: None).round(base)
+        return [r.effect for r in rivals if base.deviance - r.value > 40]
+
+    assert first(reality.Machine(late=-2))[:2] == ["delay", "column_shift"]
+    # the position of reality is half of an integration step, a fortieth of a row, ahead of its torque
+    assert "column_shift" not in first(reality.Machine())
+
+
 def test_an_effect_without_its_column_is_not_considered_and_the_report_says_so() -> None:
     data, model = data_of("gain_drift")
     assert not data.records[0][0].columns
