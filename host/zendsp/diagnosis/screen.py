@@ -22,7 +22,6 @@ from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
-FRICTION = tuple(name for name, e in library().items() if e.mechanism.endswith("friction") and e.site in ("dry", "viscous", "torque"))
 TOGETHER = 8  # grid points whose columns are computed at once
 ADDED = ("torque", "viscous", "dry", "sensor")  # where an effect acts whose torque is the same beside others
 SCALES = ("scale", "dry_scale")

@@ -55,6 +55,7 @@ _PLACES = {  # of an effect: the mark in observer.c, and what is done there for 
     "setup": ("SETUP", "{c}"),
 }
 _LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}  # what is fetched where an effect's C names it
+_MARKS = {"drive": "drives", "sensor": "senses"}  # what else is done where a model has one
 _MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
 
@@ -68,8 +69,8 @@ def source_text(effects: dict[str, Effect]) -> str:
         mark, done = _PLACES[effect.site]
         looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
         cases[mark].append(f"case {i}: {looks}{done.format(name=effect.name, c=effect.c)} break;")
-        if effect.site == "drive":
-            cases["SETUP"].append(f"case {i}: drives = 1; break;")
+        if effect.site in _MARKS:
+            cases["SETUP"].append(f"case {i}: {_MARKS[effect.site]} = 1; break;")
         if effect.site == "setup":
             continue
         head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"

@@ -10,7 +10,7 @@ typedef struct {
     double delay[LANES], lag[LANES], k_spring[LANES], c_spring[LANES], j_load[LANES], gap[LANES];
     double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
-    int two_mass, lag_on, gapped, bristled, bent, pulled, late, drives, wavy, filtered, hidden; /* whether any lane has it */
+    int two_mass, lag_on, gapped, bristled, bent, pulled, late, drives, senses, wavy, filtered, hidden; /* whether any lane has it */
 } OF(numbers);
 
 typedef struct { /* what an effect may look at */
@@ -28,7 +28,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         double delay = M[l].delay, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0;
         double s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1, j_extra = 0;
         double k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
-        int two_mass = 0, lag_on = 0, drives = 0;
+        int two_mass = 0, lag_on = 0, drives = 0, senses = 0;
         for (int i = 0; i < M->nfx; i++) {
             const double *p = M[l].p + i * MAXP;
             for (int j = 0; j < MAXP; j++) N->p[i][j * LANES + l] = p[j];
@@ -44,7 +44,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         N->delay[l] = delay; N->lag[l] = lag; N->k_spring[l] = k_spring; N->c_spring[l] = c_spring; N->j_load[l] = j_load; N->gap[l] = gap;
         N->s0[l] = s0; N->s1[l] = s1; N->bw_force[l] = bw_force; N->bw_a[l] = bw_a; N->bw_n[l] = bw_n; N->j_extra[l] = j_extra;
         N->k_cubic[l] = k_cubic; N->w_amp[l] = w_amp; N->w_order[l] = w_order; N->w_phase[l] = w_phase; N->filter[l] = filter;
-        N->wavy |= w_amp != 0 || k_cubic != 0; N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0; N->filtered |= filter > 0; N->drives |= drives;
+        N->wavy |= w_amp != 0 || k_cubic != 0; N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0; N->filtered |= filter > 0; N->drives |= drives; N->senses |= senses;
         N->two_mass |= two_mass; N->lag_on |= lag_on; N->gapped |= gap > 0; N->bristled |= s0 > 0; N->bent |= bw_force > 0;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
@@ -129,7 +129,10 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         q[l] = ql[l] = M[l].q0; qd[l] = qdl[l] = M[l].qd0;
         z[l] = zh[l] = a[l] = rub[l] = 0; gone[l] = 0;
         wave[l] = bend[l] = load[l] = 0; slope[l] = 1; seen[l] = q[l]; fade[l] = exp(-h / N->filter[l]);
-        if (filtered) { q[l] += N->filter[l] * qd[l]; ql[l] = q[l]; } /* what is seen is late by the filter */
+        if (filtered) { /* what is seen is late by the filter */
+            q[l] += N->filter[l] * qd[l]; ql[l] = q[l];
+            qd[l] += N->filter[l] * M[l].a0; qdl[l] = qd[l];
+        }
         if (wavy) { /* the motor where the load is known, and the other way round */
             for (int i = 0; i < 10 && side; i++)
                 q[l] -= (q[l] + N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]) - ql[l]) / (1 + N->w_amp[l] * N->w_order[l] * cos(N->w_order[l] * q[l] + N->w_phase[l]));
@@ -159,11 +162,28 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             yloop = at;
             M->uloop[k + 1] = M->uloop[k] + clip(M->kp * (M->ref[k] - at) - M->kd * vloop, N->limit[0]) * M->T;
         } else if (M->reset > 0) {
-            if (k % M->reset == 0)
-                EACH {
-                    double dq = M->rq[k] + N->shift[l] - (filtered ? seen[l] : side ? ql[l] : q[l]), dv = M->rqd[k] - (side ? qdl[l] : qd[l]);
-                    q[l] += dq; ql[l] += dq; qd[l] += dv; qdl[l] += dv; seen[l] += dq;
+            if (k % M->reset == 0) { /* a state of which the sensor would say what is recorded */
+                double rate[LANES], off[LANES];
+                for (int i = 0; i < (N->senses ? 4 : 1); i++) {
+                    EACH { double dq = M->rq[k] + N->shift[l] - y[l]; q[l] += dq; ql[l] += dq; seen[l] += dq; }
+                    if (N->senses) OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
                 }
+                EACH rate[l] = M->rqd[k];
+                if (N->senses) {
+                    EACH off[l] = (filtered ? seen[l] : side ? ql[l] : q[l]) + 1e-5;
+                    OF(sense)(M, N, S, off, e);
+                    EACH rate[l] = M->rqd[k] * 1e-5 / (e[l] - y[l]);
+                }
+                if (filtered) { /* the joint is ahead of what is seen of it */
+                    const int before = k > 0 ? k - 1 : k, after = k + 1 < n ? k + 1 : k;
+                    const double grows = (M->rqd[after] - M->rqd[before]) / ((after - before) * M->T);
+                    EACH {
+                        double dq = seen[l] + N->filter[l] * rate[l] - (side ? ql[l] : q[l]);
+                        q[l] += dq; ql[l] += dq; rate[l] += N->filter[l] * grows;
+                    }
+                }
+                EACH { double dv = rate[l] - (side ? qdl[l] : qd[l]); qd[l] += dv; qdl[l] += dv; }
+            }
             OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
             EACH out[l] = M->w[k] * (M->m[k] + N->shift[l] - y[l]);
         } else {
