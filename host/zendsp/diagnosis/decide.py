@@ -447,11 +447,11 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     state = structure(learn, parts.test, base.model, joint, STRUCTURED)
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
-    if before.low > OF_STATE:
+    of_state = state.size > OF_STATE and state.z > SURE
+    if before.low > OF_STATE and state.share < MOST:
         here = bursts(parts.held, base.model, joint)
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)
-    of_state = state.size > OF_STATE and state.z > SURE
     if of_state:
         claim = _without_law(parts, learn, search, state)
         if claim is not None:

@@ -28,7 +28,7 @@ DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 CONCENTRATED = 0.8  # of the energy, in that time
-REVISITED = 0.7  # of that time, in states that the joint is in at other times too
+REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
 
@@ -360,7 +360,9 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
-        cell = 40 * np.floor(20 * _unit(q, (float(q.min()), float(q.max())))) + 10 * (v > 0) + np.minimum(9, np.floor(3 * np.abs(v) / max(float(np.std(v)), 1e-300)))
+        place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
+        fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
+        cell = 6 * place + 3 * (v > 0) + fast  # 20 places, 2 directions, 3 speeds
         met += int(np.isin(cell[high], np.unique(cell[~high])).sum())
         energy = lack[use] ** 2
         inside += float(energy[high].sum())
