@@ -282,6 +282,8 @@ class Effect:
         Terms of a given model that this effect contains as a special case.
     needs : tuple of str
         Terms without which it has no meaning: names of effects, ``"dry"`` for any dry friction level, ``"friction"`` also for viscous.
+    aliases : tuple of str
+        Effects that can be exactly the same to any recording: no fit tells them apart.
     family : str
         Effects of one family explain the same traces; few recordings separate them.
     sentence : str
@@ -325,6 +327,7 @@ class Effect:
     reads: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
     family: str = ""
     rivals: tuple[str, ...] = ()
     repeatable: bool = False

@@ -29,6 +29,7 @@ EFFECT = Effect(
     retime=_moved,
     hidden=True,
     family="timing",
+    aliases=("column_shift",),  # a column that is early
     rivals=("lag", "column_shift"),
     why_not="a torque cannot come sooner: lower the bandwidth, or predict the reference",
 )
