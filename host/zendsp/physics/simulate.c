@@ -159,15 +159,18 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     const int n = S->c.joints, N = S->dof;
     double A[SIM_DOF * SIM_DOF], b[SIM_DOF], up[SIM_DOF], down[SIM_DOF], g[SIM_MAX];
     double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX], yd[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX];
-    links(S, xm, y, slope, bend);
-    for (int i = 0; i < n; i++)
-        yd[i] = slope[i] * ve[i];
-    bias(S, y, yd, pose, g);
-    for (int i = 0; i < n; i++) { /* in the joints' coordinates, with what an uneven turn accelerates */
-        for (int k = 0; k < n; k++)
-            g[i] += bend[k] != 0 ? M[i * n + k] * bend[k] * ve[k] * ve[k] : 0;
-        g[i] *= slope[i];
-    }
+    if (S->uneven) {
+        links(S, xm, y, slope, bend);
+        for (int i = 0; i < n; i++)
+            yd[i] = slope[i] * ve[i];
+        bias(S, y, yd, pose, g);
+        for (int i = 0; i < n; i++) { /* in the joints' coordinates, with what an uneven turn accelerates */
+            for (int k = 0; k < n; k++)
+                g[i] += M[i * n + k] * bend[k] * ve[k] * ve[k];
+            g[i] *= slope[i];
+        }
+    } else
+        bias(S, xm, ve, pose, g);
     for (int i = 0; i < N; i++) {
         up[i] = down[i] = 0;
         for (int k = 0; k < N; k++)
@@ -175,7 +178,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     }
     for (int i = 0; i < n; i++) {
         for (int k = 0; k < n; k++)
-            A[i * N + k] = slope[i] * M[i * n + k] * slope[k] + S->across[i][k];
+            A[i * N + k] = (S->uneven ? slope[i] * slope[k] : 1) * M[i * n + k] + S->across[i][k];
         const sim_joint *j = &S->j[i];
         if (j->motor != i) {
             A[i * N + i] -= j->j_motor;
@@ -196,7 +199,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
         gather(S, i, xm, ve, s, &f);
         double damp = f.visc, push = j->tau - f.smooth; /* damp: implicit, taken at the mean of old and new speed */
         if (keep)
-            S->torque[i] += f.tau / S->c.inner;
+            S->torque[i] += f.tau;
         if (j->bw_force > 0) {
             double mean;
             zh[i] = hysteresis(j, j->hyst, ve[m], H, &mean);
@@ -279,9 +282,10 @@ static void inner_step(sim *S, double tl, double h) {
     tree_pose pose;
     for (int i = 0; i < S->dof; i++)
         xm[i] = S->x[i] + 0.5 * h * S->v[i];
-    links(S, xm, y, slope, bend);
-    inertia(S, y, &pose, M);
-    for (int i = 0; i < n; i++)
+    if (S->uneven)
+        links(S, xm, y, slope, bend);
+    inertia(S, S->uneven ? y : xm, &pose, M);
+    for (int i = 0; i < n && S->filtered; i++)
         from[i] = side(S, i, &unused);
     const double t = S->c.t0 + tl + 0.5 * h;
     stage(S, 0.5 * h, t, M, &pose, xm, S->v, S->v, vm, 0);
@@ -290,7 +294,7 @@ static void inner_step(sim *S, double tl, double h) {
         S->x[i] += 0.5 * h * (S->v[i] + vn[i]);
         S->v[i] = vn[i];
     }
-    for (int i = 0; i < n; i++) { /* filtered sensors, exactly for a position that moves evenly within the step */
+    for (int i = 0; i < n && S->filtered; i++) { /* filtered sensors, exactly for a position that moves evenly within the step */
         sim_joint *j = &S->j[i];
         if (j->filter <= 0)
             continue;
@@ -337,6 +341,8 @@ sim *sim_new(const sim_config *c, int room) {
             S->x[i] = through(j, c->q0[i], &slope, &unused);
             S->v[i] = slope * c->qd0[i];
         }
+        S->uneven |= j->w_amp != 0 && j->motor == i;
+        S->filtered |= j->filter > 0;
         double speed;
         const double at = side(S, i, &speed);
         j->seen = at - j->filter * speed; /* as if it had always moved so */
@@ -406,6 +412,8 @@ int sim_advance(sim *S, const double *command) {
     const double h = S->c.period / S->c.inner;
     for (int i = 0; i < S->c.inner; i++)
         inner_step(S, k * S->c.period + i * h, h);
+    for (int i = 0; i < n; i++)
+        S->torque[i] /= S->c.inner;
     for (int i = 0; i < S->dof; i++)
         if (!(fabs(S->x[i]) < 1e5 && fabs(S->v[i]) < 1e7))
             return 1;

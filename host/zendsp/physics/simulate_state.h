@@ -56,6 +56,7 @@ typedef struct sim {
     sim_config c;
     sim_joint j[SIM_MAX];
     int dof, ticks, room;
+    int uneven, filtered;          /* whether a rigid transmission has an error, a sensor a filter */
     int first[SIM_MAX + 1];        /* effects of joint i: first[i] … first[i + 1] */
     double x[SIM_DOF], v[SIM_DOF]; /* position and speed: joints (load side), then motors of elastic joints */
     double across[SIM_MAX][SIM_MAX]; /* inertia couplings of the effects */
