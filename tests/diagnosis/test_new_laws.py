@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 import reality
 
+from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals, unused_effects
 from zendsp.diagnosis.search import Searcher, calibrate_joint
+from zendsp.errors import RecordingError
 from zendsp.physics.effects import mechanism_of
 from zendsp.physics.fit import Data
+from zendsp.physics.loop import Looped, simulate_joint_loop
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model
 
@@ -106,3 +110,42 @@ def test_an_effect_without_its_column_is_not_considered_and_the_report_says_so()
     signals = Signals("run", np.zeros(2), 1.0, np.zeros((2, 1)), np.zeros((2, 1)), None, np.zeros(1))
     (note,) = unused_effects([signals], model)
     assert note == "friction_temperature was not considered: the model's [columns] names no column of temperature"
+
+
+def test_a_column_that_one_recording_lacks_is_used_by_none(tmp_path: Path) -> None:
+    machine = reality.Machine(thin=0.03)
+    files = []
+    for name, seed in (("train", 1), ("held", 2)):
+        columns = reality.simulate(machine, reality.multisine(5.0, RATE, seed), RATE, seed)
+        if name == "held":
+            del columns["warm"]
+        files.append(reality.save(tmp_path / f"{name}.csv", columns))
+    tables = (reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03))
+    model = reality.model_file(tmp_path / "model.toml", RATE, *tables)
+    model.write_text(model.read_text() + 'temperature = "warm"\n')
+    d = diagnose(files[0], model, files[1], jobs=1)
+    assert "friction_temperature" not in {f.effect for f in (*d.findings, *d.refinements)}
+    (note,) = (note for note in d.notes if "friction_temperature" in note)
+    assert note.startswith("friction_temperature was not considered: ") and note.endswith("held.csv: no column of temperature")
+    model.write_text(model.read_text() + reality.effect("friction_temperature", coefficient=-0.03))
+    with pytest.raises(RecordingError, match="friction_temperature of joint 1 needs a column of temperature"):
+        diagnose(files[0], model, files[1], jobs=1)
+
+
+def looped(*terms: dict[str, object], **more: float) -> Looped:
+    """A joint of 0.01 kg m² in a loop that follows a sine."""
+    parameters = {"inertia": {"value": 0.01}}
+    model = parse_model({"sample_time": 0.002, "mechanism": {"kind": "rotary", "parameters": parameters}, "effect": list(terms)})
+    return simulate_joint_loop(model, 1, np.sin(6.0 * np.arange(1000) * 0.002), 0.002, kp=3.0, kd=0.1, inertia=0.01, **more)  # type: ignore[arg-type]
+
+
+def test_a_simulated_loop_knows_temperature_load_and_what_is_written_of_its_command() -> None:
+    warm = {"kind": "friction_temperature", "joint": 1, "coefficient": -0.05, "reference": 20.0}
+    half = {**COULOMB, "level": 0.015}
+    np.testing.assert_allclose(looped(COULOMB, warm, temperature=30.0).position, looped(half).position, atol=1e-12)
+    plain, late = looped(COULOMB), looped(COULOMB, {"kind": "column_shift", "joint": 1, "time": 0.004})
+    np.testing.assert_array_equal(plain.position, late.position)
+    np.testing.assert_allclose(late.command[10:], plain.command[8:-2], atol=1e-12)
+    hard = {"kind": "elasticity", "joint": 1, "stiffness": 3000.0, "damping": 0.2, "load_inertia": 0.005}
+    # 3000 N m/rad bend by 0.1 mrad under the torque of the load; the motor has the other half of the inertia
+    assert np.max(np.abs(looped(hard, VISCOUS).position - looped(VISCOUS).position)) < 2e-3

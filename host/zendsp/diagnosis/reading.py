@@ -145,6 +145,17 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     return _decimate(signals)
 
 
+def with_same_columns(signals: Sequence[Signals], others: Sequence[Signals]) -> tuple[list[Signals], list[Signals]]:
+    """The recordings with those optional columns that all of them have."""
+    all_of_them = (*signals, *others)
+    roles = {role for s in all_of_them for role in s.extra if all(role in x.extra for x in all_of_them)}
+
+    def kept(s: Signals) -> Signals:
+        return replace(s, extra={role: values for role, values in s.extra.items() if role in roles})
+
+    return [kept(s) for s in signals], [kept(s) for s in others]
+
+
 def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
     """The optional columns of one joint (from 0) by their role, (n,) each."""
     return {role: np.ascontiguousarray(values[:, joint]) for role, values in signals.extra.items()}

@@ -347,7 +347,10 @@ def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
                 raise RecordingError(
                     f"the model's {term.effect} of joint {term.joint} needs a column of {column}: name it in [columns] {column}"
                 )
-    return record.columns.get("temperature", _NOTHING)
+    felt = record.columns.get("temperature", _NOTHING)
+    if len(felt) not in (0, record.n):
+        raise RecordingError(f"temperature has {len(felt)} rows; expected {record.n}, as many as the position")
+    return felt
 
 
 def sensed(record: JointRecord, model: Model, terms: tuple[Term, ...], position: Array | None = None) -> Array:

@@ -39,7 +39,7 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
         }
         if (two_mass && !(j_load > 0)) j_load = 0.5 * M[l].reference; /* nobody says how much of the inertia is the load */
         if (c_spring < 0) c_spring = 0.1 * sqrt(k_spring * j_load); /* nor what damps it: a twentieth of critical */
-        delay -= column_late;
+        if (!(M[l].kp > 0)) delay -= column_late; /* a loop knows its command before it is recorded */
         N->shift[l] = M[l].shift; N->gain[l] = M[l].gain; N->limit[l] = M[l].limit > 0 ? M[l].limit : INFINITY; N->gravity[l] = M[l].gravity;
         N->delay[l] = delay; N->lag[l] = lag; N->k_spring[l] = k_spring; N->c_spring[l] = c_spring; N->j_load[l] = j_load; N->gap[l] = gap;
         N->s0[l] = s0; N->s1[l] = s1; N->bw_force[l] = bw_force; N->bw_a[l] = bw_a; N->bw_n[l] = bw_n; N->j_extra[l] = j_extra;
