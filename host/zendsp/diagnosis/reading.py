@@ -17,6 +17,7 @@ from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     for key in ("position",):
         if key not in columns:
             raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
-    name, get = _getter(source, columns)
+    name, get, done = _getter(source)
     joints = model.joints
     position = _matrix(name, "position", get, columns["position"], joints)
     n = len(position)
@@ -141,7 +142,7 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
-    signals = Signals(name, time, sample_time, position, command, reference, resolution, tuple(notes), extra)
+    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra)
     return _decimate(signals)
 
 
@@ -197,7 +198,8 @@ def _optional(name: str, role: str, get: Any, spec: Any, n: int, joints: int) ->
     return np.array(np.broadcast_to(values, (n, joints)))
 
 
-def _getter(source: Any, columns: Any) -> tuple[str, Any]:
+def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
+    """Its name, a function from a column's name to its numbers in SI, and what was done to get these."""
     if isinstance(source, Recording):
         names = set(source.names)
 
@@ -205,17 +207,16 @@ def _getter(source: Any, columns: Any) -> tuple[str, Any]:
             if column in ("t", "time") and column not in names:
                 return np.asarray(source.t, float)
             try:
-                return np.asarray(source[column], float)
+                known = to_si(source.units.get(column.partition("[")[0], ""))
+                return np.asarray(source[column], float) * (known[0] if known else 1.0)
             except (KeyError, RecordingError):
                 raise RecordingError(
                     f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
                 ) from None
 
-        return "recording", from_recording
-    if isinstance(source, Table):
-        return str(source.path), lambda column: source[column]
-    table = read_table(source)
-    return str(source), lambda column: table[column]
+        return "recording", from_recording, ()
+    table = source if isinstance(source, Table) else read_table(source)
+    return str(table.path), lambda column: table[column], table.notes
 
 
 def _has(get: Any, column: Any) -> bool:
