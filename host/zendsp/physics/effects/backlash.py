@@ -48,6 +48,7 @@ EFFECT = Effect(
     sentence=("Joint {joint} has backlash of {gap} between motor and load."),
     experiment=("Small reversals around zero load torque."),
     equation="k dz(qm - ql, gap)",
+    over="position",
     scan=_starts,
     apart="gap",  # of one gap the likeliest: others lead to the same optimum
     hidden=True,

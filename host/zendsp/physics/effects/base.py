@@ -239,6 +239,8 @@ class Effect:
         What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its own name.
     c : str
         Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c), ``dir`` the direction for ``dry``.
+    over : str
+        What it is best drawn over: velocity, position, acceleration, command or time.
     linear : tuple of str
         Parameters in which the torque is linear: screened by one least squares.
     grid : mapping
@@ -306,6 +308,7 @@ class Effect:
     experiment: str
     mechanism: str = ""
     equation: str = ""
+    over: str = "velocity"
     linear: tuple[str, ...] = ()
     grid: Mapping[str, Axis] = field(default_factory=dict)
     column: Callable[[Along, Numbers], Array] | None = None

@@ -41,6 +41,7 @@ EFFECT = Effect(
     sentence="The command column of joint {joint} is {time} late against the position column (negative: early): the rows are shifted.",
     experiment="A step of the command: the row in which the motion begins shows the shift.",
     equation="u(t + s) in place of u(t)",
+    over="acceleration",
     linear=("time",),
     column=_early,
     retime=_moved,

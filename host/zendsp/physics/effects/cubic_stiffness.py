@@ -17,6 +17,7 @@ EFFECT = Effect(
     sentence=("A hardening spring of {coefficient} around {neutral} acts on joint {joint}."),
     experiment=("Slow motion over the whole range, to its ends."),
     equation="k3 (q - q0)³",
+    over="position",
     linear=("coefficient",),
     grid={"neutral": around_centre(-0.5, 0.0, 0.5)},
     rivals=("stiffness", "gravity"),

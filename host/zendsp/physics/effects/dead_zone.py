@@ -14,6 +14,7 @@ EFFECT = Effect(
     sentence=("The actuator of joint {joint} gives no torque for commands below {width}."),
     experiment=("Slow torque ramps through zero."),
     equation="u - d sign(u), 0 for |u| < d",
+    over="command",
     grid={"width": (0.02, 0.05, 0.1, 0.2, 0.4)},
     rivals=("coulomb", "backlash"),
     inverse="wanted + p[0] * gain * tanh(wanted / (0.05 * p[0] * gain + 1e-12))",

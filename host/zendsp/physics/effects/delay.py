@@ -24,6 +24,7 @@ EFFECT = Effect(
     sentence=("The command reaches joint {joint} {time} late."),
     experiment=("Torque at high frequency: chirp or PRBS."),
     equation="u(t - d)",
+    over="acceleration",
     linear=("time",),
     column=late,
     retime=_moved,

@@ -39,6 +39,7 @@ EFFECT = Effect(
     sentence=("Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."),
     experiment=("Chirp or multisine around the resonance; steps and listen to the ringing."),
     equation="k (qm - ql) + c (q̇m - q̇l)",
+    over="acceleration",
     scan=_starts,
     hidden=True,
     essence=("stiffness", "load_inertia"),  # with infinite stiffness it is none

@@ -17,6 +17,7 @@ EFFECT = Effect(
     sentence=("The encoder of joint {joint} is eccentric: {amplitude} once per turn."),
     experiment=("Constant speed over several turns, or a second sensor."),
     equation="q + e sin(q + φ)",
+    over="position",
     linear=("amplitude",),
     grid={"phase": (0.0, 1.5707963267948966)},
     rivals=("ripple", "gravity"),

@@ -19,6 +19,7 @@ EFFECT = Effect(
     ),
     experiment=("A long record at constant excitation, starting cold."),
     equation="friction (1 + r (1 - exp(-t/T)))",
+    over="time",
     linear=("ratio",),
     grid={"time_constant": (0.1, 0.3, 1.0)},
     needs=("friction",),

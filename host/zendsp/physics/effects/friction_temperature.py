@@ -16,6 +16,7 @@ EFFECT = Effect(
     sentence="Dry friction of joint {joint} changes by {coefficient} of its level at {reference} with each degree.",
     experiment="The same motion cold and warm, with the temperature recorded.",
     equation="F (1 + c (T - T0)) sign(q̇)",
+    over="time",
     linear=("coefficient",),
     grid={"reference": lambda f: [f.temperature]},
     slow=True,

@@ -17,6 +17,7 @@ EFFECT = Effect(
     sentence="The torque that the actuator of joint {joint} gives drifts by {ratio} of itself with a time constant of {time_constant}.",
     experiment="A long record at constant excitation, starting cold.",
     equation="u (1 + r (1 - exp(-t/T)))",
+    over="time",
     linear=("ratio",),
     grid={"time_constant": (0.1, 0.3, 1.0)},
     shape="time_constant",

@@ -16,6 +16,7 @@ EFFECT = Effect(
     sentence=("A gravity torque of {torque} acts on joint {joint}, balanced at {angle}."),
     experiment=("Slow motion over a wide range, beyond ±90°."),
     equation="G sin(q - φ)",
+    over="position",
     linear=("torque",),
     grid={"angle": (0.0, -1.5707963267948966)},
     rivals=("stiffness", "torque_offset"),

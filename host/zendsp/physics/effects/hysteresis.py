@@ -33,6 +33,7 @@ EFFECT = Effect(
     ),
     experiment=("Slow cycles of several amplitudes: loops that close."),
     equation="F z, ż = A q̇ - β |q̇||z|ⁿ⁻¹z - γ q̇|z|ⁿ",
+    over="position",
     scan=_starts,
     hidden=True,
     essence=("force", "stiffness"),

@@ -15,6 +15,7 @@ EFFECT = Effect(
     ),
     experiment=("Fast accelerations with and without the suspected payload."),
     equation="ΔJ q̈",
+    over="acceleration",
     linear=("amount",),
     column=lambda along, p: along.qdd * p["amount"],
     same_as=("inertia", "mass"),

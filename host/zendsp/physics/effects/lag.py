@@ -27,6 +27,7 @@ EFFECT = Effect(
     sentence=("The actuator of joint {joint} lags the command with a time constant of {time_constant}."),
     experiment=("Torque at high frequency: chirp or PRBS."),
     equation="T τ' + τ = u",
+    over="acceleration",
     linear=("time_constant",),
     column=late,
     retime=_moved,

@@ -13,6 +13,7 @@ EFFECT = Effect(
     sentence=("Friction of joint {joint} grows with the transmitted torque: coefficient {coefficient}."),
     experiment=("The same slow move with and without a payload."),
     equation="μ |τ| sign(q̇)",
+    over="command",
     linear=("coefficient",),
     rivals=("coulomb", "torque_gain"),
     compensable="p[0] * fabs(tau) * sgn(qd)",

@@ -13,6 +13,7 @@ EFFECT = Effect(
     sentence="The position of joint {joint} is recorded through a low-pass filter with a time constant of {time_constant}.",
     experiment="Fast motion beside a second sensor, or the unfiltered channel of the drive.",
     equation="T y' + y = q",
+    over="acceleration",
     linear=("time_constant",),
     column=lambda along, p: p["time_constant"] * along.qd,
     on_position=True,

@@ -30,6 +30,7 @@ EFFECT = Effect(
     sentence=("Dry friction of joint {joint} varies along the travel by {amplitude}, period {period}."),
     experiment=("One slow pass over the whole range in each direction."),
     equation="A sin(2π q/P + φ) sign(q̇)",
+    over="position",
     linear=("amplitude",),
     grid={
         "period": _periods,

@@ -29,6 +29,7 @@ EFFECT = Effect(
     sentence=("Dry friction of joint {joint} builds up over a bristle deflection: stiffness {stiffness}."),
     experiment=("Small slow torque cycles below breakaway, with a fine position sensor."),
     equation="σ0 z + σ1 ż, ż = q̇ - σ0 |q̇| z / F(q̇)",
+    over="position",
     scan=_starts,
     hidden=True,
     essence=("stiffness",),

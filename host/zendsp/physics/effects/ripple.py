@@ -20,6 +20,7 @@ EFFECT = Effect(
     ),
     experiment=("A slow constant-speed pass over the whole range."),
     equation="A sin(n q + φ)",
+    over="position",
     linear=("amplitude",),
     grid={"order": orders, "phase": (0.0, 1.5707963267948966)},
     rivals=("position_friction", "encoder_eccentricity", "gravity"),

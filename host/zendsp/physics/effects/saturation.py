@@ -14,6 +14,7 @@ EFFECT = Effect(
     sentence=("The actuator of joint {joint} saturates at {level}."),
     experiment=("Fast accelerations to the stated limit."),
     equation="clip(u, ±level)",
+    over="command",
     grid={"level": of_command(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)},
     loosens_inertia=True,
     why_not="no command passes the limit: plan below it",

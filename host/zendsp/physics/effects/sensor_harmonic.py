@@ -18,6 +18,7 @@ EFFECT = Effect(
     sentence="The position sensor of joint {joint} errs by {amplitude}, {repeats}.",
     experiment="Constant speed over several turns, or a second sensor.",
     equation="q + e sin(n q + φ), n ≥ 2",
+    over="position",
     linear=("amplitude",),
     grid={"order": orders, "phase": (0.0, 1.5707963267948966)},
     rivals=("encoder_eccentricity", "ripple"),

@@ -38,6 +38,7 @@ EFFECT = Effect(
     sentence="The transmission of joint {joint} stiffens as it bends: {stiffness} at rest, and {stiffness3} times the bend cubed.",
     experiment="Chirps of two amplitudes: the resonance rises with the amplitude.",
     equation="k φ + k₃ φ³, φ = qm - ql",
+    over="command",
     scan=_starts,
     hidden=True,
     essence=("stiffness3", "load_inertia"),

@@ -17,6 +17,7 @@ EFFECT = Effect(
     sentence=("A spring of {coefficient} with its neutral point at {neutral} pulls on joint {joint}."),
     experiment=("Slow motion over the whole range."),
     equation="k (q - q0)",
+    over="position",
     linear=("coefficient",),
     rivals=("gravity", "cubic_stiffness", "torque_offset"),
     compensable="p[0] * (q - p[1])",

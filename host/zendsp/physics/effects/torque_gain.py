@@ -15,6 +15,7 @@ EFFECT = Effect(
         "A known mass or a force gauge: no motion record alone can tell a gain from inertia, gravity and friction together."
     ),
     equation="(1 + ε) u",
+    over="command",
     linear=("ratio",),
     rivals=("inertia",),
     inverse="wanted / (1.0 + p[0])",

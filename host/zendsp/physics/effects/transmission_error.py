@@ -33,6 +33,7 @@ EFFECT = Effect(
     sentence="The transmission of joint {joint} errs by {amplitude}, {repeats}: the load runs ahead of the motor and behind.",
     experiment="Constant speeds over whole turns, slow and fast, or a second sensor on the load.",
     equation="ql = qm + A sin(n qm + φ)",
+    over="position",
     linear=("amplitude",),
     grid={"order": lambda f: [1.0, *orders(f)], "phase": (0.0, 1.5707963267948966)},
     column=_column,
