@@ -59,14 +59,18 @@ CASES: dict[str, Case] = {
 def data_of(name: str) -> tuple[Data, Model]:
     """A recording of the machine, and the model that lacks the law."""
     case = CASES[name]
-    columns = reality.simulate(case.machine, reality.multisine(SECONDS, RATE, 1, **case.reference), RATE)
+    columns = reality.simulate(
+        case.machine, reality.multisine(SECONDS, RATE, 1, **case.reference), RATE
+    )
     model = parse_model({
         "sample_time": 1.0 / RATE, "effect": [VISCOUS, COULOMB, *case.given],
         "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.0102}, "gravity": {"value": case.machine.gravity}}},
     })  # fmt: skip
     extra = {"temperature": columns["warm"][:, None]} if "warm" in columns else {}
     q, u = columns["q"][:, None], columns["u"][:, None]
-    signals = Signals("run", columns["t"], 1.0 / RATE, q, u, None, np.array([reality.RESOLUTION]), extra=extra)
+    signals = Signals(
+        "run", columns["t"], 1.0 / RATE, q, u, None, np.array([reality.RESOLUTION]), extra=extra
+    )
     return prepare([signals], model, 64.0), model
 
 
@@ -93,7 +97,9 @@ def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -
             "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.0102}}},
         })  # fmt: skip
         q, u = columns["q"][:, None], columns["u"][:, None]
-        signals = Signals("run", columns["t"], 1.0 / RATE, q, u, None, np.array([reality.RESOLUTION]))
+        signals = Signals(
+            "run", columns["t"], 1.0 / RATE, q, u, None, np.array([reality.RESOLUTION])
+        )
         data = prepare([signals], model, 64.0)
         base = calibrate_joint(data, model, 1)
         rivals = Searcher(data, 1, lambda *_: True, 1, lambda _: None).round(base)
@@ -107,9 +113,14 @@ def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -
 def test_an_effect_without_its_column_is_not_considered_and_the_report_says_so() -> None:
     data, model = data_of("gain_drift")
     assert not data.records[0][0].columns
-    signals = Signals("run", np.zeros(2), 1.0, np.zeros((2, 1)), np.zeros((2, 1)), None, np.zeros(1))
+    signals = Signals(
+        "run", np.zeros(2), 1.0, np.zeros((2, 1)), np.zeros((2, 1)), None, np.zeros(1)
+    )
     (note,) = unused_effects([signals], model)
-    assert note == "friction_temperature was not considered: the model's [columns] names no column of temperature"
+    assert (
+        note
+        == "friction_temperature was not considered: the model's [columns] names no column of temperature"
+    )
 
 
 def test_a_column_that_one_recording_lacks_is_used_by_none(tmp_path: Path) -> None:
@@ -126,26 +137,49 @@ def test_a_column_that_one_recording_lacks_is_used_by_none(tmp_path: Path) -> No
     d = diagnose(files[0], model, files[1], jobs=1)
     assert "friction_temperature" not in {f.effect for f in (*d.findings, *d.refinements)}
     (note,) = (note for note in d.notes if "friction_temperature" in note)
-    assert note.startswith("friction_temperature was not considered: ") and note.endswith("held.csv: no column of temperature")
+    assert note.startswith("friction_temperature was not considered: ") and note.endswith(
+        "held.csv: no column of temperature"
+    )
     model.write_text(model.read_text() + reality.effect("friction_temperature", coefficient=-0.03))
-    with pytest.raises(RecordingError, match="friction_temperature of joint 1 needs a column of temperature"):
+    with pytest.raises(
+        RecordingError, match="friction_temperature of joint 1 needs a column of temperature"
+    ):
         diagnose(files[0], model, files[1], jobs=1)
 
 
 def looped(*terms: dict[str, object], **more: float) -> Looped:
     """A joint of 0.01 kg m² in a loop that follows a sine."""
     parameters = {"inertia": {"value": 0.01}}
-    model = parse_model({"sample_time": 0.002, "mechanism": {"kind": "rotary", "parameters": parameters}, "effect": list(terms)})
-    return simulate_joint_loop(model, 1, np.sin(6.0 * np.arange(1000) * 0.002), 0.002, kp=3.0, kd=0.1, inertia=0.01, **more)  # type: ignore[arg-type]
+    model = parse_model(
+        {
+            "sample_time": 0.002,
+            "mechanism": {"kind": "rotary", "parameters": parameters},
+            "effect": list(terms),
+        }
+    )
+    return simulate_joint_loop(
+        model, 1, np.sin(6.0 * np.arange(1000) * 0.002), 0.002, kp=3.0, kd=0.1, inertia=0.01, **more
+    )  # type: ignore[arg-type]
 
 
 def test_a_simulated_loop_knows_temperature_load_and_what_is_written_of_its_command() -> None:
     warm = {"kind": "friction_temperature", "joint": 1, "coefficient": -0.05, "reference": 20.0}
     half = {**COULOMB, "level": 0.015}
-    np.testing.assert_allclose(looped(COULOMB, warm, temperature=30.0).position, looped(half).position, atol=1e-12)
-    plain, late = looped(COULOMB), looped(COULOMB, {"kind": "column_shift", "joint": 1, "time": 0.004})
+    np.testing.assert_allclose(
+        looped(COULOMB, warm, temperature=30.0).position, looped(half).position, atol=1e-12
+    )
+    plain, late = (
+        looped(COULOMB),
+        looped(COULOMB, {"kind": "column_shift", "joint": 1, "time": 0.004}),
+    )
     np.testing.assert_array_equal(plain.position, late.position)
     np.testing.assert_allclose(late.command[10:], plain.command[8:-2], atol=1e-12)
-    hard = {"kind": "elasticity", "joint": 1, "stiffness": 3000.0, "damping": 0.2, "load_inertia": 0.005}
+    hard = {
+        "kind": "elasticity",
+        "joint": 1,
+        "stiffness": 3000.0,
+        "damping": 0.2,
+        "load_inertia": 0.005,
+    }
     # 3000 N m/rad bend by 0.1 mrad under the torque of the load; the motor has the other half of the inertia
     assert np.max(np.abs(looped(hard, VISCOUS).position - looped(VISCOUS).position)) < 2e-3

@@ -1,4 +1,4 @@
-"""What several effects say alike of a recording: values to screen, bounds, and start values. All SI."""
+"""What several effects say alike of a recording: values to screen, bounds, starts. All SI."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Limits = Callable[[Facts], tuple[float, float]]
 
 
 def orders(facts: Facts) -> Sequence[float]:
-    """Repeats to screen: whole ones a turn from two on, or finely spaced on a linear axis, 1/rad or 1/m."""
+    """Repeats to screen, 1/rad or 1/m: whole ones a turn from two on, finely spaced on an axis."""
     if facts.slides:
         return [math.pi / facts.scale.position * i for i in range(2, 320)]
     return [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
@@ -27,7 +27,9 @@ def order_limits(turns: float) -> Limits:
 
     def limits(facts: Facts) -> tuple[float, float]:
         span = facts.scale.position
-        return max(0.0, turns * 2 * math.pi / span if turns and span < 2 * math.pi else 1.2), math.inf
+        return max(
+            0.0, turns * 2 * math.pi / span if turns and span < 2 * math.pi else 1.2
+        ), math.inf
 
     return limits
 
@@ -58,10 +60,11 @@ def neutral_limits(facts: Facts) -> tuple[float, float]:
 
 
 def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
-    """Another start of a spring: with its neutral point in the middle of the motion, or at its edge where it was far outside.
+    """Another start of a spring: neutral in the middle of the motion, or at its edge.
 
-    What screens as a weak spring with a distant neutral point may be a strong one with a near one: a constant torque and a stiffness
-    lie in one narrow valley, along which a fit hardly moves. ``power``: of the deflection in the torque.
+    At the edge where the neutral point was far outside. What screens as a weak spring with a
+    distant neutral point may be a strong one with a near one: a constant torque and a stiffness lie
+    in one narrow valley, along which a fit hardly moves. ``power``: of the deflection in torque.
     """
 
     def other(facts: Facts, values: Numbers) -> Numbers:
@@ -70,7 +73,8 @@ def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
         far = abs(away) > reach
         return {
             "neutral": facts.centre + (math.copysign(reach, away) if far else 0.0),
-            "coefficient": values["coefficient"] * (abs(away) / reach + (0.0 if far else 1.0)) ** power,
+            "coefficient": values["coefficient"]
+            * (abs(away) / reach + (0.0 if far else 1.0)) ** power,
         }
 
     return other
@@ -82,7 +86,7 @@ def slow_limits(facts: Facts) -> tuple[float, float]:
 
 
 def resonance(facts: Facts, hertz: float, share: float) -> float:
-    """Stiffness between a motor and a load of that share of the inertia that ring at so many Hz, N m/rad or N/m."""
+    """Stiffness before a load of that share of the inertia that rings so fast, N m/rad or N/m."""
     return (2 * math.pi * hertz) ** 2 * facts.inertia * share * (1 - share)
 
 
@@ -108,7 +112,10 @@ def load_limits(facts: Facts) -> tuple[float, float]:
 
 def bristle_limits(facts: Facts) -> tuple[float, float]:
     """From a spring as soft as the motion is wide to next to rigid."""
-    return 0.05 * facts.scale.torque / facts.scale.position, 1e5 * facts.scale.torque / facts.scale.position
+    return (
+        0.05 * facts.scale.torque / facts.scale.position,
+        1e5 * facts.scale.torque / facts.scale.position,
+    )
 
 
 def off_centre(_facts: Facts) -> tuple[float, float]:
@@ -117,6 +124,6 @@ def off_centre(_facts: Facts) -> tuple[float, float]:
 
 
 def late(along: Along, p: Numbers) -> Array:
-    """What a command that acts a time ``p`` late lacks, to first order, N m or N; ``p`` has that time as its only number."""
+    """What a command that acts late lacks, to first order, N m or N; ``p`` has the time only."""
     (time,) = p.values()
     return np.diff(along.torque, prepend=along.torque[0]) * (time / along.sample_time)

@@ -1,4 +1,4 @@
-"""What a physical effect is: defined once, used by the simulator, the screen, the fit, the report and the generated C."""
+"""What a physical effect is: defined once, used by simulator, screen, fit, report and C."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MECHANISMS = (
 
 @dataclass(frozen=True)
 class Scale:
-    """Typical sizes along a recording, SI: they set steps, starts and bounds of the parameters of effects."""
+    """Typical sizes along a recording, SI: steps, starts and bounds of parameters follow."""
 
     torque: float
     speed: float
@@ -59,7 +59,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Facts:
-    """What one joint's recording and model say to an effect: grids, starts and bounds follow from it. SI.
+    """What one joint's recording and model say to an effect, SI: grids, starts and bounds follow.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Along:
-    """The measured motion of a joint and what drives it, for the column of an effect. Arrays (n,), SI.
+    """A joint's measured motion and what drives it, for an effect's column. Arrays (n,), SI.
 
     Attributes
     ----------
@@ -146,7 +146,8 @@ class Parameter:
     name : str
         Key in model and report files.
     size : str
-        What the number measures, from which its unit, its scale in a given recording and its step follow: a key of ``UNITS``.
+        What the number measures, from which its unit, its scale in a given recording and its step
+        follow: a key of ``UNITS``.
     lower, upper : float
         Bounds in SI units.
     default : float or None
@@ -154,7 +155,8 @@ class Parameter:
     fitted : bool
         False for numbers that are chosen, not estimated (a joint index).
     limits : callable or None
-        Bounds in a given recording: physics outside them cannot be seen in it. None: ``lower`` and ``upper``.
+        Bounds in a given recording: physics outside them cannot be seen in it. None: ``lower`` and
+        ``upper``.
     """
 
     name: str
@@ -200,7 +202,8 @@ def unit_of(size: str, kind: str, command_unit: str = "", torque_unit: str = "")
     command_unit : str
         Unit of the command; torque or force where empty.
     torque_unit : str
-        Unit of what moves the joint where it is neither N m nor N: A where a motor's current is taken as its torque.
+        Unit of what moves the joint where it is neither N m nor N: A where a motor's current is
+        taken as its torque.
 
     Returns
     -------
@@ -231,27 +234,32 @@ class Effect:
     name : str
         Name in model files and reports.
     site : str
-        Where it acts. ``torque``: a resisting torque. ``viscous``: the same, also scaled by a friction drift. ``dry``: a friction
-        level, per direction. ``scale``: a factor on all friction; ``dry_scale``: on dry friction. ``actuator``: a map of the
-        command. ``drive``: a map of the actuator's torque that knows the speed. ``sensor``: added to the measured position.
-        ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
+        Where it acts. ``torque``: a resisting torque. ``viscous``: the same, also scaled by a
+        friction drift. ``dry``: a friction level, per direction. ``scale``: a factor on all
+        friction; ``dry_scale``: on dry friction. ``actuator``: a map of the command. ``drive``: a
+        map of the actuator's torque that knows the speed. ``sensor``: added to the measured
+        position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
     mechanism : str
-        What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its own name.
+        What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its
+        own name.
     c : str
-        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c), ``dir`` the direction for ``dry``.
+        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c),
+        ``dir`` the direction for ``dry``.
     over : str
         What it is best drawn over: velocity, position, acceleration, command or time.
     linear : tuple of str
         Parameters in which the torque is linear: screened by one least squares.
     grid : mapping
-        For each nonlinear parameter, values to screen: in units of its scale, or a function of the recording's facts. Parameters
-        that are not fitted tell hypotheses apart.
+        For each nonlinear parameter, values to screen: in units of its scale, or a function of the
+        recording's facts. Parameters that are not fitted tell hypotheses apart.
     column : callable or None
-        What resists along the measured motion, N m or N, where the C function cannot say (``setup``).
+        What resists along the measured motion, N m or N, where the C function cannot say
+        (``setup``).
     on_position : bool
         ``column`` is what is lacking in the measured position, rad or m, instead.
     retime : callable or None
-        Of what acts on the command's timing: the command that acts in each sample, from the column, the sample time and the numbers.
+        Of what acts on the command's timing: the command that acts in each sample, from the column,
+        the sample time and the numbers.
     scan : callable or None
         Start values for the fit of effects that no column can screen, each tried by one simulation.
     apart : str
@@ -261,13 +269,15 @@ class Effect:
     hidden : bool
         Has a state, or acts on the timing: counts as a parameter more.
     essence : tuple of str
-        Parameters without which, at zero or at a bound, it is not itself; the one that it is linear in where empty.
+        Parameters without which, at zero or at a bound, it is not itself; the one that it is linear
+        in where empty.
     shape : str
         Parameter that is judged as known when the essence is: without any size there is no shape.
     least : callable or None
         Sizes below which it is not itself, but the way in which a recording was sampled.
     odds : float
-        Of hypotheses that explain a recording alike the commoner goes first: what this one counts less (or, below 0, more), in parameters.
+        Of hypotheses that explain a recording alike the commoner goes first: what this one counts
+        less (or, below 0, more), in parameters.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
     rough : bool
@@ -283,7 +293,8 @@ class Effect:
     replaces : tuple of str
         Terms of a given model that this effect contains as a special case.
     needs : tuple of str
-        Terms without which it has no meaning: names of effects, ``"dry"`` for any dry friction level, ``"friction"`` also for viscous.
+        Terms without which it has no meaning: names of effects, ``"dry"`` for any dry friction
+        level, ``"friction"`` also for viscous.
     aliases : tuple of str
         Effects that can be exactly the same to any recording: no fit tells them apart.
     family : str
@@ -293,9 +304,11 @@ class Effect:
     experiment : str
         The experiment that would confirm it.
     compensable : str
-        C expression of the compensating torque for the ISR, empty where it cannot be compensated by a torque.
+        C expression of the compensating torque for the ISR, empty where it cannot be compensated by
+        a torque.
     inverse : str
-        C expression of what to send so that the torque ``wanted`` comes out (``gain``: torque per unit of command).
+        C expression of what to send so that the torque ``wanted`` comes out (``gain``: torque per
+        unit of command).
     why_not : str
         Why no torque can compensate it.
     """
@@ -340,7 +353,10 @@ class Effect:
 
     def __post_init__(self) -> None:
         if self.mechanism and self.mechanism not in MECHANISMS:
-            raise ModelError(f"effect {self.name!r}: mechanism = {self.mechanism!r}: expected {' | '.join(MECHANISMS)}")
+            expected = " | ".join(MECHANISMS)
+            raise ModelError(
+                f"effect {self.name!r}: mechanism = {self.mechanism!r}: expected {expected}"
+            )
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError where there is none."""

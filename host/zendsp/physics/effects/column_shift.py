@@ -1,7 +1,8 @@
-"""The command column is shifted in time against the position column: rows written before or after the sample that they belong to.
+"""The command column is shifted in time against the position column.
 
-A column that is late holds at each row what acted before: the command of the future explains the motion, which no machine can.
-One that is early is a delay of the actuator by another name, and the delay the likelier of the two.
+Its rows were written before or after the sample that they belong to. A column that is late holds at
+each row what acted before: the command of the future explains the motion, which no machine can. One
+that is early is a delay of the actuator by another name, and the delay the likelier of the two.
 """
 
 from __future__ import annotations
@@ -36,9 +37,21 @@ EFFECT = Effect(
     name="column_shift",
     site="setup",
     mechanism="measurement",
-    parameters=(Parameter("time", "time", lower=-0.2, upper=0.2, limits=_limits, meaning="late; early where negative"),),
+    parameters=(
+        Parameter(
+            "time",
+            "time",
+            lower=-0.2,
+            upper=0.2,
+            limits=_limits,
+            meaning="late; early where negative",
+        ),
+    ),
     c="column_late += p[0];",
-    sentence="The command column of joint {joint} is {time} late against the position column (negative: early): the rows are shifted.",
+    sentence=(
+        "The command column of joint {joint} is {time} late against the position column "
+        "(negative: early): the rows are shifted."
+    ),
     experiment="A step of the command: the row in which the motion begins shows the shift.",
     equation="u(t + s) in place of u(t)",
     over="acceleration",
@@ -50,5 +63,8 @@ EFFECT = Effect(
     odds=-1.0,
     family="timing",
     rivals=("delay", "lag", "position_filter"),
-    why_not="it is in the recording, not in the machine: write command and position of one sample into one row",
+    why_not=(
+        "it is in the recording, not in the machine: write command and position of one sample "
+        "into one row"
+    ),
 )

@@ -10,10 +10,19 @@ EFFECT = Effect(
     mechanism="dry_friction",
     parameters=(
         Parameter("coefficient", "1/temperature", lower=-1.0, upper=1.0),
-        Parameter("reference", "temperature", default=20.0, fitted=False, meaning="at which the level holds"),
+        Parameter(
+            "reference",
+            "temperature",
+            default=20.0,
+            fitted=False,
+            meaning="at which the level holds",
+        ),
     ),
     c="return 1.0 + p[0] * (s->temp - p[1]);",
-    sentence="Dry friction of joint {joint} changes by {coefficient} of its level at {reference} with each degree.",
+    sentence=(
+        "Dry friction of joint {joint} changes by {coefficient} of its level at {reference} "
+        "with each degree."
+    ),
     experiment="The same motion cold and warm, with the temperature recorded.",
     equation="F (1 + c (T - T0)) sign(q̇)",
     over="time",

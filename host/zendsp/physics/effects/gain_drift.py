@@ -14,7 +14,10 @@ EFFECT = Effect(
         Parameter("time_constant", "time", lower=0.05, upper=10000.0, limits=slow_limits),
     ),
     c="return u * (1.0 + p[0] * (1.0 - exp(-s->t / p[1])));",
-    sentence="The torque that the actuator of joint {joint} gives drifts by {ratio} of itself with a time constant of {time_constant}.",
+    sentence=(
+        "The torque that the actuator of joint {joint} gives drifts by {ratio} of itself with a"
+        " time constant of {time_constant}."
+    ),
     experiment="A long record at constant excitation, starting cold.",
     equation="u (1 + r (1 - exp(-t/T)))",
     over="time",

@@ -8,9 +8,20 @@ EFFECT = Effect(
     name="position_filter",
     site="setup",
     mechanism="measurement",
-    parameters=(Parameter("time_constant", "time", lower=1e-5, upper=0.2, limits=lambda f: (0.1 * f.sample_time, 0.2)),),
+    parameters=(
+        Parameter(
+            "time_constant",
+            "time",
+            lower=1e-5,
+            upper=0.2,
+            limits=lambda f: (0.1 * f.sample_time, 0.2),
+        ),
+    ),
     c="filter = p[0];",
-    sentence="The position of joint {joint} is recorded through a low-pass filter with a time constant of {time_constant}.",
+    sentence=(
+        "The position of joint {joint} is recorded through a low-pass filter with a time "
+        "constant of {time_constant}."
+    ),
     experiment="Fast motion beside a second sensor, or the unfiltered channel of the drive.",
     equation="T y' + y = q",
     over="acceleration",

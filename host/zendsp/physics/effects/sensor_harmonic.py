@@ -1,4 +1,7 @@
-"""An error of the position sensor that repeats within a turn: an oval track, two reading heads, the poles of a resolver."""
+"""An error of the position sensor that repeats within a turn.
+
+An oval track, two reading heads, the poles of a resolver.
+"""
 
 from __future__ import annotations
 

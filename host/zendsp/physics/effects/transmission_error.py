@@ -1,7 +1,8 @@
-"""The load does not turn evenly with the motor: eccentric or worn gears, a harmonic drive's two errors a turn.
+"""The load turns unevenly with the motor: eccentric or worn gears, a harmonic drive's two errors.
 
-Beside a spring between motor and load the error bends it. Where the model has none, the transmission is rigid and all inertia but added
-rotors is the load's: turned unevenly it takes torque, the more the faster.
+Beside a spring between motor and load the error bends it. Where the model has none, the
+transmission is rigid and all inertia but added rotors is the load's: turned unevenly it takes
+torque, the more the faster.
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ from zendsp.physics.effects.base import Along, Array, Effect, Numbers, Parameter
 def _column(along: Along, p: Numbers) -> Array:
     """What the load resists in a rigid transmission, to first order in the amplitude."""
     amplitude, order = p["amplitude"], p["order"]
-    error, slope = np.sin(order * along.q + p["phase"]), order * np.cos(order * along.q + p["phase"])
+    error, slope = (
+        np.sin(order * along.q + p["phase"]),
+        order * np.cos(order * along.q + p["phase"]),
+    )
     inert = along.inertia * (2 * slope * along.qdd - order**2 * error * along.qd**2)
-    return np.asarray(amplitude * (inert + along.gravity * (slope * np.sin(along.q) + error * np.cos(along.q))))
+    return np.asarray(
+        amplitude * (inert + along.gravity * (slope * np.sin(along.q) + error * np.cos(along.q)))
+    )
 
 
 EFFECT = Effect(
@@ -30,7 +36,10 @@ EFFECT = Effect(
         Parameter("phase", "angle", lower=-6.5, upper=6.5),
     ),
     c="w_order = p[0]; w_amp = p[1]; w_phase = p[2];",
-    sentence="The transmission of joint {joint} errs by {amplitude}, {repeats}: the load runs ahead of the motor and behind.",
+    sentence=(
+        "The transmission of joint {joint} errs by {amplitude}, {repeats}: the load runs ahead "
+        "of the motor and behind."
+    ),
     experiment="Constant speeds over whole turns, slow and fast, or a second sensor on the load.",
     equation="ql = qm + A sin(n qm + φ)",
     over="position",

@@ -1,4 +1,7 @@
-"""The supply limits the torque, the more the faster the motor turns: (U − k_e q̇) / R times the torque constant."""
+"""The supply limits the torque, the more the faster the motor turns.
+
+The limit is (U − k_e q̇) / R times the torque constant.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ def _levels(facts: Facts) -> Sequence[float]:
 
 
 def _slopes(facts: Facts) -> Sequence[float]:
-    return [share * facts.gain * facts.strong / facts.fastest for share in (0.3, 0.6, 1.0, 1.6, 2.5, 4.0)]
+    return [
+        share * facts.gain * facts.strong / facts.fastest
+        for share in (0.3, 0.6, 1.0, 1.6, 2.5, 4.0)
+    ]
 
 
 EFFECT = Effect(
@@ -27,7 +33,10 @@ EFFECT = Effect(
         "double up = p[0] - p[1] * s->qd, down = -p[0] - p[1] * s->qd; "
         "return tau > up ? up : tau < down ? down : tau;"
     ),
-    sentence="The supply of joint {joint} limits its torque to {level} at standstill, less {slope} with speed.",
+    sentence=(
+        "The supply of joint {joint} limits its torque to {level} at standstill, less {slope} "
+        "with speed."
+    ),
     experiment="Accelerations at full command up to the highest speed, both ways.",
     equation="clip(τ, ±level − slope q̇)",
     grid={"level": _levels, "slope": _slopes},
