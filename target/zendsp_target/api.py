@@ -209,6 +209,7 @@ class RuntimeApi(Protocol):
     def load(self, key: str) -> None: ...  # slow: starts a fresh runner, runs UserInit, state "loaded"
     def start(self, ticks: int | None = None) -> None: ...  # ticks: run so many samples, then pause
     def pause(self) -> None: ...
+    def stop_page(self) -> str: ...  # path of the file by which this user's own programs stop it; "" where there is none
     def stop(self) -> None: ...  # STOP: outputs safe at the next sample, latched until acknowledged
     def acknowledge(self) -> None: ...  # end a STOP or a trip; nothing moves before the next start
     def unload(self) -> None: ...

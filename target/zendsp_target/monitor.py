@@ -55,7 +55,9 @@ class Monitor:
         self._session, self.endpoints = _open(options, doors)
         self._server = Server(runtime, who, self._session, options.managed, doors.role_of)
         self.token = doors.token
-        self._entry = register(who.name, self.endpoints, options.machine, doors.token)
+        self._entry = register(
+            who.name, self.endpoints, options.machine, doors.token, self._server.service.once.instance.hex(), runtime.stop_page()
+        )
         self._closed = False
 
     def close(self) -> None:

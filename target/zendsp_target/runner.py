@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from zendsp_isr.build import build_machine, build_runner
+from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.layout import layout, set_text, text_of
 from zendsp_target.settings import Settings
@@ -45,6 +46,7 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
     config = "".join(f"{key} = {value}\n" for key, value in settings.machine_config.items())
     for name, text in (
         ("data_path", str(data)),
+        ("stop_path", str(data.with_name(stop_page.NAME))),
         ("program_path", str(program)),
         ("machine_path", str(build_machine(settings.machine))),
         ("machine_config", config),

@@ -117,6 +117,9 @@ class FakeRuntime:
         with self.lock:
             self.state = "paused"
 
+    def stop_page(self) -> str:
+        return ""
+
     def stop(self) -> None:
         with self.lock:
             self.state = "stopped"

@@ -66,6 +66,7 @@ typedef struct stream {
 
 typedef struct runner {
     control *control;
+    stop_page *page;
     unsigned char *data;
     const machine_ops *machine;
     void *handle;

@@ -26,6 +26,11 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import NotStopped, ZendspError
+from zendsp.link import connect
+from zendsp.link.find import remote_endpoints
+from zendsp.link.link import background
+from zendsp.link.programs import TAKEN_S, stopped
+from zendsp.link.stop_page import StopPage, find
 
 if TYPE_CHECKING:
     from textual.driver import Driver
@@ -55,16 +60,23 @@ class Links:
         self.target: Target | None = None
         self.name = ""
         self._wanted = threading.Event()
-        threading.Thread(target=self._keep, name="links", daemon=True).start()
+        background("links", self._keep)
 
     def want(self, name: str) -> None:
         """Be ready for this target from now on; the same name once more: look it up again."""
         self.name = name
         self._wanted.set()
 
-    def _keep(self) -> None:
-        from zendsp.link import connect
+    def page(self) -> StopPage | None:
+        """The stop page of the target, where it runs here: it needs no link."""
+        target = self.target
+        if target is not None and target.name == self.name:
+            page = target.stop_page()
+            if page is not None:
+                return page
+        return None if remote_endpoints(None) else find(self.name)
 
+    def _keep(self) -> None:
         while True:
             self._wanted.wait()
             self._wanted.clear()
@@ -79,25 +91,56 @@ class Links:
                     self._wanted.wait(RETRY_S)
 
 
-def _stop(stops: queue.SimpleQueue[float], links: Links, tell: Callable[..., None]) -> None:
-    from zendsp.link.programs import stopped
+class Stops:
+    """Asks the target for STOP, and tells how each ended.
 
-    while True:
-        until = stops.get() + INSIST_S
+    The request itself is one byte in shared memory, written where the key is read, if the target runs here and is this
+    user's; the rest, and targets elsewhere, have threads.
+    """
+
+    def __init__(self, links: Links, tell: Callable[..., None]) -> None:
+        self._links, self._tell = links, tell
+        self._pressed = queue.SimpleQueue[tuple[float, StopPage | None, int]]()
+        for _ in range(STOPPERS):
+            background("stop", self._run)
+
+    def press(self) -> None:
+        """STOP. Never waits."""
+        page = self._links.page()
+        asked = page.ask() if page is not None else 0
+        self._pressed.put((time.monotonic(), page, asked))
+
+    def _run(self) -> None:
+        while True:
+            pressed, page, asked = self._pressed.get()
+            self._tell("asked", "STOP asked: no word yet that it stopped")
+            sample = page.taken(asked, TAKEN_S) if page is not None else None
+            if sample is not None:
+                self._tell("stopped", f"stopped, at sample {sample}")
+            else:
+                self._insist(pressed + INSIST_S)
+
+    def _insist(self, until: float) -> None:
+        links = self._links
         target = links.target
-        tell("asked", "STOP asked: no word yet that it stopped")
         try:
             if target is None:
                 raise NotStopped(f"{EMERGENCY} (there is no link to {links.name or 'a target'})")
-            tell("stopped", stopped(target.stop()))
+            self._tell("stopped", stopped(target.stop()))
         except Exception as error:
             detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
-            tell("not stopped", EMERGENCY, detail)
+            self._tell("not stopped", EMERGENCY, detail)
             while target is not None and target is links.target and time.monotonic() < until:
                 time.sleep(RETRY_S)
                 with contextlib.suppress(ZendspError):
-                    tell("stopped", stopped(target.stop()))
+                    self._tell("stopped", stopped(target.stop()))
                     break
+
+
+def be_prompt() -> None:
+    """Have this process run before ordinary ones, where that is permitted: it does little, and what it does cannot wait."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
 
 
 def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
@@ -143,6 +186,7 @@ def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
 
 def serve(control: int, verdicts: int, web: bool) -> None:
     """Run until the application or the terminal is gone."""
+    be_prompt()  # first: threads inherit it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     lock = threading.Lock()
 
@@ -151,9 +195,8 @@ def serve(control: int, verdicts: int, web: bool) -> None:
         with lock, contextlib.suppress(OSError):
             os.write(verdicts, line.encode())
 
-    links, stops = Links(), queue.SimpleQueue[float]()
-    for _ in range(STOPPERS):
-        threading.Thread(target=_stop, args=(stops, links, tell), daemon=True).start()
+    links = Links()
+    stops = Stops(links, tell)
     keys, lines = keys_of(web), b""
     waiting = b""  # for the application to take: it must never hold up the keys
     os.set_blocking(1, False)
@@ -168,12 +211,12 @@ def serve(control: int, verdicts: int, web: bool) -> None:
                 return
             for key in keys(data):
                 if is_stop(key):
-                    stops.put(time.monotonic())
+                    stops.press()
             waiting += data
         elif not readable:
             for key in keys(b""):  # an Escape that nothing followed
                 if is_stop(key):
-                    stops.put(time.monotonic())
+                    stops.press()
         if control in readable:
             data = os.read(control, 4096)
             if not data:  # the application is gone
@@ -181,7 +224,7 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             *whole, lines = (lines + data).split(b"\n")
             for line in whole:
                 if line == b"!":
-                    stops.put(time.monotonic())
+                    stops.press()
                 else:
                     links.want(line.decode())
         if waiting:
