@@ -1,11 +1,12 @@
 """STOP, measured: from the key to the target, in a real terminal, with busy processes beside it.
 
-    python benchmarks/stop.py [--presses 100] [--busy 2] [--limit-ms 50] [--json]
+    python benchmarks/stop.py [--presses 300] [--busy 2] [--limit-ms 50] [--elsewhere] [--json]
 
 A real ``zendsp tui`` in a pseudo-terminal of 200 × 60 against a real target (planar arm, 1 kHz, real clock, soft start as
 it comes). Before each press another screen is opened or the curves are redrawn. The time of the key is that at which its
-bytes are written to the terminal. The time of the target is that at which this process, which polls shared status through
-a link of its own, first sees the STOP latched: the figure holds the time of one poll as well.
+bytes are written to the terminal. The time of the target is that of the sample at which the loop latched the STOP, counted
+back from the newest sample by the period, the least of several readings: the figure never holds less than the truth.
+``--elsewhere`` has the terminal reach the target as one on another computer, over a TCP port, without shared memory.
 """
 
 from __future__ import annotations
@@ -16,11 +17,14 @@ import os
 import pty
 import random
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -30,6 +34,7 @@ CALL = "from zendsp.cli import main; main()"
 F = {2: b"\x1bOQ", 3: b"\x1bOR", 4: b"\x1bOS", 9: b"\x1b[20~"}
 CURVES = "q[0],q[1],tau[0],tau[1],e[0],e[1],qd1,qd2"
 PATIENCE_S = 10.0
+READINGS = 3
 
 
 def _terminal(arguments: list[str]) -> tuple[int, int]:
@@ -62,11 +67,47 @@ def _until(done: object, what: str) -> None:
         time.sleep(0.02)
 
 
-def measure(presses: int, busy: int) -> list[float]:
-    """Return the times from key to target, s."""
+def _latched(target: zendsp.Target, begin: float) -> float:
+    """Time from ``begin`` to the sample at which the loop latched the STOP, s."""
+    least = PATIENCE_S
+    readings = 0
+    while readings < READINGS:
+        status = target.status()
+        now = time.perf_counter()
+        if status.trip is not None:
+            readings += 1
+            least = min(least, now - begin - (status.tick - status.trip.tick) / status.rate_hz)
+        elif now - begin > PATIENCE_S:
+            return PATIENCE_S
+        time.sleep(0.005)  # this process must not be one more busy one
+    return least
+
+
+@contextmanager
+def _target(elsewhere: bool) -> Iterator[zendsp.Target]:
+    """A target here; if wanted, the environment afterwards leads to it as to one on another computer."""
+    if not elsewhere:
+        with zendsp.local("imi_planar") as target:
+            yield target
+        return
+    users = tempfile.NamedTemporaryFile("w", suffix=".users")  # noqa: SIM115
+    with tempfile.TemporaryDirectory() as nothing, users, socket.socket() as free:
+        users.write("bench:mark\n")
+        users.flush()
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        free.close()
+        with zendsp.local("imi_planar", options=["--listen", "here", "--listen", endpoint, "--users", users.name]) as target:
+            os.environ |= {"ZENDSP_CONNECT": endpoint, "ZENDSP_USER": "bench", "ZENDSP_PASSWORD": "mark",
+                           "ZENDSP_RUNTIME_DIR": nothing}  # fmt: skip
+            yield target
+
+
+def measure(presses: int, busy: int, elsewhere: bool = False) -> list[float]:
+    """Return the times from key to target, s; `PATIENCE_S` for one that did not arrive."""
     chance = random.Random(1)
     burners = []
-    with tempfile.TemporaryDirectory() as folder, zendsp.local("imi_planar") as target:
+    with tempfile.TemporaryDirectory() as folder, _target(elsewhere) as target:
         target.download("pd.c")
         pid, fd = _terminal(["tui", target.name, "--folder", folder, "--channels", CURVES])
         try:
@@ -82,11 +123,7 @@ def measure(presses: int, busy: int) -> list[float]:
                 time.sleep(chance.uniform(0.0, 0.1))
                 begin = time.perf_counter()
                 os.write(fd, F[9])
-                while target.status().trip is None:
-                    if time.perf_counter() - begin > PATIENCE_S:
-                        raise SystemExit(f"press {number}: STOP did not arrive within {PATIENCE_S:g} s")
-                    time.sleep(0.001)  # this process must not be one more busy one
-                times.append(time.perf_counter() - begin)
+                times.append(_latched(target, begin))
                 time.sleep(chance.uniform(0.1, 0.3))
             return times
         finally:
@@ -100,17 +137,19 @@ def measure(presses: int, busy: int) -> list[float]:
 def main() -> None:
     """Measure and print; exit status 1 where the 99th percentile is above the limit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--presses", type=int, default=100)
+    parser.add_argument("--presses", type=int, default=300)
     parser.add_argument("--busy", type=int, default=2, help="processes that compute beside it")
     parser.add_argument("--limit-ms", type=float, default=50.0)
+    parser.add_argument("--elsewhere", action="store_true", help="without shared memory, as over a network")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    ms = 1e3 * np.array(measure(options.presses, options.busy))
-    figures = {"presses": len(ms), "busy": options.busy, "p50_ms": float(np.percentile(ms, 50)),
+    ms = 1e3 * np.array(measure(options.presses, options.busy, options.elsewhere))
+    figures = {"presses": len(ms), "busy": options.busy, "lost": int((ms >= 1e3 * PATIENCE_S).sum()),
+               "load": os.getloadavg()[0], "p50_ms": float(np.percentile(ms, 50)),
                "p99_ms": float(np.percentile(ms, 99)), "max_ms": float(ms.max())}  # fmt: skip
     print(json.dumps(figures) if options.json else
           "STOP, key to target: p50 {p50_ms:.1f} ms, p99 {p99_ms:.1f} ms, max {max_ms:.1f} ms "
-          "({presses} presses, {busy} busy processes)".format(**figures))  # fmt: skip
+          "({presses} presses, {lost} not within 10 s, {busy} busy processes, load {load:.1f})".format(**figures))  # fmt: skip
     sys.exit(figures["p99_ms"] > options.limit_ms)
 
 
