@@ -18,6 +18,11 @@ AS_ROOT = (
     "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
     "an ordinary user is enough (docs/security.md)"
 )
+LEFT = (
+    "zendsp target: {name} was killed while it held a recording of {columns} signals, which is kept in memory: "
+    "'zendsp salvage -t {name} -o run.mat' saves it, 'zendsp salvage -t {name} --drop' frees the memory"
+)
+DROPPED = "zendsp target: an older recording of {name}, killed as well and never saved, was removed from memory"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -106,6 +111,12 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
         runtime.close()
         raise
     name = args.name or args.machine
+    kept, dropped = runtime.left_behind
+    for note in kept:
+        if note.about.target == name:
+            print(LEFT.format(columns=len(note.columns), name=name), file=sys.stderr)
+    for note in dropped:
+        print(DROPPED.format(name=note.about.target), file=sys.stderr)
 
     def announce() -> None:
         where = ", ".join(monitor.endpoints)

@@ -14,6 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.kept import About
+
+RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 Value = bool | int | float | npt.NDArray[Any]
 
 
@@ -238,6 +241,7 @@ class RuntimeApi(Protocol):
     def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live
     def acquire_start(self, stream: int, force: bool = False) -> None: ...
+    def acquire_keep(self, about: About) -> None: ...  # the recorder's rows can be salvaged when this process is killed
     def acquire_stop(self, stream: int) -> None: ...
     def acquire_status(self, stream: int) -> AcquireStatus: ...
     def acquire_read(  # (rows, channels), in the memory of `into` where given; their bytes are folded into `fold`

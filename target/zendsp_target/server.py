@@ -16,14 +16,14 @@ from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.admission import check_role
-from zendsp_target.api import RuntimeApi
+from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
 from zendsp_target.once import Ticket
 from zendsp_target.repeats import Repeats
-from zendsp_target.service import RECORDER, Identity, Service
+from zendsp_target.service import Identity, Service
 
 log = logging.getLogger(__name__)
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.link.link import background
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import (
@@ -75,7 +76,7 @@ class PlayJob:
 
     def start(self) -> None:
         """Begin."""
-        threading.Thread(target=self._run, name="tui-play", daemon=True).start()
+        background("tui-play", self._run)
 
     def abort(self) -> None:
         """End softly: what was acquired so far is kept."""

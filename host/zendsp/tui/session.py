@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from zendsp.errors import LinkError, NotStopped, ZendspError
+from zendsp.link.link import background
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
@@ -25,6 +26,7 @@ T = TypeVar("T")
 SHOWN_S = 5.0  # at the least, of the word that the machine stopped
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
+END_S = 3.0  # for all threads to end
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
 
 
@@ -59,33 +61,29 @@ class Session:
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
         self.verdict: Verdict | None = None
         self.stopper: Stopper | None = None
-        self._stops: queue.SimpleQueue[Future[str]] = queue.SimpleQueue()
+        self._stops: queue.SimpleQueue[Future[str] | None] = queue.SimpleQueue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
         self._heard = (0, 0, 0.0)  # rows of the history, tick and time when a row last came
         self._lock = threading.Lock()
-        self._threads = [
-            threading.Thread(target=self._poll, name="tui-poller", daemon=True),
-            threading.Thread(target=self._work, name="tui-worker", daemon=True),
-        ]
-        for number in range(STOPPERS):
-            threading.Thread(target=self._stop, name=f"tui-stop-{number}", daemon=True).start()
+        self._threads = [background(f"tui-stop-{number}", self._stop) for number in range(STOPPERS)]
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start the threads."""
-        for thread in self._threads:
-            thread.start()
+        self._threads += [background("tui-poller", self._poll), background("tui-worker", self._work)]
 
     def close(self) -> None:
         """Leave the target as it is and end the threads."""
         self._closing.set()
         self._wake.set()
         self._jobs.put(None)
+        for _ in range(STOPPERS):
+            self._stops.put(None)
+        deadline = time.monotonic() + END_S
         for thread in self._threads:
-            if thread.is_alive():
-                thread.join(timeout=3.0)
+            thread.join(max(0.0, deadline - time.monotonic()))
         self._drop()
 
     def connect(self, name: str) -> None:
@@ -153,6 +151,8 @@ class Session:
     def _stop(self) -> None:
         while True:
             future = self._stops.get()
+            if future is None:
+                return
             port = self._port
             self._told("asked", "STOP asked: no word yet that it stopped")
             try:
@@ -284,7 +284,7 @@ class Session:
         self._live = None
         self.snapshot = replace(self.snapshot, link="lost", latency_s=float("nan"), recording=False)
         self.events.add(f"link lost: {why}", "error")
-        threading.Thread(target=_close_quietly, args=(port,), daemon=True).start()
+        background("tui-close", _close_quietly, port)
 
     def _drop(self) -> None:
         with self._lock:
