@@ -56,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--priority", type=int, default=80, help="of SCHED_FIFO (default: 80)")
     p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
     p.add_argument("--spin", type=float, default=60.0, metavar="US", help="waited awake before each sample, in µs")
+    p.add_argument("--memory", type=float, default=1000.0, metavar="MB", help="that user code may take (default: 1000)")
     p.add_argument("--speed", type=float, default=0.0, help="fast clock: at most so many machine seconds a second")
     p.add_argument("--managed", action="store_true",
                    help="enforce the safe sequence: power, home and enable before anything moves")  # fmt: skip
@@ -101,6 +102,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
         cpu=args.cpu,
         spin_us=args.spin,
         speed=args.speed,
+        memory_mb=args.memory,
     )
     try:
         monitor = Monitor(

@@ -39,6 +39,8 @@ class Settings:
         A sample that does not return within so many seconds ends the runner.
     load_s : float
         UserInit that does not return within so many seconds ends the runner.
+    memory_mb : float
+        That the runner may take for itself, user code included and shared memory aside, 50 MB or more; beyond it `malloc` returns NULL.
     """
 
     machine: str
@@ -52,6 +54,7 @@ class Settings:
     speed: float = 0.0
     hang_s: float = 1.0
     load_s: float = 10.0
+    memory_mb: float = 1000.0
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate_hz <= 100_000.0:
@@ -60,6 +63,8 @@ class Settings:
             raise Refused(f"clock {self.clock!r}: give 'real' or 'fast'")
         if not 1 <= self.priority <= 99:
             raise Refused(f"priority {self.priority}: SCHED_FIFO has 1 … 99")
+        if not self.memory_mb >= 50.0:
+            raise Refused(f"{self.memory_mb:g} MB for user code: give 50 or more")
         for key, value in self.machine_config.items():
             if "\n" in f"{key}{value}" or "=" in key:
                 raise Refused(f"machine setting {key!r}: neither newline nor '=' may be in it")

@@ -211,7 +211,7 @@ int main(int count, char **arguments) {
     const int failed = service_start(r); /* before user code, which may start none */
     if (failed)
         return fail(r->control, "threads", strerror(failed));
-    contain_enter();
+    contain_enter(r->control);
     if (load_program(r) != 0)
         return 1;
     realtime_enter(r);
@@ -222,6 +222,7 @@ int main(int count, char **arguments) {
     if (r->machine->close)
         r->machine->close(r->handle);
     store32(&r->control->phase, PHASE_ENDED);
+    contain_end_children();
     if (getppid() != r->control->monitor)
         contain_end_group();
     _exit(0); /* the other threads are within user code: no destructors beneath their feet */
