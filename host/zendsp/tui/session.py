@@ -135,6 +135,11 @@ class Session:
         self._jobs.put((future, label, job))
         return future
 
+    @property
+    def port(self) -> Port | None:
+        """The open port, None where there is none."""
+        return self._port
+
     def require(self) -> Port:
         """Return the open port; raises LinkError where there is none."""
         port = self._port
