@@ -119,6 +119,7 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
             Setup(), cycles=2, channels=("q", "e", "tau", "r1", "r2"), decimation=2, name="first circle",
             note="gains as shipped [N m/rad]",
         )  # fmt: skip
+        await until(pilot, lambda: all(c.met for c in screen.look(lab.session.snapshot)), "tried with two cycles")
         await pilot.press("s")
         await until(pilot, lambda: screen.job is not None, "the run begins")
         await until(pilot, lambda: list_runs(folder / "runs"), "the run is stored")

@@ -89,7 +89,7 @@ class ExecuteScreen(RunActions):
         frames = max(1, round(LOOK_S / self.lab.frame_s))
         if key != self._checked or (self._looked % frames == 0 and not busy):
             self._checked = key
-            self.conditions = self._preflight(snapshot, busy)
+            self.conditions = self.look(snapshot)
             self._paint(busy)
         if self.job is not None:
             self._follow(self.job, busy)
@@ -161,7 +161,9 @@ class ExecuteScreen(RunActions):
                 scope.limits = {}
         scope.redraw()
 
-    def _preflight(self, snapshot: Snapshot, busy: bool) -> list[Condition]:
+    def look(self, snapshot: Snapshot) -> list[Condition]:
+        """Every condition of Start, now."""
+        busy = self.job is not None and self.job.busy
         return preflight(snapshot, self.references, self.files, self.setup, busy, self.trial, self.lab.session.port)
 
     # -- the run ------------------------------------------------------------------------------------------------------
@@ -170,8 +172,7 @@ class ExecuteScreen(RunActions):
     def action_start(self) -> None:
         """Start, if every condition is met."""
         snapshot = self.lab.session.snapshot
-        busy = self.job is not None and self.job.busy
-        self.conditions = self._preflight(snapshot, busy)
+        self.conditions = self.look(snapshot)
         unmet = [x for x in self.conditions if not x.met]
         machine = machine_of(snapshot)
         if unmet or machine is None:
