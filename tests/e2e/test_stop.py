@@ -58,7 +58,7 @@ def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target:
 def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(target: Target, runtime: Runtime) -> None:
     os.kill(runtime.runner_pid(), signal.SIGSTOP)
     try:
-        with pytest.raises(NotStopped, match="NOT STOPPED: use the machine's emergency stop.*goes on or hangs"):
+        with pytest.raises(NotStopped, match=r"NOT STOPPED: use the machine's emergency stop.*goes on or hangs"):
             target.stop()
     finally:
         os.kill(runtime.runner_pid(), signal.SIGCONT)
