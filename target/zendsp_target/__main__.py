@@ -52,8 +52,8 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
                    help="setting of the machine, e.g. its start position; may be repeated")  # fmt: skip
     p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
-    p.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO, locked memory and a CPU")
-    p.add_argument("--priority", type=int, default=80, help="of SCHED_FIFO (default: 80)")
+    p.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_RR, locked memory and a CPU")
+    p.add_argument("--priority", type=int, default=80, help="of SCHED_RR (default: 80)")
     p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
     p.add_argument("--spin", type=float, default=60.0, metavar="US", help="waited awake before each sample, in µs")
     p.add_argument("--memory", type=float, default=1000.0, metavar="MB", help="that user code may take (default: 1000)")

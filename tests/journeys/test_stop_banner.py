@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import pty
+import re
 import signal
 import struct
 import termios
@@ -55,6 +56,10 @@ class Screen:
 
     def text(self) -> str:
         return "\n".join(self.shown.display)
+
+    def clock(self) -> str:
+        found = re.search(r"\d\d:\d\d:\d\d", self.text())
+        return found.group() if found else ""
 
     def keys(self, data: bytes) -> None:
         os.write(self.fd, data)
@@ -131,6 +136,21 @@ def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Ins
     assert "NOT STOPPED" not in screen.text()
     os.kill(process.pid, signal.SIGCONT)
     assert "stop" in installed.script(NOT_STOPPED).stdout
+
+
+def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Installed, screens: list[Screen]) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "console")
+    screens.append(screen)
+    screen.until("● running")
+    first = screen.clock()
+    until(lambda: screen.clock() != first, "a picture more: where the field is was told before it")
+    os.kill(screen.pid, signal.SIGSTOP)
+    screen.keys(b"\x1b[<0;74;2M\x1b[<0;74;2m")
+    until(lambda: "stop" in installed.script(NOT_STOPPED).stdout, "stopped, though the screen hangs")
+    os.kill(screen.pid, signal.SIGCONT)
+    screen.until("stopped, at sample")
 
 
 def test_f9_works_where_the_process_of_the_keys_was_killed(installed: Installed, screens: list[Screen]) -> None:

@@ -172,12 +172,12 @@ typedef struct control {
     double rate_hz;
     uint64_t period_ns;
     int32_t clock;
-    int32_t realtime; /* 1: ask for SCHED_FIFO, locked memory and a CPU of its own */
+    int32_t realtime; /* 1: ask for SCHED_RR, locked memory and a CPU of its own */
     int32_t priority;
     int32_t cpu;      /* -1: choose */
     int32_t monitor;  /* process id of the monitor: when it is no longer the parent, nobody watches */
     int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
-    double spin_us;   /* wait awake for the last stretch; only under SCHED_FIFO, at most 0.6 of the period */
+    double spin_us;   /* wait awake for the last stretch; only under SCHED_RR, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
     uint64_t memory;  /* bytes that user code may take, shared memory aside */
     char data_path[LAYOUT_PATH];

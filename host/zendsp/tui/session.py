@@ -20,7 +20,7 @@ from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.stopper import EMERGENCY, STOPPERS, Stopper
+from zendsp.tui.stopper import EMERGENCY, STOPPERS, Field, Stopper
 
 T = TypeVar("T")
 SHOWN_S = 5.0  # at the least, of the word that the machine stopped
@@ -114,6 +114,11 @@ class Session:
         """End the process that reads the keys."""
         if self.stopper is not None:
             self.stopper.close()
+
+    def place_stop(self, field: Field) -> None:
+        """Say where the red field of STOP is."""
+        if self.stopper is not None:
+            self.stopper.place(field)
 
     def _told(self, state: str, text: str, detail: str = "") -> None:
         self.verdict = Verdict(state, text, time.monotonic())

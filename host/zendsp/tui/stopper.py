@@ -6,7 +6,8 @@ of the application's own could not promise anything.
 
     stdin  the terminal (or, in a browser, the packets of the page)
     1      what was read, for the application
-    CONTROL    in: the name of the target to be ready for, a line each; "!" is STOP (a click)
+    CONTROL    in, a line each: the name of the target to be ready for; "@ x y width height", where the red field is;
+               "!", which is STOP (by the palette of commands)
     VERDICTS   out: a line of JSON for each STOP: asked, then how it ended
 """
 
@@ -23,6 +24,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import NotStopped, ZendspError
@@ -34,6 +36,7 @@ from zendsp.link.stop_page import StopPage, find
 
 if TYPE_CHECKING:
     from textual.driver import Driver
+    from textual.events import MouseDown
 
     from zendsp.link import Target
 
@@ -48,6 +51,21 @@ PASTE_S = 2.0  # of silence, after which a paste whose end did not come is over
 def is_stop(key: str) -> bool:
     """Whether a key, by Textual's name, is STOP: F9 whatever is held with it, and Ctrl+Space by both its names."""
     return key.rpartition("+")[2] == "f9" or key in ("ctrl+@", "ctrl+space")
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where the red field is on the screen, in characters."""
+
+    x: int = 0
+    y: int = 0
+    width: int = 0
+    height: int = 0
+
+    def holds(self, event: MouseDown) -> bool:
+        """Whether the first button was pressed in it."""
+        inside = self.x <= event.x < self.x + self.width and self.y <= event.y < self.y + self.height
+        return inside and event.button == 1
 
 
 # -- the process ----------------------------------------------------------------------------------------------------------
@@ -143,8 +161,8 @@ def be_prompt() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
 
 
-def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
-    """Make what names the keys in bytes read; Textual's own parser tells them from pasted text in all terminals."""
+def presses_of(web: bool) -> Callable[[bytes], Iterator[str | MouseDown]]:
+    """Make what finds keys (their names) and clicks in bytes read; Textual's own parser tells them from pasted text in all terminals."""
     from codecs import getincrementaldecoder
 
     from textual import events
@@ -156,7 +174,7 @@ def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
 
     silent_since, pasting = 0.0, False
 
-    def keys(data: bytes) -> Iterator[str]:
+    def presses(data: bytes) -> Iterator[str | MouseDown]:
         nonlocal parser, packets, silent_since, pasting
         if data:
             if pasting and time.monotonic() > silent_since + PASTE_S:
@@ -171,17 +189,19 @@ def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
             if any(mark in data for mark in F9_MARKS):
                 yield "f9"
 
-    def parsed(data: bytes) -> Iterator[str]:
+    def parsed(data: bytes) -> Iterator[str | MouseDown]:
         parts: Iterable[Any] = (p for kind, p in packets.feed(data) if kind == "D" and p) if web else (data,)
         for part in parts if data else ():  # nothing means the end to the parser
             for event in parser.feed(decode(part)):
                 if isinstance(event, events.Key):
                     yield event.key
+                elif isinstance(event, events.MouseDown):
+                    yield event
         for event in parser.tick():
             if isinstance(event, events.Key):
                 yield event.key
 
-    return keys
+    return presses
 
 
 def serve(control: int, verdicts: int, web: bool) -> None:
@@ -197,9 +217,15 @@ def serve(control: int, verdicts: int, web: bool) -> None:
 
     links = Links()
     stops = Stops(links, tell)
-    keys, lines = keys_of(web), b""
+    presses, field, lines = presses_of(web), Field(), b""
     waiting = b""  # for the application to take: it must never hold up the keys
     os.set_blocking(1, False)
+
+    def look(data: bytes) -> None:
+        for press in presses(data):
+            if is_stop(press) if isinstance(press, str) else field.holds(press):
+                stops.press()
+
     while True:
         readable, _, _ = select.select([0, control], [1] if waiting else [], [], 0.1)
         if 0 in readable:
@@ -209,14 +235,10 @@ def serve(control: int, verdicts: int, web: bool) -> None:
                 data = b""
             if not data:
                 return
-            for key in keys(data):
-                if is_stop(key):
-                    stops.press()
+            look(data)
             waiting += data
         elif not readable:
-            for key in keys(b""):  # an Escape that nothing followed
-                if is_stop(key):
-                    stops.press()
+            look(b"")  # an Escape that nothing followed
         if control in readable:
             data = os.read(control, 4096)
             if not data:  # the application is gone
@@ -225,6 +247,8 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             for line in whole:
                 if line == b"!":
                     stops.press()
+                elif line.startswith(b"@"):
+                    field = Field(*map(int, line[1:].split()))
                 else:
                     links.want(line.decode())
         if waiting:
@@ -260,15 +284,21 @@ class Stopper:
         os.close(verdicts_out)
         assert self._process.stdout is not None
         os.dup2(self._process.stdout.fileno(), 0)
-        self.alive = True
+        self.alive, self.field = True, Field()
         threading.Thread(target=self._listen, name="tui-verdicts", daemon=True).start()
 
     def want(self, name: str) -> None:
         """Have a link to this target ready."""
         self._write(name)
 
+    def place(self, field: Field) -> None:
+        """Tell where the red field is: a click there is STOP."""
+        if field != self.field:
+            self.field = field
+            self._write(f"@ {field.x} {field.y} {field.width} {field.height}")
+
     def stop(self) -> bool:
-        """STOP, from a click; False where the process is gone."""
+        """STOP, not by a key or a click; False where the process is gone."""
         return self._write("!")
 
     def close(self) -> None:
@@ -321,10 +351,13 @@ def with_stop(base: type[Driver], stopper: Callable[[], Stopper | None], stop: C
             self._fileno = value
 
         def process_message(self, message: Message) -> None:
+            process = stopper()
+            alive = process is not None and process.alive
             if isinstance(message, events.Key) and is_stop(message.key):
-                process = stopper()
-                if process is None or not process.alive:
+                if not alive:
                     stop()
+                return
+            if alive and process is not None and isinstance(message, events.MouseDown) and process.field.holds(message):
                 return
             super().process_message(message)
 
