@@ -167,6 +167,9 @@ def measure(presses: int, busy: int, elsewhere: bool = False) -> dict[str, list[
             time.sleep(2.0)  # for the first pictures; the presses of the first seconds count as well
             burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
             for number in range(2 * presses):
+                if target.status().state == "crashed":  # another real-time program had the CPU for a second: the watchdog
+                    print(target.status().crash, file=sys.stderr)
+                    target.download("pd.c")
                 target.acknowledge()
                 target.start()
                 screen = F[2 + (number + 1) % 3]  # the first presses open each screen for the first time
