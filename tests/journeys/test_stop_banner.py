@@ -138,6 +138,15 @@ def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Ins
     assert "stop" in installed.script(NOT_STOPPED).stdout
 
 
+def test_a_key_that_is_pressed_before_the_screen_is_there_stops(installed: Installed, screens: list[Screen]) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "console")
+    screens.append(screen)
+    screen.keys(F9)
+    screen.until("stopped, at sample")
+
+
 def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Installed, screens: list[Screen]) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0

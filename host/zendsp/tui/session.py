@@ -61,6 +61,7 @@ class Session:
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
         self.verdict: Verdict | None = None
         self.stopper: Stopper | None = None
+        self._guarded = ""
         self._stops: queue.SimpleQueue[Future[str] | None] = queue.SimpleQueue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
@@ -92,7 +93,6 @@ class Session:
         with self._lock:
             self._name = name
         self.snapshot = Snapshot(link="connecting", target=name)
-        self.verdict = None
         self._ready_stopper(name)
         self._wake.set()
 
@@ -101,14 +101,14 @@ class Session:
         self._drop()
         with self._lock:
             self._name, self._port = name, port
-        self.verdict = None
         self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
         self._wake.set()
 
-    def guard_keys(self) -> None:
-        """From now on a process of its own reads the keys first and does STOP; see :mod:`zendsp.tui.stopper`."""
+    def guard_keys(self, name: str = "") -> None:
+        """From now on a process of its own reads the keys first and does STOP, of this target; see :mod:`zendsp.tui.stopper`."""
         self.stopper = Stopper(self._told)
+        self._ready_stopper(name)
 
     def release_keys(self) -> None:
         """End the process that reads the keys."""
@@ -129,6 +129,8 @@ class Session:
         self._wake.set()
 
     def _ready_stopper(self, name: str) -> None:
+        if name != self._guarded:  # the word of how STOP ended was another target's
+            self._guarded, self.verdict = name, None
         if self.stopper is not None:
             self.stopper.want(name)
 

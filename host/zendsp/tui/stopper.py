@@ -139,20 +139,22 @@ class Stops:
                 self._insist(pressed + INSIST_S)
 
     def _insist(self, until: float) -> None:
-        links = self._links
-        target = links.target
-        try:
-            if target is None:
-                raise NotStopped(f"{EMERGENCY} (there is no link to {links.name or 'a target'})")
-            self._tell("stopped", stopped(target.stop()))
-        except Exception as error:
-            detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
-            self._tell("not stopped", EMERGENCY, detail)
-            while target is not None and target is links.target and time.monotonic() < until:
-                time.sleep(RETRY_S)
-                with contextlib.suppress(ZendspError):
-                    self._tell("stopped", stopped(target.stop()))
-                    break
+        links, name, told = self._links, self._links.name, False
+        while True:
+            target = links.target
+            try:
+                if target is None:
+                    raise NotStopped(f"{EMERGENCY} (there is no link to {links.name or 'a target'})")
+                self._tell("stopped", stopped(target.stop()))
+                return
+            except Exception as error:
+                if not told:
+                    detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
+                    self._tell("not stopped", EMERGENCY, detail)
+                told = True
+            if time.monotonic() > until or name not in ("", links.name):
+                return
+            time.sleep(RETRY_S)
 
 
 def be_prompt() -> None:
