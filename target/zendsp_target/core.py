@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from zendsp_isr.build import build_machine, build_runner
+from zendsp_isr.build import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused
 from zendsp_target import safety
@@ -16,6 +16,7 @@ from zendsp_target.change_log import ChangeLog
 from zendsp_target.compile_service import compile_program, program_path
 from zendsp_target.concealed import load_concealed
 from zendsp_target.layout import layout
+from zendsp_target.runner import look_at
 from zendsp_target.session import Session
 from zendsp_target.settings import Settings, split_options
 from zendsp_target.shm import SharedFile, SharedFolder
@@ -60,6 +61,11 @@ class Core:
         build_machine(machine)  # what does not compile shall say so now, not at the first load
         self._folder = SharedFolder()
         self._page = make_stop_page(self._folder.path)
+        try:
+            self.title = look_at(self._settings, self._folder.path) if is_model(machine) else ""
+        except BaseException:
+            self._folder.close()
+            raise
         self._lock = threading.RLock()
         self._session: Session | None = None
         self._log = ChangeLog()

@@ -40,7 +40,7 @@ class Settings:
     load_s : float
         UserInit that does not return within so many seconds ends the runner.
     memory_mb : float
-        That the runner may take for itself, user code included and shared memory aside, 50 MB or more; beyond it `malloc` returns NULL.
+        That user code may take beside what the machine has, shared memory aside, 50 MB or more; beyond it `malloc` returns NULL.
     """
 
     machine: str

@@ -23,7 +23,8 @@ class Strays:
     runner : int
         Its process id. It is the subreaper of what it starts, so nothing leaves it while it lives.
     mark : str
-        Value of `MARK` in its environment, by which most of the rest is found once it is dead.
+        Value of `MARK` in its environment, by which most of the rest is found once it is dead; what took that off is found by the
+        sessions and groups of what was seen.
     """
 
     def __init__(self, runner: int, mark: str) -> None:
@@ -38,7 +39,7 @@ class Strays:
         """End all of them; those that start more meanwhile as well."""
         for _ in range(ROUNDS):
             self.look()
-            left = {process for process in self._seen | self._marked() if born(process[0]) == process[1] != ""}
+            left = {process for process in self._seen | self._elsewhere() if born(process[0]) == process[1] != ""}
             if not left:
                 return
             for number, _ in left:
@@ -47,12 +48,16 @@ class Strays:
                     os.kill(number, signal.SIGKILL)
             time.sleep(0.001)
 
-    def _marked(self) -> set[Process]:
+    def _elsewhere(self) -> set[Process]:
+        known = {self._runner, *(number for number, _ in self._seen)}
         found = set()
         for folder in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                if int(folder.name) != self._runner and self._mark in (folder / "environ").read_bytes().split(b"\0"):
-                    found.add((int(folder.name), born(int(folder.name))))
+            number = int(folder.name)
+            with contextlib.suppress(OSError, IndexError):
+                fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
+                related = {int(fields[2]), int(fields[3])} & known  # group, session
+                if number != self._runner and (related or self._mark in (folder / "environ").read_bytes().split(b"\0")):
+                    found.add((number, born(number)))
         return found
 
 

@@ -119,6 +119,18 @@ static void limit(int what, rlim_t most) {
         setrlimit((__rlimit_resource_t)what, &both);
 }
 
+/* Bytes that count for RLIMIT_DATA, of the machine and of our own: user code is given so many more. */
+static rlim_t used_memory(void) {
+    unsigned long pages = 0;
+    FILE *statm = fopen("/proc/self/statm", "re");
+    if (statm) {
+        if (fscanf(statm, "%*u %*u %*u %*u %*u %lu", &pages) != 1)
+            pages = 0;
+        fclose(statm);
+    }
+    return (rlim_t)pages * (rlim_t)sysconf(_SC_PAGESIZE);
+}
+
 /* A child does not get this memory. */
 void contain_memory(void *at, size_t bytes) { madvise(at, bytes, MADV_DONTFORK); }
 
@@ -134,7 +146,7 @@ void contain_enter(control *c) {
     pthread_atfork(NULL, NULL, end_child);
     limit(RLIMIT_NPROC, 0);
     limit(RLIMIT_NOFILE, MOST_FILES);
-    limit(RLIMIT_DATA, c->memory);
+    limit(RLIMIT_DATA, used_memory() + c->memory);
     refused = filter_calls();
     c->contained = refused == 0;
     if (refused)

@@ -179,7 +179,7 @@ typedef struct control {
     int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
     double spin_us;   /* wait awake for the last stretch; only under SCHED_RR, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
-    uint64_t memory;  /* bytes that user code may take, shared memory aside */
+    uint64_t memory;  /* bytes that user code may take beside what the machine has, shared memory aside */
     char data_path[LAYOUT_PATH];
     char stop_path[LAYOUT_PATH];
     char program_path[LAYOUT_PATH];

@@ -6,16 +6,19 @@ import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from zendsp.errors import AcquisitionError
-from zendsp.link.circumstances import host_version, join_channels
-from zendsp.link.transfer import FloatArray
-from zendsp.link.variables import plain
-from zendsp.recording import Recording
 from zendsp_protocol import kept
-from zendsp_protocol.values import from_wire
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from zendsp.recording import Recording
+    from zendsp.recording.names import FloatArray
+else:
+    np = Lazily("numpy")
 
 SETTLE_S = 5.0  # for a loop that outlives its monitor by a moment
 LOG_LOST = "changes of parameters made while it recorded are not known; the values are those when it began"
@@ -54,6 +57,11 @@ class Salvage:
         AcquisitionError
             It is gone.
         """
+        from zendsp.link.circumstances import host_version, join_channels
+        from zendsp.link.variables import plain
+        from zendsp.recording import Recording
+        from zendsp_protocol.values import from_wire
+
         found = kept.read(self.folder)
         if found is None:
             raise AcquisitionError(f"the recording of {self.target!r} is gone: it was dropped, or removed by a later start")
