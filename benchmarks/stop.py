@@ -117,8 +117,8 @@ def _until(done: object, what: str) -> None:
         time.sleep(0.02)
 
 
-def _latched(target: zendsp.Target, begin: float) -> float:
-    """Time from ``begin`` to the sample at which the loop latched the STOP, s."""
+def _latched(target: zendsp.Target, begin: float) -> float | None:
+    """Time from ``begin`` to the sample at which the loop latched the STOP, s; None where the watchdog had ended the loop."""
     least = PATIENCE_S
     readings = 0
     while readings < READINGS:
@@ -127,6 +127,8 @@ def _latched(target: zendsp.Target, begin: float) -> float:
         if status.trip is not None:
             readings += 1
             least = min(least, now - begin - (status.tick - status.trip.tick) / status.rate_hz)
+        elif status.state == "crashed":
+            return None
         elif now - begin > PATIENCE_S:
             return PATIENCE_S
         time.sleep(0.005)  # this process must not be one more busy one
@@ -180,7 +182,9 @@ def measure(presses: int, busy: int, elsewhere: bool = False) -> dict[str, list[
                     direct.press()
                 else:
                     os.write(fd, F[9])
-                times["pipe" if number % 2 else "key"].append(_latched(target, begin))
+                took = _latched(target, begin)
+                if took is not None:
+                    times["pipe" if number % 2 else "key"].append(took)
                 time.sleep(chance.uniform(0.1, 0.3))
                 if number % 2:
                     times["kernel"].append(bare.press())
