@@ -31,6 +31,12 @@ def stopped(status: m.Status) -> str:
     return f"stopped, at sample {status.trip.tick}{why}"
 
 
+def stopped_at(sample: int) -> m.Status:
+    """What is known once the loop has taken a STOP, where the target itself does not answer."""
+    trip = m.Trip(reason="stop", joint=0, tick=sample, value=0.0, limit=0.0, text=f"STOP was requested (sample {sample})")
+    return m.Status(state="stopped", drive="stopped", tick=sample, trip=trip)
+
+
 class Programs(Requests):
     """Methods of a target that concern its program."""
 
@@ -143,12 +149,12 @@ class Programs(Requests):
 
     def _stopped_at(self, sample: int) -> m.Status:
         """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or the target may be stuck."""
-        trip = m.Trip(reason="stop", joint=0, tick=sample, value=0.0, limit=0.0, text=f"STOP was requested (sample {sample})")
+        known = stopped_at(sample)
         try:
             status: m.Status = self.request("status", timeout=STOPPED_S)
         except LinkError:
-            return m.Status(state="stopped", drive="stopped", tick=sample, trip=trip)
-        return status if status.trip is not None else msgspec.structs.replace(status, trip=trip)
+            return known
+        return status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
 
     def acknowledge(self) -> None:
         """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""
