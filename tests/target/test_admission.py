@@ -9,6 +9,7 @@ import pytest
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
+from zendsp_target import admission
 from zendsp_target.admission import Doors, access_control, check_role, read_roles, read_users, settle
 from zendsp_target.endpoints import Security
 from zendsp_target.registration import own_folder, users_file
@@ -88,6 +89,31 @@ def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: obje
 def test_who_is_in_no_list_has_no_role() -> None:
     doors = Doors((), roles={"anna": "tune"})
     assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == ("tune", "", "download")
+
+
+@pytest.mark.parametrize(
+    ("doors", "user", "own"),
+    [
+        (Doors(("unixsock-stream/run/imi.sock",)), "", True),
+        (Doors(("tcp/127.0.0.1:7447",), users={"owner": "x"}, token=("owner", "x")), "owner", True),
+        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}), "", True),
+        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}), "anna", False),
+        (Doors(("tls/0.0.0.0:7447",), roles={"anna": "download"}), "anna", False),
+        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447")), "", False),
+        (Doors(("unixsock-stream/run/imi.sock",), routed=True), "", False),
+    ],
+)
+def test_code_of_others_is_not_compiled_where_the_compiler_could_read_every_file(
+    doors: Doors, user: str, own: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(admission, "landlock_version", lambda: 0)
+    if own:
+        doors.check_upload(user)
+    else:
+        with pytest.raises(Refused, match="no Landlock"):
+            doors.check_upload(user)
+    monkeypatch.setattr(admission, "landlock_version", lambda: 1)
+    doors.check_upload(user)
 
 
 def test_a_loopback_port_needs_a_token_that_only_this_user_can_read(tmp_path: Path) -> None:
