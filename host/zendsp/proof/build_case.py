@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from zendsp.proof.oracle import Judge
 from zendsp.proof.reality import Run, inverse_dynamics, run
 from zendsp.proof.references import make_reference
 from zendsp.proof.rivals import inseparable
+from zendsp.proof.wam import urdf
 
 Rng = np.random.Generator
 
@@ -30,6 +32,7 @@ class Request:
     machine: str = "rotary"
     effect: str = ""  # for the kinds that conceal one effect
     size: float = 1.0
+    reality: str = "own"  # who simulates it: own | mujoco
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Case:
     truth: dict[str, Any]
     form: str
     layout: str  # of the files: see Draft.layout
+    files: dict[str, str] = field(default_factory=dict)  # what the model names besides, by file name
 
 
 class Unusable(RuntimeError):
@@ -64,10 +68,19 @@ def make_case(request: Request) -> Case:
     trouble = ""
     for attempt in range(12):
         try:
-            return attempt_case(request, np.random.default_rng([*words, attempt]))
+            return attempting(request)(request, np.random.default_rng([*words, attempt]))
         except Unusable as error:
             trouble = str(error)
     raise RuntimeError(f"no usable case for {request} in twelve draws; the last said: {trouble}")
+
+
+def attempting(request: Request) -> Callable[[Request, Rng], Case]:
+    """The maker of one draw, by who simulates it."""
+    if request.reality == "mujoco":
+        from zendsp.proof.mujoco import make
+
+        return make.attempt_case
+    return attempt_case
 
 
 def attempt_case(request: Request, rng: Rng) -> Case:
@@ -87,7 +100,8 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     if d.open_loop:
         names.pop("reference")
     model = model_file(d, scales, columns_of(names, d.n, split), rng, f"{d.machine}_{request.seed}")
-    return Case(train, held, model, truth_of(d, request, scales), form, d.layout)
+    files = {"arm.urdf": urdf()} if d.kind == "urdf" else {}
+    return Case(train, held, model, truth_of(d, request, scales), form, d.layout, files)
 
 
 def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool = False) -> Run:

@@ -16,7 +16,6 @@ from zendsp.proof.effects import SINGLE
 from zendsp.proof.files import save, toml
 from zendsp.proof.machines import MACHINES
 from zendsp.proof.seal import seal, write_truth
-from zendsp.proof.wam import urdf
 
 SIZES = (1.0, 0.3, 0.1)
 # what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have no command to saturate
@@ -97,8 +96,8 @@ def write_case(order: Order) -> str:
             ).name
         )
     (folder / "model.toml").write_text(toml(case.model), encoding="utf-8")
-    if order.request.machine == "urdf":
-        (folder / "arm.urdf").write_text(urdf(), encoding="utf-8")
+    for file, content in case.files.items():
+        (folder / file).write_text(content, encoding="utf-8")
     listing = {"train": train, "heldout": heldout, "model": "model.toml", "joints": case.train.q.shape[1]}
     (folder / "case.json").write_text(json.dumps(listing) + "\n", encoding="utf-8")
     truth = {**case.truth, "case": name, "seed": order.request.seed}

@@ -37,6 +37,8 @@ class Concealed:
     unscored: list[str] = field(default_factory=list)  # parameters that the given structure cannot separate
     note: str = ""
     where: list[dict[str, Any]] = field(default_factory=list)  # places that a locator should show
+    mechanisms: list[str] = field(default_factory=list)  # right besides the effect's own
+    body: str = ""  # the link whose body it is
 
 
 @dataclass
