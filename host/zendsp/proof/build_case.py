@@ -45,6 +45,7 @@ class Case:
     truth: dict[str, Any]
     form: str
     layout: str  # of the files: see Draft.layout
+    untouched: Run  # of the same machine; no diagnosis ever sees it
     files: dict[str, str] = field(default_factory=dict)  # what the model names besides, by file name
 
 
@@ -101,7 +102,10 @@ def attempt_case(request: Request, rng: Rng) -> Case:
         names.pop("reference")
     model = model_file(d, scales, columns_of(names, d.n, split), rng, f"{d.machine}_{request.seed}")
     files = {"arm.urdf": urdf()} if d.kind == "urdf" else {}
-    return Case(train, held, model, truth_of(d, request, scales), form, d.layout, files)
+    truth = truth_of(d, request, scales)
+    untouched = record(d, d.heldout_shape, np.random.default_rng(rng.integers(2**63)), heldout=True)
+    check(d, untouched)
+    return Case(train, held, model, truth, form, d.layout, untouched, files)
 
 
 def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool = False) -> Run:

@@ -15,7 +15,7 @@ from zendsp.proof.conceal import KINDS, PAIRS, REPLACEMENTS
 from zendsp.proof.effects import SINGLE
 from zendsp.proof.files import save, toml
 from zendsp.proof.machines import MACHINES
-from zendsp.proof.seal import seal, write_truth
+from zendsp.proof.seal import digest, seal, write_truth
 
 SIZES = (1.0, 0.3, 0.1)
 # what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have no command to saturate
@@ -100,8 +100,14 @@ def write_case(order: Order) -> str:
         (folder / file).write_text(content, encoding="utf-8")
     listing = {"train": train, "heldout": heldout, "model": "model.toml", "joints": case.train.q.shape[1]}
     (folder / "case.json").write_text(json.dumps(listing) + "\n", encoding="utf-8")
-    truth = {**case.truth, "case": name, "seed": order.request.seed}
-    write_truth(Path(order.truth), name, truth)
+    hidden = Path(order.truth)
+    hidden.mkdir(parents=True, exist_ok=True)
+    untouched = save(hidden, f"{name}_untouched", "npz", case.untouched, columns)
+    truth = {
+        **case.truth, "case": name, "seed": order.request.seed, "untouched": digest(untouched),
+        "reality": order.request.reality,
+    }  # fmt: skip
+    write_truth(hidden, name, truth)
     return f"{name} {order.request.machine} {order.request.kind}"
 
 

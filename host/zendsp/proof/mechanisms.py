@@ -20,6 +20,23 @@ LAWS: dict[str, tuple[str, ...]] = {
 MECHANISM = {law: mechanism for mechanism, laws in LAWS.items() for law in laws}
 # findings about the robot as a whole: a body is named, and any joint that it loads may be
 BODILY = ("payload", "body", "base_tilt")
+# laws that contain a simpler one as a special case: the truth with needless parameters, and no other name for it
+NEEDLESS: dict[str, tuple[str, ...]] = {
+    "viscous": ("viscous_asymmetry", "friction_drift"),
+    "coulomb": ("coulomb_asymmetry", "friction_drift", "position_friction", "presliding", "stribeck"),
+    "stiffness": ("cubic_stiffness",),
+    "torque_offset": ("stiffness", "cubic_stiffness"),
+    "coulomb_asymmetry": ("stiffness", "cubic_stiffness"),
+}
+# the parameter that is an effect's size, where it grows with the torque that the effect makes
+SIZE: dict[str, str] = {
+    "coulomb": "level", "viscous": "coefficient", "quadratic_drag": "coefficient", "load_friction": "coefficient",
+    "position_friction": "amplitude", "gravity": "torque", "stiffness": "coefficient",
+    "cubic_stiffness": "coefficient", "ripple": "amplitude", "inertia": "amount", "payload": "mass",
+    "torque_gain": "ratio", "torque_offset": "level", "dead_zone": "width", "lag": "time_constant", "delay": "time",
+    "encoder_eccentricity": "amplitude", "sensor_harmonic": "amplitude", "position_filter": "time_constant",
+    "column_shift": "time", "backlash": "gap",
+}  # fmt: skip
 
 
 def mechanism_of(effect: str, stated: str = "") -> str:

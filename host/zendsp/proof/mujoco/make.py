@@ -15,7 +15,7 @@ from zendsp.proof.mujoco.foreign import FORMS, PARTS, TOGETHER, add_form, foreig
 from zendsp.proof.mujoco.machines import MACHINES, Bench, harden
 from zendsp.proof.mujoco.measure import DRESSINGS, apply_faults, format_of
 from zendsp.proof.mujoco.simulate import Nominal, Record, Unstable, simulate
-from zendsp.proof.mujoco.truths import MAKERS, mujoco_dry
+from zendsp.proof.mujoco.truths import MAKERS, TWO_SIDED, mujoco_dry
 from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
 
 Rng = np.random.Generator
@@ -39,17 +39,19 @@ def attempt_case(request: Request, rng: Rng) -> Case:
         size = [s.torque for s in scales]
         train = simulate(b, b.train_shape, fork(rng), size)
         held = simulate(b, b.heldout_shape, fork(rng), size)
+        untouched = simulate(b, b.heldout_shape, fork(rng), size)
     except Unstable as error:
         raise Unusable(str(error)) from error
-    for record in (train, held):
+    records = (train, held, untouched)
+    for record in records:
         check(b, record, base)
     names = dict(NAMES[rng.integers(len(NAMES))])
     form, divided = format_of(b, rng)
     model = given(b, columns_of(names, b.n, divided), rng, f"{b.machine}_{request.seed}")
     truth = truth_of(b, request, train)
-    runs = [apply_faults(b, record.run, fork(rng)) for record in (train, held)]
+    runs = [apply_faults(b, record.run, fork(rng)) for record in records]
     files = {"arm.urdf": urdf(b.nominal, b.limit, b.machine)} if b.kind == "urdf" else {}
-    return Case(runs[0], runs[1], model, truth, form, "heldout", files)
+    return Case(runs[0], runs[1], model, truth, form, "heldout", runs[2], files)
 
 
 def fork(rng: Rng) -> Rng:
@@ -72,7 +74,7 @@ def dress(b: Bench, request: Request, rng: Rng) -> None:
         b.faults.append(str(rng.choice(DRESSINGS)))
     if request.kind == "nuisance":
         b.nuisance = float(np.exp(rng.uniform(np.log(0.005), np.log(0.02))))
-        b.also_true.add("disturbance")
+        b.also_true.add("unexplained")
 
 
 def conceal(b: Bench, request: Request, scales: list[Scale], rng: Rng) -> None:
@@ -86,9 +88,12 @@ def conceal(b: Bench, request: Request, scales: list[Scale], rng: Rng) -> None:
         for k in range(b.n):
             b.concealed.append(mujoco_dry(soft)(b, k, scales[k], request.size, rng))
         for name in names[1:]:
+            joint = joint % min(3, b.n) if name in TWO_SIDED else joint
             b.concealed.append(MAKERS[name](b, joint, scales[joint], request.size, rng))
     elif request.kind in ("single", "pair"):
         for name in names:
+            if name in TWO_SIDED:  # behind the gear of a wrist joint hangs next to nothing
+                joint = joint % min(3, b.n)
             b.concealed.append(MAKERS[name](b, joint, scales[joint], request.size, rng))
             joint = int(rng.integers(b.n))
 
@@ -222,7 +227,7 @@ def truth_of(b: Bench, request: Request, train: Record) -> dict[str, Any]:
         )  # fmt: skip
     strange = any(c.effect == "foreign" for c in b.concealed)
     return {
-        "kind": request.kind, "machine": request.machine, "reality": "mujoco", "flavour": request.effect,
+        "kind": request.kind, "machine": request.machine, "flavour": request.effect,
         "verdict": "complete" if not b.concealed else "unexplained" if strange else "missing",
         "size": request.size, "effects": entries, "also_true": sorted(b.also_true), "replaces": [],
         "where": [place for c in b.concealed for place in c.where], "train": b.train_shape,

@@ -11,9 +11,11 @@ from math import copysign, exp, pi, sin, tanh
 
 import numpy as np
 
+from zendsp.proof.build_case import Unusable
 from zendsp.proof.draft import Concealed, Scale
 from zendsp.proof.mujoco.chain import numbers
 from zendsp.proof.mujoco.machines import Bench, Law, hardness
+from zendsp.proof.mujoco.simulate import Nominal
 
 Rng = np.random.Generator
 Maker = Callable[[Bench, int, Scale, float, Rng], Concealed]
@@ -233,6 +235,8 @@ def _cubic(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
 @maker("gravity")
 def _gravity(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     """A weight screwed to the side of the link: unbalance, and a little inertia with it."""
+    if b.gravity == 0.0:
+        raise Unusable("it turns about a vertical axis")
     reach = 0.5 * abs(b.links[0].com[2])
     mass = 1.4 * size * s.torque / (9.81 * reach)
     side = float(rng.choice([-1.0, 1.0]))
@@ -261,8 +265,7 @@ def _ripple(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
 def _inertia(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     amount = size * s.torque / float(np.std(s.a))
     b.joints[joint].armature += amount
-    if b.kind != "urdf":
-        b.fixed = True
+    b.fixed = True
     return truth(b, "inertia", joint, size, {"amount": (amount, "kg m^2")}, note="MuJoCo's armature")
 
 
@@ -411,21 +414,15 @@ def _delay(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
 
 
 # transmission
+TWO_SIDED = ("elasticity", "equality", "stiffening", "backlash")
 
 
 def split(b: Bench, joint: int, s: Scale) -> tuple[float, float]:
     """Inertia of the rotor and of the load, of a joint that gets a spring or a gap."""
     j = b.joints[joint]
-    load = float(np.std(s.drive) / np.std(s.a)) if b.n > 1 else body_inertia(b)
+    load = float(Nominal(b).inertia(np.array(b.centre))[joint]) - j.armature
     j.armature = j.armature or 0.2 * load
     return j.armature, load
-
-
-def body_inertia(b: Bench) -> float:
-    link = b.links[0]
-    if link.slides:
-        return link.mass
-    return float(link.inertia[1] + link.mass * link.com[2] ** 2)
 
 
 @maker("elasticity")
