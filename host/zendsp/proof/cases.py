@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from zendsp.proof.build_case import Request, make_case
+from zendsp.proof.children import cluster, processes, workers
 from zendsp.proof.conceal import KINDS, PAIRS, REPLACEMENTS
 from zendsp.proof.effects import SINGLE
 from zendsp.proof.files import save, toml
@@ -81,8 +82,10 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
 
 
 def write_case(order: Order) -> str:
-    """Make and write one case; returns one line for the terminal."""
+    """Make and write one case, unless its truth is there already; returns one line for the terminal."""
     name = f"case_{order.number:04d}"
+    if (Path(order.truth) / f"{name}.json").exists():  # written last
+        return f"{name} kept"
     case = make_case(order.request)
     folder = Path(order.cases) / name
     folder.mkdir(parents=True, exist_ok=True)
@@ -111,13 +114,19 @@ def write_case(order: Order) -> str:
     return f"{name} {order.request.machine} {order.request.kind}"
 
 
-def write_all(requests: list[Request], cases: Path, truth: Path, *, first: int = 1, jobs: int = 1) -> str:
-    """Write every case and seal the truth; returns the hash of the list of seals."""
-    orders = [Order(first + k, r, str(cases), str(truth)) for k, r in enumerate(requests)]
-    if jobs > 1:
-        with ProcessPoolExecutor(jobs) as pool:
-            for line in pool.map(write_case, orders):
-                print(line, file=sys.stderr)
+def write_all(
+    requests: list[Request], cases: Path, truth: Path, *, first: int = 1, jobs: int = 1, scheduler: str = ""
+) -> str:
+    """Write every case and seal the truth; returns the hash of the list of seals.
+
+    `jobs` at a time on this machine, or as the Dask cluster of `scheduler` has workers.
+    """
+    where = str(cases.resolve()), str(truth.resolve())
+    orders = [Order(first + k, r, *where) for k, r in enumerate(requests)]
+    if jobs > 1 or scheduler:
+        with workers(cluster(scheduler) if scheduler else processes(jobs)) as pool:
+            for done in as_completed([pool.submit(write_case, order) for order in orders]):
+                print(done.result(), file=sys.stderr)
     else:
         for order in orders:
             print(write_case(order), file=sys.stderr)

@@ -106,7 +106,8 @@ def refined(answer: Answer, effects: Sequence[Effect], found: Mapping[int, int])
     out = set()
     for t, effect in enumerate(effects):
         beside = any(
-            effects[other]["joint"] == effect["joint"] and mechanisms(effects[other]) & mechanisms(effect)
+            effects[other]["joint"] == effect["joint"]
+            and mechanism_of(effects[other]["effect"]) == mechanism_of(effect["effect"])
             for other in found
         )
         if t not in found and beside and any(matches(r, effect) for r in answer.refinements):

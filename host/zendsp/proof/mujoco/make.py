@@ -164,7 +164,6 @@ def check(b: Bench, record: Record, base: Record) -> None:
 
 def visible(b: Bench, record: Record, joint: int) -> dict[str, Any]:
     """What a refit of the given model leaves of the torque along the true motion, and how plainly it shows."""
-    r = record.run
     scales = scales_of(b, record)
     s = scales[joint]
     nominal = Nominal(b)

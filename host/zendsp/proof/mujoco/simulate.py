@@ -81,7 +81,7 @@ def plan(bench: Bench, shape: str, rng: Rng) -> Plan:
     if "jitter" in bench.faults:
         steps += rng.integers(-(each // 4), each // 4 + 1, rows)
     t = np.concatenate([[0.0], np.cumsum(steps[:-1])]) * bench.substep
-    grid = np.arange(rows + rows // 8) * bench.sample_time
+    grid = np.arange(rows + rows // 8, dtype=np.float64) * bench.sample_time
     parts = [np.zeros((rows, bench.n)) for _ in range(3)]
     for k in range(bench.n):
         curve = bench.centre[k] + make_reference(shape, grid, bench.amplitude[k], bench.speed[k], rng)
@@ -224,8 +224,8 @@ def simulate(bench: Bench, shape: str, rng: Rng, size: list[float] | None = None
             data.qfrc_applied[:] = 0.0
             data.qfrc_applied[dof] = outside
             t = now + s * bench.substep
-            for i, place, law in torques:
-                data.qfrc_applied[place] += law(t, data.qpos[place], data.qvel[place], tau[i])
+            for i, place, torque in torques:
+                data.qfrc_applied[place] += torque(t, data.qpos[place], data.qvel[place], tau[i])
             if bench.motion is not None:
                 form, factor = bench.motion
                 data.qfrc_applied[dof] += factor * form(t, data.qpos[dof], data.qvel[dof])

@@ -417,7 +417,7 @@ def _delay(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
 TWO_SIDED = ("elasticity", "equality", "stiffening", "backlash")
 
 
-def split(b: Bench, joint: int, s: Scale) -> tuple[float, float]:
+def split(b: Bench, joint: int) -> tuple[float, float]:
     """Inertia of the rotor and of the load, of a joint that gets a spring or a gap."""
     j = b.joints[joint]
     load = float(Nominal(b).inertia(np.array(b.centre))[joint]) - j.armature
@@ -428,7 +428,7 @@ def split(b: Bench, joint: int, s: Scale) -> tuple[float, float]:
 @maker("elasticity")
 def _elasticity(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     """A soft gear between rotor and link: an extra joint with a spring."""
-    rotor, load = split(b, joint, s)
+    rotor, load = split(b, joint)
     w = b.bandwidth * rng.uniform(2.5, 5.0) / np.sqrt(max(size, 0.05) / 0.2)
     k = w**2 * load
     damping = 2 * 0.03 * np.sqrt(k * rotor * load / (rotor + load))
@@ -443,7 +443,7 @@ def _elasticity(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concea
 @maker("equality")
 def _equality(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     """Rotor and link held together by a soft equality."""
-    split(b, joint, s)
+    split(b, joint)
     b.joints[joint].equality = (rng.uniform(0.3, 0.6) / b.bandwidth, 0.2)
     return truth(
         b, "elasticity", joint, size, {}, ("stiffening", "presliding", "hysteresis"),
@@ -468,7 +468,7 @@ def _stiffening(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concea
 @maker("backlash")
 def _backlash(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     """A joint between rotor and link, free within its range."""
-    rotor, load = split(b, joint, s)
+    split(b, joint)
     width = s.reach * 0.05 * size
     b.joints[joint].gap = (width, 2.5 * b.substep * 4, 1e-4 * s.torque / s.v_rms)
     values = {"gap": (width, "rad")}
