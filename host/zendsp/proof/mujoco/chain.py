@@ -10,6 +10,7 @@ Triple = tuple[float, float, float]
 STANDARD = (0.02, 1.0)  # MuJoCo's own solref: time constant s, damping ratio
 SOFT = (0.9, 0.95, 0.001)  # MuJoCo's own solimp: a constraint that gives way
 HARD = (0.999, 0.9999, 0.001)
+YIELDING = 0.05  # impedance of a stop that gives way like a spring
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,10 @@ def stops(joint: Joint) -> str:
     """Attributes of a joint's soft end stops."""
     if joint.stops is None:
         return ""
-    return f' range="{numbers(joint.stops)}" solreflimit="{numbers(joint.stop_solref)}"'
+    return (
+        f' range="{numbers(joint.stops)}" solreflimit="{numbers(joint.stop_solref)}" '
+        f'solimplimit="{YIELDING} {YIELDING} 0.001"'
+    )
 
 
 def flexible(k: int, joint: Joint, kind: str, link: Link) -> str:

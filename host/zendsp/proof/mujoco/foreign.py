@@ -12,7 +12,7 @@ from math import cos, exp, pi, sin, tanh
 import numpy as np
 
 from zendsp.proof.draft import Array, Concealed, Scale
-from zendsp.proof.mujoco.chain import numbers
+from zendsp.proof.mujoco.chain import YIELDING, numbers
 from zendsp.proof.mujoco.machines import Bench, Torque
 
 Rng = np.random.Generator
@@ -289,7 +289,7 @@ def _strap(b: Bench, joint: int, s: Scale, rng: Rng) -> Callable[[float], None]:
 def _stop(b: Bench, joint: int, s: Scale, rng: Rng) -> Callable[[float], None]:
     top = float(np.quantile(s.q, 0.85))
     low = float(s.q.min()) - 3 * s.reach
-    base = s.torque / inertia_felt(s) / (0.1 * s.reach)
+    base = s.torque / inertia_felt(s) / (0.1 * s.reach * YIELDING)
 
     def scaled(factor: float) -> None:
         k = base * factor

@@ -109,13 +109,21 @@ def foreign_of(
     words, mechanisms, build = PARTS[name]
     scaled = build(b, joint, scales[joint], rng)
     factor, seed = 1.0, int(rng.integers(2**63))
-    for _ in range(3):  # its size follows from its stiffness only through the motion
+    best, near, seen = factor, np.inf, 0.0
+    for _ in range(5):  # its size follows from its stiffness only through the motion
         scaled(factor)
         record = simulate(b, b.train_shape, np.random.default_rng(seed))
         look = max(visible(b, record, k)["torque_share"] for k in range(b.n))
-        factor *= float(np.clip(size / max(look, 1e-6), 0.05, 20.0))
-    scaled(factor)
-    out = foreign(joint, size, words, mechanisms)
+        off = float(np.log(size / max(look, 1e-6)))
+        if abs(off) < near:
+            best, near, seen = factor, abs(off), look
+        if near < 0.2:
+            break
+        factor *= float(np.exp(np.clip(off, -3.0, 3.0)))
+    if near > 1.0:
+        raise Unusable(f"{name} cannot be made {size:.0%} of the torque")
+    scaled(best)
+    out = foreign(joint, seen, words, mechanisms)
     out.accepted_joints = list(range(1, b.n + 1))
     return out
 
