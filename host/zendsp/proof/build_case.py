@@ -14,6 +14,7 @@ from zendsp.proof.effect_kit import inertia_of
 from zendsp.proof.files import NAMES, columns_of, format_for
 from zendsp.proof.given import model_file
 from zendsp.proof.machines import MACHINES
+from zendsp.proof.measure import apply_faults, jittered
 from zendsp.proof.oracle import Judge
 from zendsp.proof.reality import Run, inverse_dynamics, run
 from zendsp.proof.references import make_reference
@@ -105,7 +106,18 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     truth = truth_of(d, request, scales)
     untouched = record(d, d.heldout_shape, np.random.default_rng(rng.integers(2**63)), heldout=True)
     check(d, untouched)
+    resolution = np.array([float(j["resolution"]) for j in d.joints])
+    train, held, untouched = (
+        logged(d, r, resolution, np.random.default_rng(rng.integers(2**63))) for r in (train, held, untouched)
+    )
     return Case(train, held, model, truth, form, d.layout, untouched, files)
+
+
+def logged(d: Draft, r: Run, resolution: Array, rng: Rng) -> Run:
+    """The recording as the draft's logger writes it."""
+    if "jitter" in d.faults:
+        r = jittered(r, resolution, d.sample_time, rng)
+    return apply_faults(r, d.faults, d.sample_time, rng)
 
 
 def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool = False) -> Run:
@@ -250,12 +262,14 @@ def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
                 "size": c.size,
                 "accepted": c.accepted,
                 "accepted_joints": c.accepted_joints or [c.joint],
+                "mechanisms": c.mechanisms,
                 "unscored": c.unscored,
                 "note": c.note,
                 "oracle": look,
             }
             for c, look in zip(d.concealed, seen, strict=True)
         ],
+        "also_true": sorted(d.also_true),
         "replaces": d.replaces,
         "where": [place for c in d.concealed for place in c.where],
         "train": d.train_shape,

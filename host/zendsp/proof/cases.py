@@ -15,6 +15,7 @@ from zendsp.proof.children import cluster, processes, workers
 from zendsp.proof.conceal import KINDS, PAIRS, REPLACEMENTS
 from zendsp.proof.effects import SINGLE
 from zendsp.proof.files import save, toml
+from zendsp.proof.foreign import NAMES as FOREIGN
 from zendsp.proof.machines import MACHINES
 from zendsp.proof.seal import digest, seal, write_truth
 
@@ -35,6 +36,8 @@ UNFIT = {
         "saturation",
     },
 }
+# how a complete machine is logged
+FAULTS = ("plain", "jitter", "repeat", "float32", "filtered", "origin")
 BEHIND = (
     "coulomb",
     "stribeck",
@@ -72,8 +75,13 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
         names = REPLACEMENTS
     elif kind in ("behind", "part"):
         names = tuple(e for e in (BEHIND if kind == "behind" else PART) if fits(machine, e))
+    elif kind == "foreign":  # names and sizes go round together
+        return [
+            Request(seed + k, kind, machine, FOREIGN[k % len(FOREIGN)], sizes[k % len(sizes)])
+            for k in range(count)
+        ]
     else:
-        names = ("",)
+        names = FAULTS if kind == "complete" else ("",)
     every = [(name, size) for size in sizes for name in names]
     return [
         Request(seed + k, kind, machine, *every[k % len(every)])

@@ -10,10 +10,11 @@ import numpy as np
 from zendsp.proof.build_case import Case, Request, Unusable
 from zendsp.proof.draft import Array, Concealed, Scale
 from zendsp.proof.files import NAMES, columns_of
+from zendsp.proof.forms import FORMS, foreign
+from zendsp.proof.measure import DRESSINGS, apply_faults, format_of
 from zendsp.proof.mujoco.chain import urdf
-from zendsp.proof.mujoco.foreign import FORMS, PARTS, TOGETHER, add_form, foreign
+from zendsp.proof.mujoco.foreign import PARTS, TOGETHER, add_form
 from zendsp.proof.mujoco.machines import MACHINES, Bench, harden
-from zendsp.proof.mujoco.measure import DRESSINGS, apply_faults, format_of
 from zendsp.proof.mujoco.simulate import Nominal, Record, Unstable, simulate
 from zendsp.proof.mujoco.truths import MAKERS, TWO_SIDED, mujoco_dry
 from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
@@ -46,10 +47,10 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     for record in records:
         check(b, record, base)
     names = dict(NAMES[rng.integers(len(NAMES))])
-    form, divided = format_of(b, rng)
+    form, divided = format_of(rng)
     model = given(b, columns_of(names, b.n, divided), rng, f"{b.machine}_{request.seed}")
     truth = truth_of(b, request, train)
-    runs = [apply_faults(b, record.run, fork(rng)) for record in records]
+    runs = [apply_faults(record.run, b.faults, b.sample_time, fork(rng)) for record in records]
     files = {"arm.urdf": urdf(b.nominal, b.limit, b.machine)} if b.kind == "urdf" else {}
     return Case(runs[0], runs[1], model, truth, form, "heldout", runs[2], files)
 

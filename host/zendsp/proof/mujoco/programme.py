@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from zendsp.proof.build_case import Request
+from zendsp.proof.forms import FAINT
 from zendsp.proof.mujoco.foreign import names as foreign_names
 from zendsp.proof.mujoco.make import FAULTS
 from zendsp.proof.mujoco.truths import MAKERS
@@ -28,7 +29,6 @@ ALL = (
     "dry_hard", "dry_hard+payload", "dry_hard+stiffness", "dry_soft", "dry_hard+heavier", "dry_soft+payload",
     "dry_hard+elasticity", "dry_hard+base_tilt",
 )  # fmt: skip
-FAINT = (0.2, 0.1, 0.05, 0.02, 0.01, 0.35, 0.5)
 
 
 @dataclass(frozen=True)

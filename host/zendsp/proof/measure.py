@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from zendsp.proof.draft import Array
-from zendsp.proof.mujoco.machines import Bench
 from zendsp.proof.reality import Run
 
 Rng = np.random.Generator
@@ -57,9 +57,20 @@ def shifted(x: Array, rows: int) -> Array:
     return out
 
 
-def apply_faults(b: Bench, run: Run, rng: Rng) -> Run:
+def jittered(run: Run, resolution: Array, sample_time: float, rng: Rng) -> Run:
+    """Each row was read up to a quarter of a sample early or late, and its stamp says when."""
+    from scipy.interpolate import CubicSpline
+
+    late = rng.uniform(-0.25, 0.25, run.time.size) * sample_time
+    late[0] = 0.0
+    noise = run.measured - run.q  # of the sensor, its rounding with it
+    q = CubicSpline(run.time, run.q)(run.time + late)
+    return replace(run, time=run.time + late, measured=np.round((q + noise) / resolution) * resolution)
+
+
+def apply_faults(run: Run, faults: Sequence[str], sample_time: float, rng: Rng) -> Run:
     """The recording as the bench's logger writes it."""
-    for fault in b.faults:
+    for fault in faults:
         name, _, number = fault.partition(" ")
         if name == "float32":
             run = replace(run, measured=rounded(run.measured), command=rounded(run.command))
@@ -68,7 +79,7 @@ def apply_faults(b: Bench, run: Run, rng: Rng) -> Run:
         elif name == "filtered":
             run = replace(run, measured=without_delay(run.measured))
         elif name == "filter":
-            run = replace(run, measured=low_passed(run.measured, float(number), b.sample_time))
+            run = replace(run, measured=low_passed(run.measured, float(number), sample_time))
         elif name == "shift":
             run = replace(run, command=shifted(run.command, int(number)))
         elif name == "origin":
@@ -78,7 +89,7 @@ def apply_faults(b: Bench, run: Run, rng: Rng) -> Run:
     return run
 
 
-def format_of(b: Bench, rng: Rng) -> tuple[str, bool]:
+def format_of(rng: Rng) -> tuple[str, bool]:
     """A file format that keeps what the case is about, and whether vectors are split into columns."""
     form = str(rng.choice(("csv", "npz", "mat", "parquet")))
     return form, form in ("csv", "parquet") or bool(rng.random() < 0.5)
