@@ -10,9 +10,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -114,33 +114,34 @@ def end_all() -> None:
 
 
 @contextmanager
-def workers(make: Callable[[], Executor]) -> Iterator[Executor]:
-    """An executor that, when its block is left by an exception, drops what waits and ends what runs."""
-    pool = make()
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        end_all()
-        for process in multiprocessing.active_children():
-            process.kill()
-        raise
-    pool.shutdown()
+def workers(pool: AbstractContextManager[Executor]) -> Iterator[Executor]:
+    """The executor of `pool`; an exception drops what waits and ends what runs before the block is left."""
+    with pool as executor:
+        try:
+            yield executor
+        except BaseException:
+            executor.shutdown(wait=False, cancel_futures=True)
+            end_all()
+            for process in multiprocessing.active_children():
+                process.kill()
+            raise
 
 
-def threads(jobs: int) -> Callable[[], Executor]:
-    """A maker of threads, each of which runs one child at a time."""
-    return lambda: ThreadPoolExecutor(jobs)
+def threads(jobs: int) -> AbstractContextManager[Executor]:
+    """Threads, each of which runs one child at a time."""
+    return ThreadPoolExecutor(jobs)
 
 
-def processes(jobs: int) -> Callable[[], Executor]:
-    """A maker of processes that end with this one."""
-    return lambda: ProcessPoolExecutor(jobs, initializer=_child, initargs=(os.getpid(),))
+def processes(jobs: int) -> AbstractContextManager[Executor]:
+    """Processes that end with this one."""
+    return ProcessPoolExecutor(jobs, initializer=_child, initargs=(os.getpid(),))
 
 
-def cluster(address: str) -> Callable[[], Executor]:
-    """A maker of tasks on the Dask cluster of a scheduler; its workers see files under the same paths."""
-    return lambda: connect(address).get_executor(pure=False)  # type: ignore[no-any-return]
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """The workers of a Dask scheduler, which see files under the same paths."""
+    with connect(address) as client:
+        yield client.get_executor(pure=False)
 
 
 def _child(parent: int) -> None:

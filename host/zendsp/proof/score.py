@@ -136,8 +136,8 @@ def answers(
     yield from ((f.name, known[f.name]) for f in folders if f.name in known)
     todo = [f for f in folders if f.name not in known]
     reports = out.parent / f"{out.stem}_reports"
-    make = children.cluster(scheduler) if scheduler else children.threads(jobs)
-    with children.workers(make) as pool:
+    workers = children.cluster(scheduler) if scheduler else children.threads(jobs)
+    with children.workers(workers) as pool:
         running = {pool.submit(ask, f, reports / f.name, limit): f.name for f in todo}
         for future in as_completed(running):
             name, answer = running[future], future.result()
