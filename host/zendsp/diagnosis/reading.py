@@ -24,7 +24,6 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 # samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at least: the fastest observer has 10 Hz
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
-LITTLE = 0.05  # of the way: a last third with less is no test of a motion
 
 
 @dataclass(frozen=True)
@@ -339,7 +338,7 @@ def _decimate(signals: Signals) -> Signals:
 
 
 def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Hold out the last third of each recording: of its time, or of its motion where it has come to rest by then.
+    """Hold out the last third of each recording's motion.
 
     Returns
     -------
@@ -347,13 +346,10 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
     """
     train, test, notes = [], [], []
     for s in signals:
-        cut = 2 * len(s.time) // 3
-        way = _way(s)
-        if 1.0 - way[cut] < LITTLE:
-            cut = min(cut, max(MIN_SAMPLES, int(np.searchsorted(way, 2 / 3))))
-            notes.append(f"{s.name}: hardly moves in its last third; held out from {s.time[cut] - s.time[0]:.3g} s on, with the last third of its motion")
-        else:
-            notes.append(f"{s.name}: no other recording given to judge on; the last third is held out")
+        n = len(s.time)
+        cut = int(np.clip(np.searchsorted(_way(s), 2 / 3), min(MIN_SAMPLES, n // 2), n - min(MIN_SAMPLES, n // 3)))
+        from_time = f"{s.time[cut] - s.time[0]:.3g} s"
+        notes.append(f"{s.name}: no other recording given to judge on; held out from {from_time} on, the last third of its motion")
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     return train, test, notes
@@ -376,7 +372,6 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
         return [s], [s], [note]
     way = _way(s)
     cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
-    cut = cut if min(cut, n - cut) > n // 4 else n // 2
     return [s.part(0, cut, f"{s.name} (to choose by)")], [s.part(cut, n, f"{s.name} (to test on)")], []
 
 
