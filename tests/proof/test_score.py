@@ -193,7 +193,7 @@ def test_foreign_torque_may_be_claimed_by_its_mechanism_without_a_law() -> None:
     law = judge(t, Answer("missing", (found("position_friction"),)))
     assert law.refused is False and law.extra == 1 and law.sure_wrong
     assert judge(t, Answer("complete")).refused is False
-    faint = {**effect("foreign"), "oracle": {"detectable": False}}
+    faint = {**effect("foreign"), "oracle": {"detectable": True, "torque_share": 0.004}}
     assert judge(truth([faint], kind="foreign", verdict="unexplained"), Answer("complete")).refused is None
 
 

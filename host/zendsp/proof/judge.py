@@ -19,6 +19,9 @@ SURE = 0.8
 # error of the improved model over that of the calibrated one, above which untouched data are worse
 WORSE = 1.02
 
+# of the RMS torque: what a refit leaves of a foreign torque, below which "complete" is no wrong answer
+FAINTEST = 0.01
+
 Effect = Mapping[str, Any]  # one effect of a sealed truth
 
 
@@ -253,7 +256,7 @@ def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
         return Judgement(**table, **of_nothing(answer, also_true))
     physics = [e for e in effects if e["effect"] != "foreign"]
     if not physics:
-        return Judgement(**table, **of_foreign(answer, effects, also_true, table["detectable"]))
+        return Judgement(**table, **of_foreign(answer, effects, also_true))
     return Judgement(**table, **of_physics(truth, answer, physics, also_true))
 
 
@@ -267,13 +270,12 @@ def of_nothing(answer: Answer, also_true: set[str]) -> dict[str, Any]:
     }
 
 
-def of_foreign(
-    answer: Answer, effects: Sequence[Effect], also_true: set[str], detectable: bool
-) -> dict[str, Any]:
+def of_foreign(answer: Answer, effects: Sequence[Effect], also_true: set[str]) -> dict[str, Any]:
     """Answers about a torque without a law: unexplained, or a mechanism that acts with no law claimed."""
     right = [f.effect in also_true or held_back(f, effects) for f in answer.findings]
     said = answer.verdict == "unexplained" or bool(answer.findings)
-    unseen = answer.verdict == "complete" and not detectable
+    plain = max(e.get("oracle", {}).get("torque_share", 1.0) for e in effects) >= FAINTEST
+    unseen = answer.verdict == "complete" and not plain
     return {
         "refused": None if unseen else said and all(right),
         **counted(answer, ["law" if ok else "" for ok in right]),
