@@ -29,11 +29,19 @@ def data_folder(given: Path | None) -> Path:
     return Path(named)
 
 
+def installed(package: str) -> bool:
+    """Whether a package can be imported; it is not imported."""
+    try:
+        return find_spec(package) is not None
+    except ModuleNotFoundError:
+        return False
+
+
 def realities(words: str) -> tuple[str, ...]:
     """The makers that ``--reality`` names; without it, all that are installed."""
     from zendsp.proof.programme import REALITIES
 
-    there = find_spec("mujoco") is not None
+    there = installed("mujoco")
     if not words:
         if not there:
             click.echo("own reality alone; for the other: pip install 'zendsp[mujoco]'", err=True)
