@@ -13,12 +13,18 @@ pytest.importorskip("mujoco")
 
 
 def test_cases_are_made_once_and_judged_where_they_lie(installed: Installed) -> None:
-    made = installed.run("prove", "--make", "cases", "--quick", "--reality", "mujoco", "--sample", "1", "--seed", "2")
+    made = installed.run(
+        "prove", "--make", "cases", "--quick", "--reality", "mujoco", "--sample", "1", "--seed", "2"
+    )
     assert made.returncode == 0, made.stdout + made.stderr
     assert "1 cases in cases/cases; truth sealed in cases/truth" in made.stdout
     stamp = made.stdout.split()[-1]
-    judged = installed.run("prove", "--judge", "cases", "--no-peers", "--jobs", "1", "--limit", "100")
-    assert f"truth sealed before, opened after: {stamp}" in judged.stdout, judged.stdout + judged.stderr
+    judged = installed.run(
+        "prove", "--judge", "cases", "--no-peers", "--jobs", "1", "--limit", "100"
+    )
+    assert f"truth sealed before, opened after: {stamp}" in judged.stdout, (
+        judged.stdout + judged.stderr
+    )
     results = json.loads((installed.folder / "cases" / "results.json").read_text())
     assert [c["reality"] for c in results["cases"]] == ["mujoco"]
     assert results["cases"][0]["cpu"] > 0
@@ -33,7 +39,9 @@ def test_what_is_not_there_is_said_with_what_to_do(installed: Installed) -> None
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
 def test_making_ends_with_its_command(installed: Installed, how: signal.Signals) -> None:
-    making = installed.start("zendsp", "prove", "--make", "many", "--reality", "mujoco", "--sample", "40", "--jobs", "2")
+    making = installed.start(
+        "zendsp", "prove", "--make", "many", "--reality", "mujoco", "--sample", "40", "--jobs", "2"
+    )
     until(lambda: len(children_of(making.pid)) >= 2, "two cases in the making", alive=making)
     children = children_of(making.pid)
     making.send_signal(how)

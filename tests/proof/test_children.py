@@ -81,7 +81,9 @@ def started(tmp_path: Path) -> tuple[subprocess.Popen[bytes], list[int]]:
     """A proof with two children that sleep, and their process ids."""
     (tmp_path / "sleeper.py").write_text(SLEEPER)
     env = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    parent = subprocess.Popen([sys.executable, "-c", PARENT, str(tmp_path)], env=env, stderr=subprocess.PIPE)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, str(tmp_path)], env=env, stderr=subprocess.PIPE
+    )
     notes = [tmp_path / "a", tmp_path / "b"]
     until(lambda: all(n.exists() and n.read_text() for n in notes), "both children run")
     return parent, [int(n.read_text()) for n in notes]

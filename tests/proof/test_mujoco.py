@@ -21,10 +21,11 @@ mujoco = pytest.importorskip("mujoco")
 from zendsp.proof.mujoco import make  # noqa: E402
 from zendsp.proof.mujoco.chain import urdf  # noqa: E402
 from zendsp.proof.mujoco.foreign import PARTS, TOGETHER  # noqa: E402
+from zendsp.proof.mujoco.friction import lugre  # noqa: E402
 from zendsp.proof.mujoco.machines import MACHINES, Bench, harden  # noqa: E402
 from zendsp.proof.mujoco.programme import QUICK, UNFIT, requests  # noqa: E402
 from zendsp.proof.mujoco.simulate import Nominal, Record, simulate  # noqa: E402
-from zendsp.proof.mujoco.truths import MAKERS, lugre  # noqa: E402
+from zendsp.proof.mujoco.truths import MAKERS  # noqa: E402
 
 
 def bench(machine: str, seed: int, seconds: float = 3.0) -> tuple[Bench, Record]:
@@ -48,12 +49,20 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_same_seed_same_bits(short: None) -> None:
-    a, b = (make_case(Request(13, "complete", "mj_joint", "plain", 1.0, "mujoco")) for _ in range(2))
-    assert np.array_equal(a.train.measured, b.train.measured) and a.model == b.model and a.truth == b.truth
+    a, b = (
+        make_case(Request(13, "complete", "mj_joint", "plain", 1.0, "mujoco")) for _ in range(2)
+    )
+    assert (
+        np.array_equal(a.train.measured, b.train.measured)
+        and a.model == b.model
+        and a.truth == b.truth
+    )
     assert not np.array_equal(a.heldout.measured, a.untouched.measured)
 
 
-@pytest.mark.parametrize(("machine", "seed"), [("mj_joint", 1), ("mj_cart", 2), ("mj_planar2r", 3), ("mj_arm6", 8)])
+@pytest.mark.parametrize(
+    ("machine", "seed"), [("mj_joint", 1), ("mj_cart", 2), ("mj_planar2r", 3), ("mj_arm6", 8)]
+)
 def test_complete_machine_leaves_the_oracle_nothing(machine: str, seed: int) -> None:
     """The given structure explains MuJoCo's torque to a thousandth: other integrators and hold included."""
     b, record = bench(machine, seed)
@@ -92,7 +101,9 @@ def test_every_effect_that_fits_can_be_concealed_and_is_named_by_the_contract(ma
 
 
 def test_gravity_is_not_concealed_where_there_is_none() -> None:
-    flat = next(b for k in range(40) if (b := MACHINES["mj_joint"](np.random.default_rng(k))).gravity == 0.0)
+    flat = next(
+        b for k in range(40) if (b := MACHINES["mj_joint"](np.random.default_rng(k))).gravity == 0.0
+    )
     flat.seconds = 0.5
     scale = make.scales_of(flat, simulate(flat, "sines", np.random.default_rng(1)))[0]
     with pytest.raises(Unusable):
@@ -117,7 +128,9 @@ def test_lugre_slides_at_its_level_and_holds_at_rest() -> None:
     held = lugre(fc=2.0, fs=2.0, vs=0.1, stiffness=400.0, damping=0.0)(1e-4)
     for k in range(100):  # a creep of 1 mrad, far within the bristle
         stuck = held(k * 1e-4, 0.0, 0.1, 0.0)
-    assert stuck == pytest.approx(-0.4 * (1 - 0.1), abs=0.05)  # stiffness · way, less the slip so far
+    assert stuck == pytest.approx(
+        -0.4 * (1 - 0.1), abs=0.05
+    )  # stiffness · way, less the slip so far
 
 
 def test_foreign_forms_are_sized_and_parts_too() -> None:

@@ -63,19 +63,34 @@ def realities(words: str) -> tuple[str, ...]:
     metavar="NAMES",
     help="Who simulates the cases, comma separated: own, mujoco. Default: all that are installed.",
 )
-@click.option("--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores.")
 @click.option(
-    "--scheduler", default="", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler (tcp://host:8786)."
+    "--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores."
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws other cases.")
+@click.option(
+    "--scheduler",
+    default="",
+    metavar="ADDRESS",
+    help="Run on the Dask cluster of this scheduler (tcp://host:8786).",
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws other cases."
+)
 @click.option(
     "--sample",
     type=click.IntRange(1),
     default=None,
     help="Only so many of the cases, drawn by the seed, as many of each reality.",
 )
-@click.option("--make", "make_only", type=FOLDER, default=None, help="Only write and seal the cases there.")
-@click.option("--judge", "judge_only", type=FOLDER, default=None, help="Judge the cases that --make wrote there.")
+@click.option(
+    "--make", "make_only", type=FOLDER, default=None, help="Only write and seal the cases there."
+)
+@click.option(
+    "--judge",
+    "judge_only",
+    type=FOLDER,
+    default=None,
+    help="Judge the cases that --make wrote there.",
+)
 @click.option(
     "--resume/--fresh",
     default=True,
@@ -83,7 +98,10 @@ def realities(words: str) -> tuple[str, ...]:
     help="Go on where an interrupted run stopped, or begin again.",
 )
 @click.option(
-    "--peers/--no-peers", default=True, show_default=True, help="Let PySINDy and FROLS try the same cases."
+    "--peers/--no-peers",
+    default=True,
+    show_default=True,
+    help="Let PySINDy and FROLS try the same cases.",
 )
 @click.option(
     "--limit",
@@ -92,10 +110,14 @@ def realities(words: str) -> tuple[str, ...]:
     show_default=True,
     help="Seconds a diagnosis may take.",
 )
-@click.option("--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40.")
+@click.option(
+    "--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40."
+)
 @click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
 @click.option("--only", default="", help="With --real: one machine.")
-@click.option("--fetch", is_flag=True, help="With --real: download what is absent and published as a file.")
+@click.option(
+    "--fetch", is_flag=True, help="With --real: download what is absent and published as a file."
+)
 @click.option(
     "--data",
     type=click.Path(path_type=Path),
@@ -150,12 +172,19 @@ def command(
             fetch_absent(data_folder(data))
         sys.exit(
             on_real_machines(
-                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only, quick=quick,
+                data_folder(data),
+                out or Path("proof_real"),
+                limit,
+                implant=implant,
+                only=only,
+                quick=quick,
                 jobs=cores,
             )
         )
     if make_only is not None and judge_only is not None:
-        raise click.UsageError("--make writes cases and --judge judges them: give one, or neither for both")
+        raise click.UsageError(
+            "--make writes cases and --judge judges them: give one, or neither for both"
+        )
     try:
         if judge_only is not None:
             made, words = prepared(judge_only), f"zendsp prove --judge {judge_only.name}"
@@ -166,7 +195,11 @@ def command(
                 forget(folder)
             made = making(folder, makers, seed, quick, sample or 0, cores, scheduler)
             words = " ".join(
-                ["zendsp prove", *(["--quick"] if quick else []), f"--reality {','.join(makers)} --seed {seed}"]
+                [
+                    "zendsp prove",
+                    *(["--quick"] if quick else []),
+                    f"--reality {','.join(makers)} --seed {seed}",
+                ]
                 + ([f"--sample {sample}"] if sample else [])
             )
     except (FileExistsError, FileNotFoundError) as error:
@@ -186,7 +219,13 @@ def prepared(folder: Path) -> Prepared:
 
 
 def making(
-    folder: Path, makers: Sequence[str], seed: int, quick: bool, sample: int, jobs: int, scheduler: str
+    folder: Path,
+    makers: Sequence[str],
+    seed: int,
+    quick: bool,
+    sample: int,
+    jobs: int,
+    scheduler: str,
 ) -> Prepared:
     """Write and seal the cases that the options name."""
     from zendsp.proof.programme import prepare, requests
@@ -195,7 +234,13 @@ def making(
 
 
 def judging(
-    made: Prepared, jobs: int, scheduler: str, limit: float, peers: bool, words: str, page: Path | None
+    made: Prepared,
+    jobs: int,
+    scheduler: str,
+    limit: float,
+    peers: bool,
+    words: str,
+    page: Path | None,
 ) -> int:
     """Judge prepared cases and print the scoreboard; the exit status."""
     from zendsp.proof.run_proof import run_proof

@@ -73,7 +73,9 @@ def run(line: Sequence[str], out: Path, limit: float) -> Ended:
     env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     begin = time.perf_counter()
     with (out / "stderr.txt").open("w") as errors, (out / "stdout.txt").open("w") as output:
-        process = subprocess.Popen(line, stdout=output, stderr=errors, env=env, start_new_session=True)
+        process = subprocess.Popen(
+            line, stdout=output, stderr=errors, env=env, start_new_session=True
+        )
         with _lock:
             _running.add(process)
         try:

@@ -87,18 +87,50 @@ def states(name: str, words: str, mechanisms: tuple[str, ...]) -> Callable[..., 
 
 
 # products of position and speed
-plain("q2v", "viscosity that grows with the square of position", (FLUID,), lambda x, w, t, u: -(x**2) * w)
-plain("sinqv", "damping and driving by turns along the travel", (FLUID,), lambda x, w, t, u: -sin(5 * x) * w)
+plain(
+    "q2v",
+    "viscosity that grows with the square of position",
+    (FLUID,),
+    lambda x, w, t, u: -(x**2) * w,
+)
+plain(
+    "sinqv",
+    "damping and driving by turns along the travel",
+    (FLUID,),
+    lambda x, w, t, u: -sin(5 * x) * w,
+)
 plain("qv", "a torque of position times speed", (FLUID, PLACE), lambda x, w, t, u: -x * w)
-plain("tanhqv", "follows the sign of position times speed", (DRY, PLACE), lambda x, w, t, u: -tanh(4 * x * w))
-plain("qv2", "position times speed squared", (FLUID, PLACE, "inertia"), lambda x, w, t, u: -x * w * w)
-plain("cosqabsv", "a cosine of position times the size of speed", (FLUID, PLACE), lambda x, w, t, u: cos(4 * x) * abs(w))
+plain(
+    "tanhqv",
+    "follows the sign of position times speed",
+    (DRY, PLACE),
+    lambda x, w, t, u: -tanh(4 * x * w),
+)
+plain(
+    "qv2", "position times speed squared", (FLUID, PLACE, "inertia"), lambda x, w, t, u: -x * w * w
+)
+plain(
+    "cosqabsv",
+    "a cosine of position times the size of speed",
+    (FLUID, PLACE),
+    lambda x, w, t, u: cos(4 * x) * abs(w),
+)
 plain(
     "cosqv2", "an inertia that varies along the travel, in its Coriolis torque alone", (FLUID, PLACE, "inertia"),
     lambda x, w, t, u: cos(5 * x) * w * w,
 )  # fmt: skip
-plain("expqv", "damping that grows steeply along the travel", (FLUID,), lambda x, w, t, u: -exp(2 * x) * w)
-plain("onesided", "damping on one half of the travel only", (FLUID,), lambda x, w, t, u: -w if x > 0 else 0.0)
+plain(
+    "expqv",
+    "damping that grows steeply along the travel",
+    (FLUID,),
+    lambda x, w, t, u: -exp(2 * x) * w,
+)
+plain(
+    "onesided",
+    "damping on one half of the travel only",
+    (FLUID,),
+    lambda x, w, t, u: -w if x > 0 else 0.0,
+)
 plain(
     "roughhalf", "rough on one half of the travel only", (DRY,),
     lambda x, w, t, u: -tanh(20 * w) * (0.5 + 0.5 * tanh(8 * x)),
@@ -109,18 +141,52 @@ plain(
     "patch", "one rough place in the travel", (DRY,),
     lambda x, w, t, u: -tanh(20 * w) * exp(-(((x - 0.3) / 0.15) ** 2)),
 )  # fmt: skip
-plain("sinv", "a resistance that is a sine of speed", (FLUID, DRY), lambda x, w, t, u: -sin(2.5 * w))
+plain(
+    "sinv", "a resistance that is a sine of speed", (FLUID, DRY), lambda x, w, t, u: -sin(2.5 * w)
+)
 plain(
     "hump", "a hump of resistance at one speed", (FLUID, DRY),
     lambda x, w, t, u: -exp(-(((abs(w) - 1) / 0.3) ** 2)) * tanh(20 * w),
 )  # fmt: skip
-plain("rootv", "a resistance of the root of speed", (FLUID, DRY), lambda x, w, t, u: -tanh(50 * w) * abs(w) ** 0.5)
+plain(
+    "rootv",
+    "a resistance of the root of speed",
+    (FLUID, DRY),
+    lambda x, w, t, u: -tanh(50 * w) * abs(w) ** 0.5,
+)
 plain("v3", "a resistance of the cube of speed", (FLUID,), lambda x, w, t, u: -(w**3))
-plain("evenv", "a push that grows with the square of speed, one way", (FLUID,), lambda x, w, t, u: w * w)
-plain("thinning", "shear thinning: resistance that falls with speed", (FLUID, DRY), lambda x, w, t, u: -w / (1 + w * w))
-plain("dragload", "damping that grows with the motor's torque", (DRY, FLUID), lambda x, w, t, u: -abs(u) * w, False)
-plain("loadsquared", "friction of the square of the motor's torque", (DRY,), lambda x, w, t, u: -u * u * tanh(20 * w), False)
-plain("ends", "friction that grows towards both ends", (DRY,), lambda x, w, t, u: -tanh(20 * w) * x * x)
+plain(
+    "evenv",
+    "a push that grows with the square of speed, one way",
+    (FLUID,),
+    lambda x, w, t, u: w * w,
+)
+plain(
+    "thinning",
+    "shear thinning: resistance that falls with speed",
+    (FLUID, DRY),
+    lambda x, w, t, u: -w / (1 + w * w),
+)
+plain(
+    "dragload",
+    "damping that grows with the motor's torque",
+    (DRY, FLUID),
+    lambda x, w, t, u: -abs(u) * w,
+    False,
+)
+plain(
+    "loadsquared",
+    "friction of the square of the motor's torque",
+    (DRY,),
+    lambda x, w, t, u: -u * u * tanh(20 * w),
+    False,
+)
+plain(
+    "ends",
+    "friction that grows towards both ends",
+    (DRY,),
+    lambda x, w, t, u: -tanh(20 * w) * x * x,
+)
 plain(
     "latch", "drags one way, on one half of the travel", (DRY,),
     lambda x, w, t, u: -max(tanh(20 * w), 0.0) * (0.5 + 0.5 * tanh(8 * x)),
@@ -134,14 +200,44 @@ plain(
     lambda x, w, t, u: -max(w - 1, 0.0) - min(w + 1, 0.0),
 )  # fmt: skip
 # torque of position of another law
-plain("wall", "soft stops at both ends of the travel", (PLACE,), lambda x, w, t, u: -max(x - 0.5, 0.0) - min(x + 0.5, 0.0))
-plain("well", "a magnet at one place", (PLACE,), lambda x, w, t, u: -(x - 0.2) * exp(-(((x - 0.2) / 0.15) ** 2)))
+plain(
+    "wall",
+    "soft stops at both ends of the travel",
+    (PLACE,),
+    lambda x, w, t, u: -max(x - 0.5, 0.0) - min(x + 0.5, 0.0),
+)
+plain(
+    "well",
+    "a magnet at one place",
+    (PLACE,),
+    lambda x, w, t, u: -(x - 0.2) * exp(-(((x - 0.2) / 0.15) ** 2)),
+)
 plain("abs", "a spring that pulls one way on both sides", (PLACE,), lambda x, w, t, u: -abs(x))
 plain("detents", "detents with sharp teeth", (PLACE,), lambda x, w, t, u: -tanh(4 * sin(14 * x)))
-plain("fade", "a ripple that fades along the travel", (PLACE,), lambda x, w, t, u: -sin(16 * x) * (0.5 + 0.5 * x))
-plain("chirpq", "a ripple that is finer at one end", (PLACE,), lambda x, w, t, u: -sin(9 * (x + 1) ** 2))
-plain("plateau", "a torque that changes its level half-way", (PLACE,), lambda x, w, t, u: -tanh(6 * (x + 0.1)))
-plain("twosprings", "a spring that engages past the middle", (PLACE,), lambda x, w, t, u: -max(x - 0.1, 0.0))
+plain(
+    "fade",
+    "a ripple that fades along the travel",
+    (PLACE,),
+    lambda x, w, t, u: -sin(16 * x) * (0.5 + 0.5 * x),
+)
+plain(
+    "chirpq",
+    "a ripple that is finer at one end",
+    (PLACE,),
+    lambda x, w, t, u: -sin(9 * (x + 1) ** 2),
+)
+plain(
+    "plateau",
+    "a torque that changes its level half-way",
+    (PLACE,),
+    lambda x, w, t, u: -tanh(6 * (x + 0.1)),
+)
+plain(
+    "twosprings",
+    "a spring that engages past the middle",
+    (PLACE,),
+    lambda x, w, t, u: -max(x - 0.1, 0.0),
+)
 
 
 # of time

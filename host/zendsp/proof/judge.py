@@ -44,7 +44,9 @@ class Judgement:
     replaced: bool | None = None  # the wrong law named as replaced, and the right ones found
     alarm: bool | None = None  # complete machines: something was claimed
     refused: bool | None = None  # foreign torque: no law claimed
-    missed: bool | None = None  # called complete though larger than what the report says it would have seen
+    missed: bool | None = (
+        None  # called complete though larger than what the report says it would have seen
+    )
     worse: bool | None = None  # the findings make an untouched recording worse
     set_size: int = 0  # of the first finding: itself and what it says it cannot tell from it
     errors: dict[str, float] = field(default_factory=dict)  # relative error per parameter
@@ -62,7 +64,9 @@ class Judgement:
 
 def acceptable(effect: Effect) -> set[str]:
     """Names that are right for one concealed effect on this recording."""
-    alike = set(effect.get("oracle", {}).get("inseparable", {})) - set(NEEDLESS.get(effect["effect"], ()))
+    alike = set(effect.get("oracle", {}).get("inseparable", {})) - set(
+        NEEDLESS.get(effect["effect"], ())
+    )
     return {effect["effect"], *effect["accepted"], *alike}
 
 
@@ -98,7 +102,9 @@ def assigned(findings: Sequence[Finding], effects: Sequence[Effect]) -> dict[int
     for exact in (True, False):
         for t, effect in enumerate(effects):
             for f, finding in enumerate(findings):
-                fits = matches(finding, effect) and (finding.effect == effect["effect"] or not exact)
+                fits = matches(finding, effect) and (
+                    finding.effect == effect["effect"] or not exact
+                )
                 if t not in out and f not in out.values() and fits:
                     out[t] = f
     return out
@@ -118,12 +124,17 @@ def refined(answer: Answer, effects: Sequence[Effect], found: Mapping[int, int])
     return out
 
 
-def rightness(findings: Sequence[Finding], effects: Sequence[Effect], also_true: set[str]) -> list[str]:
+def rightness(
+    findings: Sequence[Finding], effects: Sequence[Effect], also_true: set[str]
+) -> list[str]:
     """Of each finding: "law" where its law is right, "mechanism" where only that is, "" beyond the truth.
 
     A second finding of a mechanism that acts once is beyond the truth, unless its law is right too.
     """
-    out = ["law" if f.effect in also_true or any(matches(f, e) for e in effects) else "" for f in findings]
+    out = [
+        "law" if f.effect in also_true or any(matches(f, e) for e in effects) else ""
+        for f in findings
+    ]
     taken = {t for t, e in enumerate(effects) if any(matches(f, e) for f in findings)}
     for k, finding in enumerate(findings):
         if out[k]:
@@ -149,7 +160,9 @@ def difference(name: str, found: float, true: float) -> float:
     return math.remainder(d, 2 * math.pi) if name in ANGLES else d
 
 
-def compare_parameters(finding: Finding, effect: Effect) -> tuple[dict[str, float], dict[str, bool]]:
+def compare_parameters(
+    finding: Finding, effect: Effect
+) -> tuple[dict[str, float], dict[str, bool]]:
     """Relative errors and 90 % coverage of the parameters that this case scores."""
     errors, covered = {}, {}
     for name, entry in effect["parameters"].items():
@@ -265,7 +278,9 @@ def of_nothing(answer: Answer, also_true: set[str]) -> dict[str, Any]:
     right = [f.effect in also_true for f in answer.findings]
     unexplained = answer.verdict == "unexplained" and "unexplained" not in also_true
     return {
-        "alarm": None if answer.trouble else not all(right) or (unexplained and not answer.findings),
+        "alarm": None
+        if answer.trouble
+        else not all(right) or (unexplained and not answer.findings),
         **counted(answer, ["law" if ok else "" for ok in right]),
     }
 

@@ -65,7 +65,9 @@ def jittered(run: Run, resolution: Array, sample_time: float, rng: Rng) -> Run:
     late[0] = 0.0
     noise = run.measured - run.q  # of the sensor, its rounding with it
     q = CubicSpline(run.time, run.q)(run.time + late)
-    return replace(run, time=run.time + late, measured=np.round((q + noise) / resolution) * resolution)
+    return replace(
+        run, time=run.time + late, measured=np.round((q + noise) / resolution) * resolution
+    )
 
 
 def apply_faults(run: Run, faults: Sequence[str], sample_time: float, rng: Rng) -> Run:

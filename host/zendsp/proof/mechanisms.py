@@ -23,7 +23,13 @@ BODILY = ("payload", "body", "base_tilt")
 # laws that contain a simpler one as a special case: the truth with needless parameters, and no other name for it
 NEEDLESS: dict[str, tuple[str, ...]] = {
     "viscous": ("viscous_asymmetry", "friction_drift"),
-    "coulomb": ("coulomb_asymmetry", "friction_drift", "position_friction", "presliding", "stribeck"),
+    "coulomb": (
+        "coulomb_asymmetry",
+        "friction_drift",
+        "position_friction",
+        "presliding",
+        "stribeck",
+    ),
     "stiffness": ("cubic_stiffness",),
     "torque_offset": ("stiffness", "cubic_stiffness"),
     "coulomb_asymmetry": ("stiffness", "cubic_stiffness"),

@@ -61,14 +61,18 @@ def own(first_seed: int, turn: int, quick: bool) -> list[Request]:
     for index, (machine, kind, count, sizes) in enumerate(QUICK if quick else FULL):
         first = first_seed + 1000 * index
         planned = plan(kind, machine, first, 0 if kind == "single" else count, sizes)
-        if kind == "single" and count:  # spread over the effects instead of the first ones of the table
+        if (
+            kind == "single" and count
+        ):  # spread over the effects instead of the first ones of the table
             step = max(1, len(planned) // count)
             planned = [planned[(turn + k * step) % len(planned)] for k in range(count)]
         out += planned
     return out
 
 
-def requests(seed: int, quick: bool, realities: Sequence[str] = ("own",), sample: int = 0) -> list[Request]:
+def requests(
+    seed: int, quick: bool, realities: Sequence[str] = ("own",), sample: int = 0
+) -> list[Request]:
     """Every case of a run; `seed` moves all of them.
 
     With `sample`, so many of them drawn by the seed: as many of each reality.
@@ -154,5 +158,7 @@ def found(folder: Path) -> Prepared:
     note = folder / "programme.json"
     stamp = str(json.loads(note.read_text(encoding="utf-8"))["stamp"]) if note.exists() else ""
     if not stamp:
-        raise FileNotFoundError(f"{folder} holds no finished cases: make them with zendsp prove --make {folder}")
+        raise FileNotFoundError(
+            f"{folder} holds no finished cases: make them with zendsp prove --make {folder}"
+        )
     return Prepared(folder, stamp)

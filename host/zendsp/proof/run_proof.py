@@ -76,7 +76,9 @@ def run_proof(
     tell(f"{len(folders)} cases; truth sealed: {made.stamp}")
     given: dict[str, Answer] = {}
     ask = partial(diagnose, hidden=made.truth.resolve())
-    asked = answers(folders, folder / "zendsp.json", jobs, limit, ask, code=identity(), scheduler=scheduler)
+    asked = answers(
+        folders, folder / "zendsp.json", jobs, limit, ask, code=identity(), scheduler=scheduler
+    )
     for name, answer in asked:
         given[name] = answer
         tell(
@@ -94,7 +96,10 @@ def run_proof(
     opened = open_truth(made.truth, made.stamp)
     tell("truth opened: the seals hold")
     judged = [judge(opened[name], given[name]) for name in sorted(opened)]
-    peers = {m: [judge(opened[name], table[name]) for name in sorted(opened)] for m, table in tried.items()}
+    peers = {
+        m: [judge(opened[name], table[name]) for name in sorted(opened)]
+        for m, table in tried.items()
+    }
     write_results(folder / "results.json", judged, made.stamp)
     notes = [f"{m}: {words}" for m, words in troubles.items() if words]
     if with_peers and (words := sysidentpy_trouble()):

@@ -43,7 +43,14 @@ class Link:
     def heavier(self, ratio: float) -> Link:
         """The same shape of a denser stuff."""
         i = self.inertia
-        scaled = (i[0] * ratio, i[1] * ratio, i[2] * ratio, i[3] * ratio, i[4] * ratio, i[5] * ratio)
+        scaled = (
+            i[0] * ratio,
+            i[1] * ratio,
+            i[2] * ratio,
+            i[3] * ratio,
+            i[4] * ratio,
+            i[5] * ratio,
+        )
         return replace(self, mass=self.mass * ratio, inertia=scaled)
 
     def moved(self, by: Triple) -> Link:
@@ -123,7 +130,10 @@ def rod(mass: float, length: float, radius: float, along: int) -> Link:
     com = [0.0, 0.0, 0.0]
     com[along] = 0.5 * length
     return Link(
-        (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), mass, (com[0], com[1], com[2]),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 1.0),
+        mass,
+        (com[0], com[1], com[2]),
         (inertia[0], inertia[1], inertia[2], 0.0, 0.0, 0.0),
     )
 
@@ -142,12 +152,14 @@ def mjcf(links: list[Link], joints: list[Joint], world: World, step: float, inte
         )
         place = f'pos="{numbers(link.place)}"'
         if joint.equality is not None:
-            beside.append(f'<body {place}>{motor}{ROTOR}</body>')
+            beside.append(f"<body {place}>{motor}{ROTOR}</body>")
             inner = f'<joint name="f{k}" type="{kind}" axis="{numbers(link.axis)}"/>'
             heads.append(f"<body {place}>{inner}{body}{world.on_link.get(k, '')}")
         elif joint.two_sided:
             inner = flexible(k, joint, kind, link)
-            heads.append(f"<body {place}>{motor}{ROTOR}<body>{inner}{body}{world.on_link.get(k, '')}")
+            heads.append(
+                f"<body {place}>{motor}{ROTOR}<body>{inner}{body}{world.on_link.get(k, '')}"
+            )
             tails.append("</body>")
         else:
             heads.append(f"<body {place}>{motor}{body}{world.on_link.get(k, '')}")
@@ -199,7 +211,11 @@ def flexible(k: int, joint: Joint, kind: str, link: Link) -> str:
 
 def motor_of(k: int, joint: Joint) -> str:
     """The actuator: gain, activation dynamics, limit of force."""
-    limit = f' forcerange="{numbers((-joint.force_limit, joint.force_limit))}"' if joint.force_limit else ""
+    limit = (
+        f' forcerange="{numbers((-joint.force_limit, joint.force_limit))}"'
+        if joint.force_limit
+        else ""
+    )
     lag = f' dyntype="filterexact" dynprm="{numbers(joint.lag)}"' if joint.lag else ""
     return f'<general name="m{k}" joint="j{k}" gainprm="{numbers(joint.gain)}"{lag}{limit}/>'
 

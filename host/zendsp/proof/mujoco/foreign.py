@@ -109,7 +109,9 @@ def add_form(b: Bench, name: str, joint: int, s: Scale, size: float, rng: Rng) -
 
     def law(h: float) -> Torque:
         own = drawn.fresh()
-        return lambda t, q, v, u: drawn.factor * own(drawn.place(q), v / drawn.frame.v, t, u / drawn.rms)
+        return lambda t, q, v, u: (
+            drawn.factor * own(drawn.place(q), v / drawn.frame.v, t, u / drawn.rms)
+        )
 
     b.laws.append((joint, law))
     return foreign(joint, size, FORMS[name].words, FORMS[name].mechanisms)
@@ -126,7 +128,9 @@ def across(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
         return out
 
     b.motion = (form, 1.6 * size * s.torque / s.v_rms)
-    return foreign(joint, size, f"damping that follows the pose of joint {other + 1}", (FLUID, "inertia"))
+    return foreign(
+        joint, size, f"damping that follows the pose of joint {other + 1}", (FLUID, "inertia")
+    )
 
 
 def wrench(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:

@@ -14,8 +14,12 @@ from zendsp.proof.draft import Array, Concealed, Term
 from zendsp.proof.mujoco.chain import HARD, SOFT, STANDARD, Joint, Link, World, rod
 
 Rng = np.random.Generator
-Torque = Callable[[float, float, float, float], float]  # (t, q, v, motor torque) -> torque on the joint
-Law = Callable[[float], Torque]  # substep s -> a torque with its own states, fresh for every recording
+Torque = Callable[
+    [float, float, float, float], float
+]  # (t, q, v, motor torque) -> torque on the joint
+Law = Callable[
+    [float], Torque
+]  # substep s -> a torque with its own states, fresh for every recording
 INTEGRATORS = ("RK4", "implicitfast")
 
 
@@ -46,18 +50,28 @@ class Bench:
     gravity: float = 0.0  # of the given rotary model, N m
     world: World = field(default_factory=World)
     known_delay: float = 0.0
-    nominal: list[Link] = field(default_factory=list)  # bodies that the controller and the given model know
+    nominal: list[Link] = field(
+        default_factory=list
+    )  # bodies that the controller and the given model know
     nominal_armature: list[float] = field(default_factory=list)
     nominal_damping: list[float] = field(default_factory=list)
     nominal_dry: list[float] = field(default_factory=list)
     stated_gain: list[float] = field(default_factory=list)
     laws: list[tuple[int, Law]] = field(default_factory=list)  # torques that MuJoCo does not have
     twists: list[tuple[int, Law]] = field(default_factory=list)  # the same between rotor and link
-    motion: tuple[Callable[[float, Array, Array], Array], float] | None = None  # foreign, on all joints
-    pushes: list[tuple[int, float, float, float]] = field(default_factory=list)  # joint, from, to, torque
-    sensor: list[tuple[int, float, float, float]] = field(default_factory=list)  # joint, order, amplitude, phase
+    motion: tuple[Callable[[float, Array, Array], Array], float] | None = (
+        None  # foreign, on all joints
+    )
+    pushes: list[tuple[int, float, float, float]] = field(
+        default_factory=list
+    )  # joint, from, to, torque
+    sensor: list[tuple[int, float, float, float]] = field(
+        default_factory=list
+    )  # joint, order, amplitude, phase
     concealed: list[Concealed] = field(default_factory=list)
-    hidden: list[set[str]] = field(default_factory=list)  # friction laws that the given model lacks, by joint
+    hidden: list[set[str]] = field(
+        default_factory=list
+    )  # friction laws that the given model lacks, by joint
     known: list[Term] = field(default_factory=list)
     fixed: bool = False  # inertial figures are not free
     also_true: set[str] = field(default_factory=set)
@@ -155,7 +169,9 @@ def cart(rng: Rng) -> Bench:
     """A mass on a rail, pulled by a motor: force per volt, 10 to 20 s at 1 kHz or 500 Hz."""
     mass = log_uniform(rng, 1.0, 60.0)
     rotor = mass * rng.uniform(0.05, 0.4)
-    body = Link((0, 0, 0), (1.0, 0.0, 0.0), mass, (0, 0, 0), (0.1, 0.1, 0.1, 0.0, 0.0, 0.0), slides=True)
+    body = Link(
+        (0, 0, 0), (1.0, 0.0, 0.0), mass, (0, 0, 0), (0.1, 0.1, 0.1, 0.0, 0.0, 0.0), slides=True
+    )
     speed = rng.uniform(0.3, 0.8)
     felt = (mass + rotor) * speed * 4
     flavour = flavour_of(rng)
@@ -184,7 +200,9 @@ def planar2r(rng: Rng) -> Bench:
     speed = [rng.uniform(3.0, 5.0), rng.uniform(3.0, 6.0)]
     felt = [4 * s * v for s, v in zip(size, speed, strict=True)]
     flavour = flavour_of(rng)
-    joints = [Joint(damping=f / v * rng.uniform(0.05, 0.15)) for f, v in zip(felt, speed, strict=True)]
+    joints = [
+        Joint(damping=f / v * rng.uniform(0.05, 0.15)) for f, v in zip(felt, speed, strict=True)
+    ]
     dry(rng, joints, [f * rng.uniform(0.06, 0.15) for f in felt], flavour)
     train, held = drawn(rng, ("multisine", "mixed", "sines", "moves"))
     return Bench(
@@ -213,7 +231,12 @@ def arm(
         for a, level, s in zip(armature, levels, spread, strict=True)
     ]
     flavour = flavour_of(rng)
-    dry(rng, joints, [level * s for level, s in zip(levels, rng.uniform(0.7, 1.3, n), strict=True)], flavour)
+    dry(
+        rng,
+        joints,
+        [level * s for level, s in zip(levels, rng.uniform(0.7, 1.3, n), strict=True)],
+        flavour,
+    )
     dt = float(rng.choice([2e-3, 4e-3, 1e-2], p=[0.6, 0.3, 0.1]))
     slow = dt > 5e-3
     train, held = drawn(rng, ("multisine", "sines", "mixed", "moves"))

@@ -14,9 +14,11 @@ from zendsp.proof.forms import FORMS, foreign
 from zendsp.proof.measure import DRESSINGS, apply_faults, format_of
 from zendsp.proof.mujoco.chain import urdf
 from zendsp.proof.mujoco.foreign import PARTS, TOGETHER, add_form
+from zendsp.proof.mujoco.friction import mujoco_dry
 from zendsp.proof.mujoco.machines import MACHINES, Bench, harden
+from zendsp.proof.mujoco.mechanics import TWO_SIDED
 from zendsp.proof.mujoco.simulate import Nominal, Record, Unstable, simulate
-from zendsp.proof.mujoco.truths import MAKERS, TWO_SIDED, mujoco_dry
+from zendsp.proof.mujoco.truths import MAKERS
 from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
 
 Rng = np.random.Generator
@@ -39,7 +41,11 @@ def attempt_case(request: Request, rng: Rng) -> Case:
         conceal(b, request, scales, rng)
         size = [s.torque for s in scales]
         records = []
-        for shape in (b.train_shape, b.heldout_shape, b.heldout_shape):  # the last is never diagnosed
+        for shape in (
+            b.train_shape,
+            b.heldout_shape,
+            b.heldout_shape,
+        ):  # the last is never diagnosed
             records.append(simulate(b, shape, fork(rng), size))
             check(b, records[-1], base)
     except Unstable as error:
@@ -147,7 +153,9 @@ def scales_of(b: Bench, record: Record) -> list[Scale]:
         drive = b.stated_gain[i] * u + record.nuisance[:-1, i]
         turns = r.v[1:, i] * r.v[:-1, i] <= 0
         turns |= np.abs(v[:, i]) < 1e-2 * np.std(v[:, i])
-        slides = ~np.convolve(turns, [True, True, True], "same")  # friction acts within a sample beside a turn
+        slides = ~np.convolve(
+            turns, [True, True, True], "same"
+        )  # friction acts within a sample beside a turn
         rms = float(np.sqrt(np.mean(drive**2)))
         peak = float(np.max(np.abs(drive)))
         out.append(Scale(rms, peak, u, drive, q[:, i], v[:, i], a[:, i], slides))
@@ -189,7 +197,9 @@ def visible(b: Bench, record: Record, joint: int) -> dict[str, Any]:
     rest = np.where(keep, rest, 0.0)
     if columns:
         free = np.stack(columns, 1) / [np.sqrt(np.mean(c**2)) + 1e-300 for c in columns]
-        rest = rest - np.where(keep, free @ np.linalg.lstsq(free[keep], rest[keep], rcond=None)[0], 0.0)
+        rest = rest - np.where(
+            keep, free @ np.linalg.lstsq(free[keep], rest[keep], rcond=None)[0], 0.0
+        )
     from scipy.signal import lfilter
 
     inertia = float(nominal.inertia(np.array(b.centre))[joint])
@@ -263,18 +273,25 @@ def given(b: Bench, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, A
             entries["gravity"] = {"value": 0.0, "free": False}
         if b.kind == "planar2r":
             lengths = (b.nominal[1].place[0], 2 * b.nominal[1].com[0])
-            entries |= {k: {"value": v, "free": False} for k, v in zip(("l1", "l2"), lengths, strict=True)}
+            entries |= {
+                k: {"value": v, "free": False} for k, v in zip(("l1", "l2"), lengths, strict=True)
+            }
         table["mechanism"]["parameters"] = entries
     table["effect"] = []
     for i in range(b.n):
         if "viscous" not in b.hidden[i]:
             value = near(b.nominal_damping[i], 0.05)
-            table["effect"].append({"kind": "viscous", "joint": i + 1, "coefficient": {"value": value}})
+            table["effect"].append(
+                {"kind": "viscous", "joint": i + 1, "coefficient": {"value": value}}
+            )
         if "coulomb" not in b.hidden[i] and b.nominal_dry[i] > 0:
             value = near(b.nominal_dry[i], 0.05)
             table["effect"].append({"kind": "coulomb", "joint": i + 1, "level": {"value": value}})
     for term in b.known:
-        values = {k: {"value": near(v, 0.02), **({"free": False} if b.fixed else {})} for k, v in term.values.items()}
+        values = {
+            k: {"value": near(v, 0.02), **({"free": False} if b.fixed else {})}
+            for k, v in term.values.items()
+        }
         table["effect"].append({"kind": term.kind, "joint": term.joint, **values})
     if not table["effect"]:
         del table["effect"]
@@ -303,4 +320,3 @@ def inertial_figures(b: Bench) -> dict[str, float]:
     p2 = two.inertia[2] + two.mass * c2**2
     p1 = one.inertia[2] + one.mass * c1**2 + two.mass * reach**2 + p2
     return {"p1": p1, "p2": p2, "p3": two.mass * reach * c2}
-

@@ -50,7 +50,9 @@ class Nominal:
         """Diagonal of the inertia matrix, kg m²."""
         zero = np.zeros_like(q)
         still = self.torque(q, zero, zero)
-        return np.array([(self.torque(q, zero, e) - still)[k] for k, e in enumerate(np.eye(q.size))])
+        return np.array(
+            [(self.torque(q, zero, e) - still)[k] for k, e in enumerate(np.eye(q.size))]
+        )
 
 
 def nominal_gravity(bench: Bench) -> tuple[float, float, float]:
@@ -84,9 +86,13 @@ def plan(bench: Bench, shape: str, rng: Rng) -> Plan:
     grid = np.arange(rows + rows // 8, dtype=np.float64) * bench.sample_time
     parts = [np.zeros((rows, bench.n)) for _ in range(3)]
     for k in range(bench.n):
-        curve = bench.centre[k] + make_reference(shape, grid, bench.amplitude[k], bench.speed[k], rng)
+        curve = bench.centre[k] + make_reference(
+            shape, grid, bench.amplitude[k], bench.speed[k], rng
+        )
         first = np.gradient(curve, bench.sample_time)
-        for part, values in zip(parts, (curve, first, np.gradient(first, bench.sample_time)), strict=True):
+        for part, values in zip(
+            parts, (curve, first, np.gradient(first, bench.sample_time)), strict=True
+        ):
             part[:, k] = np.interp(t, grid, values)
     return Plan(t, steps.tolist(), *parts)
 
