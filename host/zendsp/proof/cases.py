@@ -37,7 +37,7 @@ UNFIT = {
     },
 }
 # how a complete machine is logged
-FAULTS = ("plain", "jitter", "repeat", "float32", "filtered", "origin")
+FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "origin")
 BEHIND = (
     "coulomb",
     "stribeck",

@@ -31,6 +31,13 @@ def repeated(run: Run, rng: Rng) -> Run:
     )  # fmt: skip
 
 
+def stale(run: Run, rng: Rng) -> Run:
+    """One position in two hundred was not read anew: it is the one before, with the stamp of its row."""
+    rows = np.arange(run.time.size)
+    rows[1:] -= rng.random(rows.size - 1) < 0.005
+    return replace(run, measured=run.measured[rows])
+
+
 def without_delay(x: Array) -> Array:
     """A low pass run forward and backward at an eighth of the sampling rate."""
     from scipy.signal import butter, filtfilt
@@ -78,6 +85,8 @@ def apply_faults(run: Run, faults: Sequence[str], sample_time: float, rng: Rng) 
             run = replace(run, measured=rounded(run.measured), command=rounded(run.command))
         elif name == "repeat":
             run = repeated(run, rng)
+        elif name == "stale":
+            run = stale(run, rng)
         elif name == "filtered":
             run = replace(run, measured=without_delay(run.measured))
         elif name == "filter":

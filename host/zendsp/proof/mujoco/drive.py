@@ -94,8 +94,16 @@ def _lag(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     seconds = max(0.03 * size / b.bandwidth * 12, 1.5 * b.sample_time)
     b.joints[joint].lag = seconds
     accepted = ("delay",) if seconds < 2.5 * b.sample_time else ()
+    alone = b.n == 1  # a linear filter before the joint or behind its sensor is one
     return truth(
-        b, "lag", joint, size, {"time_constant": (seconds, "s")}, accepted, note="filterexact"
+        b,
+        "lag",
+        joint,
+        size,
+        {"time_constant": (seconds, "s")},
+        (*accepted, "position_filter") if alone else accepted,
+        ("measurement",) if alone else (),
+        note="filterexact",
     )
 
 
@@ -145,9 +153,10 @@ def _shift(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
 def _filter(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     seconds = b.sample_time * rng.uniform(2.0, 5.0)
     b.faults.append(f"filter {seconds!r}")
+    alone = b.n == 1  # as with lag
     return truth(
-        b, "position_filter", 0, size, {"time_constant": (seconds, "s")}, joints=tuple(range(b.n)),
-        note="every position column low-passed",
+        b, "position_filter", 0, size, {"time_constant": (seconds, "s")}, ("lag",) if alone else (),
+        ("actuator",) if alone else (), joints=tuple(range(b.n)), note="every position column low-passed",
     )  # fmt: skip
 
 

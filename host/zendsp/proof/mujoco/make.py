@@ -22,7 +22,7 @@ from zendsp.proof.mujoco.truths import MAKERS
 from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
 
 Rng = np.random.Generator
-FAULTS = ("plain", "jitter", "repeat", "float32", "filtered", "slow", "origin", "unit")
+FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "slow", "origin", "unit")
 
 
 def attempt_case(request: Request, rng: Rng) -> Case:
