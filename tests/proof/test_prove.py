@@ -8,9 +8,9 @@ import pytest
 
 from zendsp.proof import cases, programme, run_proof
 from zendsp.proof.answer import Answer, Finding
-from zendsp.proof.build_case import Request
+from zendsp.proof.build_case import NoUsableCase, Request
 from zendsp.proof.programme import REALITIES, requests
-from zendsp.proof.seal import BrokenSeal, write_truth
+from zendsp.proof.seal import BrokenSeal, open_truth, write_truth
 
 FEW = [Request(71, "complete", "rotary"), Request(72, "single", "rotary", "ripple", 1.0)]
 
@@ -118,3 +118,20 @@ def test_programme_holds_what_is_promised() -> None:
     assert len(quick) < 30 and len(requests(0, True, REALITIES)) <= 40
     kinds = {r.kind for r in requests(0, True, REALITIES)}
     assert {"single", "complete", "nuisance", "foreign", "pair", "replace"} <= kinds
+
+
+def test_a_request_without_a_usable_draw_is_left_out_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make = cases.make_case
+
+    def refusing(request: Request) -> object:
+        if request.effect == "ripple":
+            raise NoUsableCase("the loop is nearly unstable")
+        return make(request)
+
+    monkeypatch.setattr(cases, "make_case", refusing)
+    made = programme.prepare(tmp_path, FEW, 1)
+    assert "case_0002 left out: the loop is nearly unstable" in capsys.readouterr().err
+    assert [p.name for p in made.cases.iterdir()] == ["case_0001"]
+    assert set(open_truth(made.truth, made.stamp)) == {"case_0001"}

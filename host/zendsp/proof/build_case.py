@@ -54,12 +54,16 @@ class Unusable(RuntimeError):
     """This draw makes no sensible recording; draw again."""
 
 
+class NoUsableCase(RuntimeError):
+    """No draw of a request makes a sensible recording."""
+
+
 def make_case(request: Request) -> Case:
     """The case of a request; the same request gives the same case, bit for bit.
 
     Raises
     ------
-    RuntimeError
+    NoUsableCase
         Twelve draws in a row gave no stable, well-behaved loop.
     """
     words = [
@@ -73,7 +77,7 @@ def make_case(request: Request) -> Case:
             return attempting(request)(request, np.random.default_rng([*words, attempt]))
         except Unusable as error:
             trouble = str(error)
-    raise RuntimeError(f"no usable case for {request} in twelve draws; the last said: {trouble}")
+    raise NoUsableCase(f"no usable case for {request} in twelve draws; the last said: {trouble}")
 
 
 def attempting(request: Request) -> Callable[[Request, Rng], Case]:

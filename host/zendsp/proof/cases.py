@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.proof.build_case import Request, make_case
+from zendsp.proof.build_case import NoUsableCase, Request, make_case
 from zendsp.proof.children import cluster, processes, workers
 from zendsp.proof.conceal import KINDS, PAIRS, REPLACEMENTS
 from zendsp.proof.effects import SINGLE
@@ -90,11 +90,17 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
 
 
 def write_case(order: Order) -> str:
-    """Make and write one case, unless its truth is there already; returns one line for the terminal."""
+    """Make and write one case, unless its truth is there already; returns one line for the terminal.
+
+    A request whose draws make no sensible recording is left out: a campaign does not end with it.
+    """
     name = f"case_{order.number:04d}"
     if (Path(order.truth) / f"{name}.json").exists():  # written last
         return f"{name} kept"
-    case = make_case(order.request)
+    try:
+        case = make_case(order.request)
+    except NoUsableCase as error:
+        return f"{name} left out: {error}"
     folder = Path(order.cases) / name
     folder.mkdir(parents=True, exist_ok=True)
     columns = case.model["columns"]
