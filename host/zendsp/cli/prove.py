@@ -44,8 +44,8 @@ def realities(words: str) -> tuple[str, ...]:
     there = installed("mujoco")
     if not words:
         if not there:
-            click.echo("own reality alone; for the other: pip install 'zendsp[mujoco]'", err=True)
-        return REALITIES if there else ("own",)
+            click.echo("without MuJoCo's reality: pip install 'zendsp[mujoco]'", err=True)
+        return tuple(name for name in REALITIES if there or name != "mujoco")
     chosen = tuple(dict.fromkeys(word.strip() for word in words.split(",")))
     for word in chosen:
         if word not in REALITIES:
@@ -61,7 +61,7 @@ def realities(words: str) -> tuple[str, ...]:
     "--reality",
     default="",
     metavar="NAMES",
-    help="Who simulates the cases, comma separated: own, mujoco. Default: all that are installed.",
+    help="Who simulates the cases, comma separated: own, machines, mujoco. Default: all that are installed.",
 )
 @click.option(
     "--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores."
@@ -158,7 +158,7 @@ def command(
 ) -> None:
     """Judge the diagnosis on machines whose physics it was not told.
 
-    Concealed cases are simulated by code of their own and by MuJoCo, the truth is sealed by hash before the first diagnosis and
+    Concealed cases are simulated by code of their own, by the machines that ship as C, and by MuJoCo; the truth is sealed by hash before the first diagnosis and
     opened after the last. Exit status 0 when every case got an answer (with --real and --implant: when every promise was kept).
 
     Example:  zendsp prove --quick

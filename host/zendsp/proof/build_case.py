@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from zendsp.proof.case import Case as Case
+from zendsp.proof.case import NoUsableCase as NoUsableCase
+from zendsp.proof.case import Request as Request
+from zendsp.proof.case import Unusable as Unusable
 from zendsp.proof.conceal import KINDS
 from zendsp.proof.draft import Array, Concealed, Draft, Scale
 from zendsp.proof.effect_kit import inertia_of
@@ -22,40 +25,6 @@ from zendsp.proof.rivals import inseparable
 from zendsp.proof.wam import urdf
 
 Rng = np.random.Generator
-
-
-@dataclass(frozen=True)
-class Request:
-    """What case to make."""
-
-    seed: int
-    kind: str  # a key of conceal.KINDS
-    machine: str = "rotary"
-    effect: str = ""  # for the kinds that conceal one effect
-    size: float = 1.0
-    reality: str = "own"  # who simulates it: own | mujoco
-
-
-@dataclass(frozen=True)
-class Case:
-    """A finished case: what the tool sees, and the truth."""
-
-    train: Run
-    heldout: Run
-    model: dict[str, Any]
-    truth: dict[str, Any]
-    form: str
-    layout: str  # of the files: see Draft.layout
-    untouched: Run  # of the same machine; no diagnosis ever sees it
-    files: dict[str, str] = field(default_factory=dict)  # what the model names besides, by file name
-
-
-class Unusable(RuntimeError):
-    """This draw makes no sensible recording; draw again."""
-
-
-class NoUsableCase(RuntimeError):
-    """No draw of a request makes a sensible recording."""
 
 
 def make_case(request: Request) -> Case:
@@ -86,6 +55,10 @@ def attempting(request: Request) -> Callable[[Request, Rng], Case]:
         from zendsp.proof.mujoco import make
 
         return make.attempt_case
+    if request.reality == "machines":
+        from zendsp.proof import shipped
+
+        return shipped.attempt_case
     return attempt_case
 
 

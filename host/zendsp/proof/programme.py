@@ -9,9 +9,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from zendsp.proof.build_case import Request
+from zendsp.proof import shipped
+from zendsp.proof.case import Request
 from zendsp.proof.cases import plan, write_all
 from zendsp.proof.forms import FAINT
+from zendsp.proof.mujoco import programme as mujoco
 
 # (machine, kind, how many, sizes); 0: every effect once at every size
 FULL: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
@@ -52,7 +54,7 @@ QUICK: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
 )
 # development uses seeds below 500 000, the sealed set of development 710 000 and up
 FIRST_SEED = 2_000_000
-REALITIES = ("own", "mujoco")
+REALITIES = ("own", "machines", "mujoco")
 
 
 def own(first_seed: int, turn: int, quick: bool) -> list[Request]:
@@ -82,9 +84,9 @@ def requests(
     for name in realities:
         if name == "own":
             groups.append(own(first, seed, quick))
+        elif name == "machines":
+            groups.append(shipped.requests(first + 40_000, quick))
         else:  # MuJoCo itself is not needed to say what will be made
-            from zendsp.proof.mujoco import programme as mujoco
-
             groups.append(mujoco.requests(first + 50_000, quick))
     if sample:
         rng = random.Random(seed)

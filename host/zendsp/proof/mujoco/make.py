@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.proof.build_case import Case, Request, Unusable
+from zendsp.proof.case import Case, Request, Unusable
 from zendsp.proof.draft import Array, Concealed, Scale
 from zendsp.proof.files import NAMES, columns_of
 from zendsp.proof.forms import FORMS, foreign

@@ -7,7 +7,7 @@ from math import pi, sin
 
 import numpy as np
 
-from zendsp.proof.build_case import Unusable
+from zendsp.proof.case import Unusable
 from zendsp.proof.draft import Concealed, Scale
 from zendsp.proof.mujoco.chain import numbers
 from zendsp.proof.mujoco.kit import maker, truth, unit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from zendsp.proof.build_case import Request
+from zendsp.proof.case import Request
 from zendsp.proof.forms import FAINT
 from zendsp.proof.mujoco.foreign import names as foreign_names
 from zendsp.proof.mujoco.make import FAULTS
