@@ -22,13 +22,14 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 BANDS = (64.0, 32.0, 16.0, 8.0)  # rad/s of the observers; slower ones see less of a torque, and far less noise
-BLOCK = 0.5  # s, over which energies are summed before their variance is taken
+BLOCK = 0.5  # s, over which energies are summed before their variance is taken; less where there would be
+BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 CONCENTRATED = 0.8  # of the energy, in that time
-REVISITED = 0.7  # of that time, in states that the joint is in at other times too
+REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
 
@@ -87,10 +88,12 @@ def noise(record: JointRecord, model: Model, band: float) -> float:
 def energy_blocks(data: Data, squares: Sequence[Array], joint: int, band: float) -> tuple[Array, Array]:
     """Sums over blocks of time of some series, one a recording, and the number of samples in each block."""
     sums, counts = [], []
+    seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
+    block = max(min(BLOCK, seconds / BLOCKS), 8.0 / band)
     for series, rec in zip(squares, data.records, strict=True):
         record = rec[joint - 1]
         use = series[kept(record, band)]
-        size = max(10, round(max(BLOCK, 8.0 / band) / record.sample_time))
+        size = max(10, round(block / record.sample_time))
         count = max(1, len(use) // size)
         for part in np.array_split(use, count):
             sums.append(float(part.sum()))
@@ -360,7 +363,9 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
-        cell = 40 * np.floor(20 * _unit(q, (float(q.min()), float(q.max())))) + 10 * (v > 0) + np.minimum(9, np.floor(3 * np.abs(v) / max(float(np.std(v)), 1e-300)))
+        place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
+        fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
+        cell = 6 * place + 3 * (v > 0) + fast  # 20 places, 2 directions, 3 speeds
         met += int(np.isin(cell[high], np.unique(cell[~high])).sum())
         energy = lack[use] ** 2
         inside += float(energy[high].sum())

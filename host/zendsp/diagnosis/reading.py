@@ -16,6 +16,7 @@ from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
@@ -94,8 +95,9 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     for key in ("position",):
         if key not in columns:
             raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
-    name, get = _getter(source, columns)
+    name, get, done = _getter(source)
     joints = model.joints
+    get, repeated = _without_repeats(get, columns)
     position = _matrix(name, "position", get, columns["position"], joints)
     n = len(position)
     if "command" in columns:
@@ -119,6 +121,8 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         else None
     )
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
+    if repeated:
+        notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(
         [_resolution(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
@@ -137,11 +141,12 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
-    signals = Signals(name, time, sample_time, position, command, reference, resolution, tuple(notes))
+    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes))
     return _decimate(signals)
 
 
-def _getter(source: Any, columns: Any) -> tuple[str, Any]:
+def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
+    """Its name, a function from a column's name to its numbers in SI, and what was done to get these."""
     if isinstance(source, Recording):
         names = set(source.names)
 
@@ -149,17 +154,34 @@ def _getter(source: Any, columns: Any) -> tuple[str, Any]:
             if column in ("t", "time") and column not in names:
                 return np.asarray(source.t, float)
             try:
-                return np.asarray(source[column], float)
+                known = to_si(source.units.get(column.partition("[")[0], ""))
+                return np.asarray(source[column], float) * (known[0] if known else 1.0)
             except (KeyError, RecordingError):
                 raise RecordingError(
                     f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
                 ) from None
 
-        return "recording", from_recording
-    if isinstance(source, Table):
-        return str(source.path), lambda column: source[column]
-    table = read_table(source)
-    return str(source), lambda column: table[column]
+        return "recording", from_recording, ()
+    table = source if isinstance(source, Table) else read_table(source)
+    return str(table.path), lambda column: table[column], table.notes
+
+
+def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
+    """A getter without the rows whose time and positions are those of the row before, and how many there are."""
+    if "time" not in columns or not _has(get, columns["time"]):
+        return get, 0
+    time = np.asarray(get(str(columns["time"])))
+    spec = columns["position"]
+    parts = [np.asarray(get(str(item))) for item in (spec if isinstance(spec, list) else [spec])]
+    if time.ndim != 1 or any(len(p) != len(time) for p in parts):
+        return get, 0
+    again = np.r_[False, np.diff(time) == 0]
+    for p in parts:
+        again[1:] &= (p[1:] == p[:-1]).reshape(len(time) - 1, -1).all(axis=1)
+    if not again.any():
+        return get, 0
+    keep = ~again
+    return lambda column: np.asarray(get(column))[keep], int(again.sum())
 
 
 def _has(get: Any, column: Any) -> bool:
