@@ -16,6 +16,7 @@ from zendsp.proof.draft import Concealed, Scale
 Rng = np.random.Generator
 FAINT = (0.2, 0.1, 0.05, 0.02, 0.01, 0.35, 0.5)  # sizes, as shares of the RMS torque
 DRY, FLUID, PLACE, TIME = "dry_friction", "fluid_friction", "position_torque", "disturbance"
+RUBS = (DRY, FLUID)  # friction that differs along the travel: by what law of speed is left open
 
 
 @dataclass(frozen=True)
@@ -90,16 +91,16 @@ def states(name: str, words: str, mechanisms: tuple[str, ...]) -> Callable[..., 
 plain(
     "q2v",
     "viscosity that grows with the square of position",
-    (FLUID,),
+    RUBS,
     lambda x, w, t, u: -(x**2) * w,
 )
 plain(
     "sinqv",
     "damping and driving by turns along the travel",
-    (FLUID,),
+    RUBS,
     lambda x, w, t, u: -sin(5 * x) * w,
 )
-plain("qv", "a torque of position times speed", (FLUID, PLACE), lambda x, w, t, u: -x * w)
+plain("qv", "a torque of position times speed", (*RUBS, PLACE), lambda x, w, t, u: -x * w)
 plain(
     "tanhqv",
     "follows the sign of position times speed",
@@ -122,13 +123,13 @@ plain(
 plain(
     "expqv",
     "damping that grows steeply along the travel",
-    (FLUID,),
+    RUBS,
     lambda x, w, t, u: -exp(2 * x) * w,
 )
 plain(
     "onesided",
     "damping on one half of the travel only",
-    (FLUID,),
+    RUBS,
     lambda x, w, t, u: -w if x > 0 else 0.0,
 )
 plain(

@@ -143,7 +143,8 @@ LEFT_OUT = ("viscous", "coulomb")
 EFFECTS = (*LEFT_OUT, *LAWS)
 FOREIGN = ("strap", "parametric", "breathing")  # the machine's laws 0, 1, 2
 FOREIGN_MECHANISMS = (
-    ["fluid_friction"], ["position_torque", "fluid_friction"], ["dry_friction", "disturbance"],
+    ["dry_friction", "fluid_friction"], ["position_torque", "fluid_friction"],
+    ["dry_friction", "disturbance"],
 )  # fmt: skip
 ACCEPTED = {"torque_offset": ["coulomb_asymmetry"], "elasticity": ["stiffening"], "saturation": ["voltage_limit"],
             "hysteresis": ["presliding"]}  # fmt: skip
