@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +21,16 @@ from zendsp.proof.answer import (
     read_report,
 )
 from zendsp.proof.judge import judge
+from zendsp.proof.page import proof_page
 from zendsp.proof.score import answers, diagnose
-from zendsp.proof.scoreboard import calibration_gap, failures, headline, text, upper_bound
+from zendsp.proof.scoreboard import (
+    calibration_gap,
+    failures,
+    headline,
+    text,
+    upper_bound,
+    worst_tenth,
+)
 
 
 def truth(
@@ -361,3 +370,31 @@ def test_scoreboard_prints_every_promise() -> None:
     printed = text(judged, "known")
     assert all(row[0].strip() in printed for row in headline(judged))
     assert "1/1 = 100.0%" in printed
+
+
+def test_each_reality_has_a_column_and_a_table_of_confidence() -> None:
+    own = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
+    other = judge(
+        truth([effect("coulomb")], reality="mujoco"), Answer("missing", (found("ripple"),))
+    )
+    printed = text([own, other], "both")
+    row = next(line for line in printed.splitlines() if "mechanism first" in line)
+    assert "1/1 = 100.0%" in row and "0/1 = 0.0%" in row
+    assert printed.count("stated confidence ") == 3  # two tables, and the row of the scoreboard
+    page = proof_page([own, other], {}, command="zendsp prove", stamp="")
+    assert "| zendsp, mujoco | zendsp, own |" in page and "stated (zendsp, mujoco)" in page
+
+
+def test_worst_tenth_needs_enough_findings() -> None:
+    right = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
+    wrong = judge(truth([effect("coulomb")]), Answer("missing", (found("ripple"),)))
+    assert worst_tenth([right] * 15 + [wrong] * 5) == pytest.approx(0.20)
+    assert math.isnan(worst_tenth([right] * 10 + [wrong] * 5))
+
+
+def test_cases_with_a_wrong_name_stated_as_sure_are_counted_once() -> None:
+    t = truth([effect("coulomb")])
+    j = judge(t, Answer("missing", (found("ripple"), found("stiffness"), found("coulomb"))))
+    assert j.sure_wrong and j.extra == 2
+    unsure = replace(found("ripple"), confidence=0.6)
+    assert not judge(t, Answer("missing", (found("coulomb"), unsure))).sure_wrong
