@@ -27,6 +27,7 @@ from zendsp.proof.scoreboard import (
     calibration_gap,
     failures,
     headline,
+    missed_marks,
     text,
     upper_bound,
     worst_tenth,
@@ -383,6 +384,21 @@ def test_each_reality_has_a_column_and_a_table_of_confidence() -> None:
     assert printed.count("stated confidence ") == 3  # two tables, and the row of the scoreboard
     page = proof_page([own, other], {}, command="zendsp prove", stamp="")
     assert "| zendsp, mujoco | zendsp, own |" in page and "stated (zendsp, mujoco)" in page
+
+
+def test_marks_are_missed_by_a_diagnosis_that_always_says_yes() -> None:
+    foreign = truth([effect("foreign")], kind="foreign", verdict="unexplained")
+    silent = truth([], kind="complete", verdict="complete")
+    named = truth([effect("coulomb")])
+    yes = Answer("missing", (found("coulomb"), found("ripple")))
+    assert missed_marks([judge(t, yes) for t in (foreign, silent, named)]) == [
+        "false alarms: 1/1 = 100.0%, at most 15%",
+        "foreign torque without a law claimed: 0/1 = 0.0%, at least 40%",
+        "cases with a wrong name stated as sure: 3/3 = 100.0%, at most 20%",
+        "names beyond the truth, per case: 1.67, at most 0.5",
+    ]
+    right = [judge(foreign, Answer("unexplained")), judge(silent, Answer("complete"))]
+    assert missed_marks([*right, judge(named, Answer("missing", (found("coulomb"),)))]) == []
 
 
 def test_worst_tenth_needs_enough_findings() -> None:

@@ -13,6 +13,7 @@ import click
 
 if TYPE_CHECKING:
     from zendsp.proof.programme import Prepared
+    from zendsp.proof.run_proof import Outcome
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -104,6 +105,9 @@ def realities(words: str) -> tuple[str, ...]:
     help="Let PySINDy and FROLS try the same cases.",
 )
 @click.option(
+    "--strict", is_flag=True, help="End with status 1 below the marks that tell a broken diagnosis, too."
+)
+@click.option(
     "--limit",
     type=click.FloatRange(min=0, min_open=True),
     default=300.0,
@@ -147,6 +151,7 @@ def command(
     judge_only: Path | None,
     resume: bool,
     peers: bool,
+    strict: bool,
     limit: float,
     real: bool,
     implant: bool,
@@ -159,7 +164,7 @@ def command(
     """Judge the diagnosis on machines whose physics it was not told.
 
     Concealed cases are simulated by code of their own, by the machines that ship as C, and by MuJoCo; the truth is sealed by hash before the first diagnosis and
-    opened after the last. Exit status 0 when every case got an answer (with --real and --implant: when every promise was kept).
+    opened after the last. Exit status 0 when every case got an answer (with --strict: when the marks are reached too; with --real and --implant: when every promise was kept).
 
     Example:  zendsp prove --quick
     """
@@ -208,7 +213,15 @@ def command(
         count = len(list(made.cases.iterdir()))
         click.echo(f"{count} cases in {made.cases}; truth sealed in {made.truth}: {made.stamp}")
         return
-    sys.exit(judging(made, cores, scheduler, limit, peers, words, page))
+    from zendsp.proof.scoreboard import missed_marks
+
+    outcome = judging(made, cores, scheduler, limit, peers, words)
+    if page is not None:
+        page.write_text(outcome.page.read_text(encoding="utf-8"), encoding="utf-8")
+    missed = missed_marks(outcome.judged) if strict else []
+    for line in missed:
+        click.echo(f"below the mark: {line}", err=True)
+    sys.exit(1 if missed or any(j.trouble for j in outcome.judged) else 0)
 
 
 def prepared(folder: Path) -> Prepared:
@@ -234,15 +247,9 @@ def making(
 
 
 def judging(
-    made: Prepared,
-    jobs: int,
-    scheduler: str,
-    limit: float,
-    peers: bool,
-    words: str,
-    page: Path | None,
-) -> int:
-    """Judge prepared cases and print the scoreboard; the exit status."""
+    made: Prepared, jobs: int, scheduler: str, limit: float, peers: bool, words: str
+) -> Outcome:
+    """Judge prepared cases and print the scoreboard."""
     from zendsp.proof.run_proof import run_proof
     from zendsp.proof.scoreboard import text
     from zendsp.proof.seal import BrokenSeal
@@ -258,9 +265,7 @@ def judging(
     for method, judged in outcome.peers.items():
         click.echo("\n" + text(judged, method).split("\n\n  named first, by")[0])
     click.echo(f"\ntruth sealed before, opened after: {outcome.stamp}\npage: {outcome.page}")
-    if page is not None:
-        page.write_text(outcome.page.read_text(encoding="utf-8"), encoding="utf-8")
-    return 1 if any(j.trouble for j in outcome.judged) else 0
+    return outcome
 
 
 def forget(folder: Path) -> None:

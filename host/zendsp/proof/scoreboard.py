@@ -6,6 +6,7 @@ import itertools
 import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 from scipy.stats import beta
 
@@ -81,6 +82,44 @@ def spread(values: Sequence[float]) -> str:
     """Median and 95 % of what is known."""
     known = [v for v in values if math.isfinite(v)]
     return f"{percentile(known, 0.5):.1f} / {percentile(known, 0.95):.1f}" if known else "-"
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What some forty cases must show, below which something is broken.
+
+    So few cases cannot tell 97 % from 90 %. They can tell a diagnosis that decides from one that
+    accepts whatever its search proposes (docs/prove.md has both, measured).
+    """
+
+    mechanism: float = 0.8  # first, of what is detectable
+    alarms: float = 0.15  # of complete machines
+    refused: float = 0.4  # foreign torques without a law claimed
+    extra: float = 0.5  # names beyond the truth, per case
+    sure_wrong: float = 0.2  # cases with a wrong name stated at 80 % or more
+    worse: float = 0.1  # cases whose findings make untouched data worse
+
+
+def missed_marks(judged: Sequence[Judgement], marks: Marks | None = None) -> list[str]:
+    """One line for each mark that a run does not reach; a mark that no case asks for is reached."""
+    marks = marks or Marks()
+    answered = [j for j in judged if not j.trouble]
+    rates = (
+        ("mechanism first", [j.mechanism for j in judged if j.detectable], marks.mechanism, True),
+        ("false alarms", [j.alarm for j in judged], marks.alarms, False),
+        ("foreign torque without a law claimed", [j.refused for j in judged], marks.refused, True),
+        ("cases with a wrong name stated as sure", [j.sure_wrong for j in answered], marks.sure_wrong, False),
+        ("findings that make untouched data worse", [j.worse for j in judged], marks.worse, False),
+    )
+    out = []
+    for what, values, mark, least in rates:
+        good, total = rate(values)
+        if total and (good < mark * total if least else good > mark * total):
+            out.append(f"{what}: {shown(good, total)}, {'at least' if least else 'at most'} {mark:.0%}")
+    extra = mean([j.extra for j in answered])
+    if extra > marks.extra:
+        out.append(f"names beyond the truth, per case: {extra:.2f}, at most {marks.extra:g}")
+    return out
 
 
 def by_reality(judged: Sequence[Judgement]) -> dict[str, list[Judgement]]:
