@@ -52,6 +52,7 @@ OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physi
 TIED = 0.05  # probability above which a law is still in the race
 DRAWS = 400  # of the Bayesian bootstrap
 SURE = 3.0  # standard deviations over blocks of time
+PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
@@ -251,7 +252,7 @@ def _claimed(
         if kept_laws:
             apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
             larger = max(larger, difference(parts.test, apart, final.model, joint))
-        sure = piece.log_e > needed and piece.evidence.z > 2.0
+        sure = piece.log_e > needed and piece.evidence.z > PLAIN
         (claimed if sure and piece.size > math.hypot(left, LAW_ERROR * larger) else rest).append(piece)
     return claimed, rest
 
@@ -297,7 +298,7 @@ def _named(
         own = [first]
         for other in ranked[1:]:
             second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(after.value, LAW_ERROR * first.size)
-            if second and other.log_e > 0 and other.evidence.z > 2.0:
+            if second and other.log_e > 0 and other.evidence.z > PLAIN:
                 own.append(other)
             else:
                 refinements.append(_plain(other))

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 from scipy.ndimage import binary_closing
+from scipy.stats import norm
 
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia, response, run
@@ -28,7 +29,7 @@ SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
-CONCENTRATED = 0.8  # of the energy, in that time
+CONCENTRATED = 0.5  # of the energy outside of that time, against what a random torque that is normally distributed has there
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
@@ -380,6 +381,10 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         ]
         peak = max(peak, float(np.max(np.abs(lack[use][high]), initial=0.0)))
     share = inside / max(inside + outside, 1e-300)
-    if not spans or covered > BRIEF * count or share < CONCENTRATED or met < REVISITED * covered or len(spans) > MANY:
+    if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
+        return None
+    z = float(norm.isf(0.5 * covered / count))
+    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))  # of a random torque's energy, in its largest values for so long
+    if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
         return None
     return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))
