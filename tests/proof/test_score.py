@@ -393,7 +393,7 @@ def test_marks_are_missed_by_a_diagnosis_that_always_says_yes() -> None:
     yes = Answer("missing", (found("coulomb"), found("ripple")))
     assert missed_marks([judge(t, yes) for t in (foreign, silent, named)]) == [
         "false alarms: 1/1 = 100.0%, at most 15%",
-        "foreign torque without a law claimed: 0/1 = 0.0%, at least 40%",
+        "foreign torque without a law claimed: 0/1 = 0.0%, at least 25%",
         "cases with a wrong name stated as sure: 3/3 = 100.0%, at most 20%",
         "names beyond the truth, per case: 1.67, at most 0.5",
     ]

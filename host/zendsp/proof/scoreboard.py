@@ -94,7 +94,7 @@ class Marks:
 
     mechanism: float = 0.8  # first, of what is detectable
     alarms: float = 0.15  # of complete machines
-    refused: float = 0.4  # foreign torques without a law claimed
+    refused: float = 0.25  # foreign torques without a law claimed
     extra: float = 0.5  # names beyond the truth, per case
     sure_wrong: float = 0.2  # cases with a wrong name stated at 80 % or more
     worse: float = 0.1  # cases whose findings make untouched data worse
