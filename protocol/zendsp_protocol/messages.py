@@ -226,6 +226,20 @@ class AcquireStatus(Message, frozen=True, kw_only=True):
     trigger_row: int = -1  # row at which the trigger fired; -1 where none
 
 
+class Held(Message, frozen=True, kw_only=True):
+    """Where the recorder keeps its rows, for a host of the target's own user on the same computer."""
+
+    kernel: str = ""  # boot of the computer, as in /proc/sys/kernel/random/boot_id
+    path: str = ""  # of the file; empty where nothing is configured
+    device: int = 0  # of the file, st_dev; with the next two, to know it again
+    inode: int = 0  # of the file, st_ino
+    offset: int = 0  # bytes; where row 0 stands
+    columns: int = 0  # float64, little endian, in each row
+    capacity: int = 0  # rows; row k stands where row k + capacity will
+    first: int = 0  # index of the oldest row still held
+    count: int = 0  # rows written so far
+
+
 class Reading(Message, frozen=True, kw_only=True):
     """Values of several variables, all from one sample."""
 

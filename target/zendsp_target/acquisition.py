@@ -6,6 +6,7 @@ configured again.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -16,7 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.chunks import KERNEL
 from zendsp_protocol.errors import AcquisitionError, VariableError
+from zendsp_protocol.messages import Held
 from zendsp_target.api import AcquireConfig, AcquireStatus
 from zendsp_target.dictionary import Dictionary
 from zendsp_target.layout import layout, set_text
@@ -41,6 +44,7 @@ class Stream:
     pre: int  # rows before the trigger
     capacity: int  # rows held
     offset: int  # of row 0 in the file, bytes
+    reader: Path  # for hosts of this user
     lost: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -156,7 +160,9 @@ def create(
         head.trigger.variable, head.trigger.element = plan.trigger
     for i, (variable, element) in enumerate(plan.sources):
         head.channel[i].variable, head.channel[i].element = variable, element
-    return Stream(file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes)
+    return Stream(
+        file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes, file.reader()
+    )
 
 
 def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool]) -> None:
@@ -231,6 +237,22 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     return AcquireStatus(
         state=state, channels=stream.channels, units=stream.units, decimation=stream.config.decimation, first=first, count=count,
         wanted=wanted, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
+    )  # fmt: skip
+
+
+def held(stream: Stream, alive: bool) -> Held:
+    """Where the rows of a stream stand, and which of them are there.
+
+    Parameters
+    ----------
+    stream : Stream
+    alive : bool
+        Whether the loop that fills it still runs.
+    """
+    file, now = os.stat(stream.reader), status(stream, alive)
+    return Held(
+        kernel=Path(KERNEL).read_text().strip(), path=str(stream.reader), device=file.st_dev, inode=file.st_ino,
+        offset=stream.offset, columns=len(stream.channels), capacity=stream.capacity, first=now.first, count=now.count,
     )  # fmt: skip
 
 

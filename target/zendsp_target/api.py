@@ -14,6 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.messages import Held
+
 Value = bool | int | float | npt.NDArray[Any]
 
 
@@ -239,6 +241,7 @@ class RuntimeApi(Protocol):
     def acquire_start(self, stream: int, force: bool = False) -> None: ...
     def acquire_stop(self, stream: int) -> None: ...
     def acquire_status(self, stream: int) -> AcquireStatus: ...
+    def acquire_held(self, stream: int) -> Held: ...  # where its rows stand, for a reader of the same user
     def acquire_read(  # (rows, channels), in the memory of `into` where given; their bytes are folded into `fold`
         self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
     ) -> npt.NDArray[np.float64]: ...

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import AcquisitionError
+from zendsp_protocol.messages import Held
 from zendsp_target import acquisition
 from zendsp_target.api import AcquireConfig, AcquireStatus
 from zendsp_target.layout import layout
@@ -73,6 +74,13 @@ class Recorder:
             return AcquireStatus("idle", (), (), 1, 0, 0, 0, 0, 0, -1)
         found, session = self._streams[number]
         return acquisition.status(found, self._fed(session))
+
+    def held(self, number: int) -> Held:
+        """Where the rows of a stream stand; an empty path where it is not configured."""
+        if number not in self._streams:
+            return Held()
+        found, session = self._streams[number]
+        return acquisition.held(found, self._fed(session))
 
     def read(
         self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None

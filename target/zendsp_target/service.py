@@ -203,6 +203,9 @@ class Service:
     def do_acquire_status(self, args: verbs.Nothing, by: str) -> Any:
         return self.runtime.acquire_status(RECORDER)
 
+    def do_acquire_held(self, args: verbs.Nothing, by: str) -> m.Held:
+        return self.runtime.acquire_held(RECORDER)
+
     # live ------------------------------------------------------------------------------------------------------------
 
     def do_live_open(self, args: verbs.LiveOpen, by: str) -> m.LiveOpened:

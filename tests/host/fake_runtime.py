@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import AcquisitionError, CompileFailed, Refused, VariableError
+from zendsp_protocol.messages import Held
 from zendsp_target.api import (
     AcquireConfig,
     AcquireStatus,
@@ -229,6 +230,9 @@ class FakeRuntime:
             s["start"],
             -1,
         )
+
+    def acquire_held(self, stream: int) -> Held:
+        return Held()
 
     def acquire_read(
         self,

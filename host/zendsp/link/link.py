@@ -60,6 +60,7 @@ class Link:
         self.target = target
         self.endpoints = tuple(endpoints)
         self.identity = credentials.identity
+        self.own = credentials.own  # of the same user on the same computer, by the target's entry
         self.author = _author(self.identity)
         self._alive = threading.Event()
         self._lost = threading.Event()
