@@ -100,7 +100,7 @@ def read_held(file: int, held: m.Held, first: int, rows: FloatArray) -> None:
     done = 0
     while done < len(rows):
         place = (first + done) % held.capacity
-        part = memoryview(rows[done : done + held.capacity - place].reshape(-1)).cast("B")
+        part = rows[done : done + held.capacity - place].reshape(-1).data.cast("B")
         at = held.offset + place * 8 * held.columns
         while len(part):
             got = os.preadv(file, [part], at)
