@@ -15,7 +15,7 @@ import zenoh
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.admission import check_role
+from zendsp_target.admission import check_role, may
 from zendsp_target.api import RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
@@ -51,7 +51,7 @@ class Server:
         self._role_of = role_of
         self._session = session
         self._end = threading.Event()
-        self._publishers: dict[int, zenoh.Publisher] = {}
+        self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
         self.live = LiveStreams(runtime, self._send_live, self._live_watched)
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self.service.host_gone)
@@ -65,7 +65,8 @@ class Server:
             self._serve(keys.rpc(self.name, lane), answers)
             self._serve(keys.rpc(self.name, lane, "*"), [partial(self._request, lane, None)])
         self._serve(keys.info(self.name), [self._info])
-        self._serve(keys.variable(self.name), [self._variable])
+        for user in ("", "*"):
+            self._serve(keys.variable(self.name, user=user), [self._variable])
         self._thread("pulse", self._pulse)
         # Last, so that whoever sees the token finds everything in place.
         self._token = session.liveliness().declare_token(keys.alive(self.name))
@@ -131,7 +132,7 @@ class Server:
                     check_role(user, self._role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
                 handler = self.service.handlers.get(verb.name)
-                result = self._special(verb, args, query) if handler is None else handler(args, by)
+                result = self._special(verb, args, by, user, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)
                 if repeats is not None:
                     repeats.learn(request, verb, args, by)
@@ -145,9 +146,11 @@ class Server:
             reply = codec.encode_error(error)
         self._answered(query, ticket, reply)
 
-    def _special(self, verb: verbs.Verb, args: Any, query: zenoh.Query) -> Any:
+    def _special(self, verb: verbs.Verb, args: Any, by: str, user: str, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
             return send_rows(self.service.runtime, RECORDER, args, query)
+        if verb.name == "live_open":
+            return self.service.open_live(args, by, user)
         raise LinkError(f"this target does not know the verb {verb.name!r}")
 
     def _finish(self, query: zenoh.Query, ticket: Ticket | None, rest: Callable[[], Any]) -> None:
@@ -183,16 +186,19 @@ class Server:
         self._answer(query, lambda: self._values(query.key_expr))
 
     def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
+        user = keys.user_of(str(wanted))
+        if user:
+            check_role(user, self._role_of(user), verbs.VERBS["read"])
         runtime = self.service.runtime
         infos = {info.name: info for info in runtime.variables()}
-        found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n)))]
+        found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n, user)))]
         if not found:
             raise LinkError(
                 f"no variable matches {wanted}; there are: {', '.join(infos) or 'none (no program loaded)'}"
             )
         tick, read = runtime.read(found)
         return {
-            keys.variable(self.name, name): {
+            keys.variable(self.name, name, user): {
                 "v": PROTOCOL, "name": name, "value": value, "unit": infos[name].unit, "tick": tick,
             }
             for name, value in read.items()
@@ -209,27 +215,32 @@ class Server:
         except zenoh.ZError as error:
             log.debug("reply was not delivered: %s", error)
 
-    def _send_live(self, stream: int, payload: bytes, header: bytes) -> None:
-        self._publisher(stream).put(payload, attachment=header)
+    def _send_live(self, stream: int, users: frozenset[str], payload: bytes, header: bytes) -> None:
+        for user in users:
+            self._publisher(stream, user).put(payload, attachment=header)
 
-    def _live_watched(self, stream: int) -> bool:
-        status: Any = self._publisher(stream).matching_status  # declared a bool, is a MatchingStatus
-        return bool(status.matching)
+    def _live_watched(self, stream: int, users: frozenset[str]) -> bool:
+        found: list[Any] = [self._publisher(stream, user).matching_status for user in users]
+        return any(status.matching for status in found)  # declared a bool, is a MatchingStatus
 
-    def _publisher(self, stream: int) -> zenoh.Publisher:
-        if stream not in self._publishers:
-            self._publishers[stream] = self._session.declare_publisher(
-                keys.live(self.name, stream),
+    def _publisher(self, stream: int, user: str) -> zenoh.Publisher:
+        if (stream, user) not in self._publishers:
+            self._publishers[stream, user] = self._session.declare_publisher(
+                keys.live(self.name, stream, user),
                 congestion_control=zenoh.CongestionControl.DROP,  # a viewer that hangs must not hold up the others
                 express=True,
             )
-        return self._publishers[stream]
+        return self._publishers[stream, user]
+
+    def _may_look(self, user: str) -> bool:
+        return not user or may(self._role_of(user), verbs.VERBS["live_open"])
 
     def _pulse(self) -> None:
-        """Publish the status at every change of state and twice a second."""
+        """Publish the status at every change of state and twice a second; end live views whose role was taken away."""
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0
         while not self._end.wait(PULSE_POLL_S):
+            self.live.keep(self._may_look)
             try:
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:

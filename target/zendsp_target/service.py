@@ -27,6 +27,7 @@ from zendsp_target.once import Once
 from zendsp_target.repeats import Repeats
 from zendsp_target.variable_verbs import VariableVerbs
 
+SPECIAL = ("acquire_read", "live_open")  # answered by the server: they need more than arguments and author
 RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
@@ -87,7 +88,7 @@ class Service:
             pid=os.getpid(),
             hostname=platform.node(),
             versions=versions,
-            verbs=[name for name in verbs.VERBS if name in self.handlers or name == "acquire_read"],
+            verbs=[name for name in verbs.VERBS if name in self.handlers or name in SPECIAL],
             started=self.identity.started,
             instance=self.once.instance.hex(),
         )
@@ -208,12 +209,13 @@ class Service:
 
     # live ------------------------------------------------------------------------------------------------------------
 
-    def do_live_open(self, args: verbs.LiveOpen, by: str) -> m.LiveOpened:
-        stream = self.live.open(args.channels, args.decimation, args.interval, args.window, by)
+    def open_live(self, args: verbs.LiveOpen, by: str, user: str) -> m.LiveOpened:
+        """Answer ``live_open``: the key is that of the name under which the host is known."""
+        stream = self.live.open(args.channels, args.decimation, args.interval, args.window, by, user)
         rate = self.runtime.status().rate_hz
         return m.LiveOpened(
             stream=stream.number,
-            key=keys.live(self.identity.name, stream.number),
+            key=keys.live(self.identity.name, stream.number, user),
             channels=stream.columns,
             units=stream.units,
             sample_time=args.decimation / rate,

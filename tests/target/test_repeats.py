@@ -76,7 +76,7 @@ class Desk:
 
 
 def desk_of(runtime: Runtime) -> Desk:
-    live = LiveStreams(runtime, lambda *_: None, lambda _: False)
+    live = LiveStreams(runtime, lambda *_: None, lambda *_: False)
     return Desk(Service(runtime, identity("t", "imi_planar"), live))
 
 
