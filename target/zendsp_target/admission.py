@@ -235,10 +235,10 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
-    if both and (users or roles is not None):
+    if both and users:
         raise Refused(
             f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host could not be told from the router, "
-            "for which --users and --roles do not hold. Listen there or connect to the router, not both; the router has rules of its own"
+            "for which --users does not hold. Listen there or connect to the router, not both; the router has rules of its own"
         )
     if connect and roles is not None:
         raise Refused(

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 # Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile, a wait for a sample or a large transfer must
 # neither hold these up nor each other.
 THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
-WAITING = 1024  # requests that may wait in a lane before the link holds back the sender
+WAITING = 1024  # requests that may wait in a lane
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1
@@ -46,6 +46,7 @@ class Server:
         session: zenoh.Session,
         managed: bool = False,
         role_of: Callable[[str], str] = lambda _user: verbs.ROLES[-1],
+        named: Sequence[str] = (),
     ) -> None:
         self.name = identity.name
         self._role_of = role_of
@@ -63,7 +64,9 @@ class Server:
             repeating = lane == "quick"
             answers = [partial(self._request, lane, self.service.repeats(lane) if repeating else None) for _ in range(count)]
             self._serve(keys.rpc(self.name, lane), answers)
-            self._serve(keys.rpc(self.name, lane, "*"), [partial(self._request, lane, None)])
+            # STOP of each waits in a queue of its own, behind nobody else's requests
+            for user in named if lane == "stop" else ("*",):
+                self._serve(keys.rpc(self.name, lane, user), [partial(self._request, lane, None)])
         self._serve(keys.info(self.name), [self._info])
         for user in ("", "*"):
             self._serve(keys.variable(self.name, user=user), [self._variable])
@@ -85,8 +88,12 @@ class Server:
     # requests --------------------------------------------------------------------------------------------------------
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
-        """Answer what comes for a key, in as many threads."""
-        queryable = self._session.declare_queryable(key, zenoh.handlers.FifoChannel(WAITING), complete=True)
+        """Answer what comes for a key, in as many threads.
+
+        A queue that is full lets go of its oldest request, whose sender asks again. One that held back the sender would
+        hold back others too: the few threads in which Zenoh receives would all wait there, and STOP with them.
+        """
+        queryable = self._session.declare_queryable(key, zenoh.handlers.RingChannel(WAITING), complete=True)
         self._queryables.append(queryable)
         waiting = queryable.handler
 
@@ -112,7 +119,8 @@ class Server:
         ticket: Ticket | None = None
         attachment = query.attachment
         if attachment is not None:
-            ticket, known = self.service.once.begin(attachment.to_bytes(), query)
+            user = "" if repeats is not None else keys.user_of(str(query.key_expr))
+            ticket, known = self.service.once.begin(attachment.to_bytes(), query, user)
             if ticket is None:
                 if known is not None:
                     self._reply(query, known)

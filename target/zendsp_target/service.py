@@ -111,9 +111,10 @@ class Service:
             status = self.runtime.status()
         return self._shown(status)
 
-    def do_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
+    def do_stop(self, args: verbs.Nothing, by: str) -> Any:
+        """Stop, and tell the status at once: the loop stops at its next sample, after which ``trip`` says so."""
         self.runtime.stop()
-        return m.Empty()
+        return self._shown(self.runtime.status())
 
     # what a simulated machine conceals ----------------------------------------------------------------------------------
 

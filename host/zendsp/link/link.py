@@ -31,6 +31,7 @@ _background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 _Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
+AGAIN_S = 0.002  # before a request that was dropped is sent again
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
 END_S = 1.0  # for saying goodbye when the process ends
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
@@ -132,15 +133,24 @@ class Link:
         if verb in ONCE:
             reply = self._once(row, querier, payload, timeout)
         else:
-            try:
-                if querier is not None and timeout is None:
-                    reply = querier.get(payload=payload).recv()
-                else:
-                    reply = self._patient(row, payload, timeout or row.timeout)
-            except zenoh.ZError as error:
-                raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
+            if querier is not None and timeout is None:
+                reply = self._quick(row, querier, payload)
+            else:
+                reply = self._patient(row, payload, timeout or row.timeout)
         sample = reply.ok
         return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
+
+    def _quick(self, row: Verb, querier: zenoh.Querier, payload: bytes) -> zenoh.Reply:
+        """Ask until an answer comes: a target that others flood with requests drops some of them, unanswered."""
+        limit = STOP_S if row.lane == "stop" else row.timeout
+        begin = time.monotonic()
+        while True:
+            try:
+                return querier.get(payload=payload).recv()
+            except zenoh.ZError as error:
+                if self.closed or not self._alive.is_set() or time.monotonic() > begin + limit:
+                    raise self.silence(row.name, limit) from error
+                time.sleep(AGAIN_S)
 
     def _once(self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None) -> zenoh.Reply:
         """Have a change carried out once: where the link breaks, the request is sent again, and the target knows it by its stamp."""

@@ -106,9 +106,8 @@ class Programs(Requests):
         """
         begin = time.monotonic()
         try:
-            self.request("stop")
             while True:
-                status = self.request("status", timeout=max(0.1, begin + STOPPED_S - time.monotonic()))
+                status = self.request("stop")  # again and again, on its own lane: others may flood that of `status`
                 if status.trip is not None or status.state in ("empty", "crashed"):
                     return status  # type: ignore[no-any-return]
                 if time.monotonic() > begin + STOPPED_S:
