@@ -82,3 +82,31 @@ def test_a_file_that_is_not_the_recorders_is_not_read(fast: Target) -> None:
     os.close(file)
     for wrong in ({"kernel": "another"}, {"inode": held.inode + 1}, {"device": 0}, {"path": "/dev/null"}, {"path": ""}):
         assert open_held(msgspec.structs.replace(held, **wrong)) == -1
+
+
+LIST = """#include "isr.h"
+static double gain = 1.0, list[3], seen;
+void UserInit(void) {
+    PARAMETER(gain, 1.0, "", NO_MIN, NO_MAX, ""); PARAMETER_ARRAY(list, "", -9.0, 9.0, ""); SIGNAL(seen, "", "");
+}
+void UserISR_INT2(void) { seen = gain + 100.0 * list[1]; }
+void UserBackground(void) {}
+"""
+
+
+def test_a_recording_holds_the_parameters_of_its_last_sample_not_those_of_its_loading(fast: Target) -> None:
+    fast.download({"list.c": LIST})
+    fast.update(gain=2.0, list=[0.0, 3.0, 0.0])
+    fast.acquire_configure(["seen", "gain"], seconds=0.1)
+    fast.acquire_start()
+    fast.run_for(0.1)
+    held = fast.acquire_load()
+    fast.start()
+    for k in range(3):  # after the last sample, before the transfer
+        fast.update(**{"gain": 7.0 + k, "list[1]": 5.0 + k})
+        fast.update(list=[1.0, 2.0, float(k)])
+    later = fast.acquire_load()
+    assert list(later["seen"]) == list(held["seen"]) == [302.0] * 100
+    assert later.parameters == held.parameters == {"gain": 2.0, "list": [0.0, 3.0, 0.0]}
+    assert [(c.name, c.new) for c in later.log] == [(c.name, c.new) for c in held.log]
+    assert fast.parameters().values == {"gain": 9.0, "list": [1.0, 2.0, 2.0]}
