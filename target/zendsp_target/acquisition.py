@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.chunks import KERNEL
-from zendsp_protocol.errors import AcquisitionError, VariableError
+from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
 from zendsp_protocol.messages import Held
 from zendsp_target.api import AcquireConfig, AcquireStatus
 from zendsp_target.dictionary import Dictionary
@@ -135,7 +135,9 @@ def create(
     Raises
     ------
     AcquisitionError
-        Unknown channel, nothing to store, or more than fits into memory.
+        Unknown channel, or nothing to store.
+    TooLarge
+        More than fits into memory.
     """
     ffi, lib = layout()
     plan = _plan(dictionary, config, rate_hz)
@@ -145,7 +147,7 @@ def create(
     size = head_bytes + capacity * len(plan.sources) * 8
     allowed = min(free_bytes // 2, _LARGEST)  # the rest of the computer needs memory too
     if size > allowed:
-        raise AcquisitionError(
+        raise TooLarge(
             f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of shared memory, "
             f"{allowed / 1e6:.0f} MB are given here: shorten it, raise the decimation, or record fewer channels"
         )

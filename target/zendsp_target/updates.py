@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import Refused, RunnerDied, VariableError
+from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
 from zendsp_target.api import Blank
 from zendsp_target.change_log import ChangeLog, Flight
 from zendsp_target.dictionary import Dictionary, Place
@@ -273,8 +273,10 @@ class Updates:
         ------
         RunnerDied
             The runner ended before.
+        NotYet
+            Its sample has not come within the timeout.
         Refused
-            Not within the timeout, or no such update.
+            No such update.
         """
         end = time.monotonic() + timeout
         left = max(0.0, timeout)
@@ -294,7 +296,7 @@ class Updates:
                 raise RunnerDied(f"the runner ended before update {sequence} took effect")
             left = end - time.monotonic()
             if left <= 0.0:
-                raise Refused(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
+                raise NotYet(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
 
     def _tick_of(self, sequence: int) -> int | None:
         """The sample at which a batch took effect; it is left to be taken back by whoever has time."""

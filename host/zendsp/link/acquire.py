@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from zendsp.errors import AcquisitionError, Refused, RunnerDied
+from zendsp.errors import AcquisitionError, Incomplete, Refused, RunnerDied, TooLarge, ZendspError
 from zendsp.link.circumstances import describe
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S
@@ -109,16 +109,16 @@ class Acquisition(ParameterSets, Transfers):
         try:
             self.acquire_configure(channels, seconds, decimation, trigger, take=take)
             return seconds
-        except AcquisitionError as error:
+        except TooLarge as error:
             # Only a loop that keeps to real time can be followed; and a trigger needs the whole shot in one piece.
-            if "shared memory" not in str(error) or trigger is not None or not may_follow:
+            if trigger is not None or not may_follow:
                 raise
             held = seconds / 2.0
             while True:
                 try:
                     self.acquire_configure(channels, held, decimation, continuous=True, take=take)
                     return held
-                except AcquisitionError:
+                except TooLarge:
                     held /= 2.0
                     if held < SHORTEST_RING_S:
                         raise error from None
@@ -277,8 +277,8 @@ class Acquisition(ParameterSets, Transfers):
 
         Raises
         ------
-        AcquisitionError
-            Not complete within ``timeout``, or the program no longer runs.
+        Incomplete
+            Not within ``timeout``, or the program no longer runs.
         RunnerDied
             The program crashed; :meth:`acquire_load` brings home what there is.
         """
@@ -308,7 +308,7 @@ class Acquisition(ParameterSets, Transfers):
                 return status
             overall: m.Status = self.insist("status", patience)
             if overall.state == "crashed":
-                raise RunnerDied(f"{overall.crash}. What was recorded until then: acquire_load()")
+                raise _loadable(RunnerDied(overall.crash))
             if status.state in ("done", "idle"):
                 return status  # ended before it was full, by a host
             if overall.state != "running" and self.insist("acquire_status", patience).state not in (
@@ -316,13 +316,18 @@ class Acquisition(ParameterSets, Transfers):
                 "idle",
             ):
                 self.request("acquire_stop")
-                raise AcquisitionError(
+                raise _loadable(Incomplete(
                     f"the program was {overall.state} before the recording was complete "
-                    f"({status.count} of {status.wanted} rows); acquire_load() brings home what there is"
-                )
+                    f"({status.count} of {status.wanted} rows)"
+                ))  # fmt: skip
             if deadline is not None and time.monotonic() > deadline:
-                raise AcquisitionError(
-                    f"the recording is not complete after {timeout:g} s ({status.count} of {status.wanted} rows, "
-                    f"{status.state}); acquire_load() brings home what there is"
-                )
+                raise _loadable(Incomplete(
+                    f"the recording is not complete after {timeout:g} s ({status.count} of {status.wanted} rows, {status.state})"
+                ))  # fmt: skip
             time.sleep(POLL_S)
+
+
+def _loadable(error: ZendspError) -> ZendspError:
+    """Add to an error what can still be done."""
+    error.add_note("acquire_load() brings home what was recorded")
+    return error
