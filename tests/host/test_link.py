@@ -309,6 +309,10 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
     until(lambda: not target.alive, "the end is noticed")
     with pytest.raises(LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"):
         target.status()
+    begin = time.monotonic()
+    with pytest.raises(LinkError, match=r"is gone: 'write' was not answered.*Whether it was applied cannot be known"):
+        target.write(Kp1=1.0)
+    assert time.monotonic() < begin + 2.0  # nobody is left to send it to: of five seconds that it may take
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
     with pytest.raises(LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"):

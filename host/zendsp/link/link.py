@@ -164,7 +164,7 @@ class Link:
         except (zenoh.ZError, LinkError):
             pass  # its request or its reply is lost
         again = stamp(self._name, number, instance, AGAIN)
-        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._alive.wait(left):
+        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._comes_back(left):
             # it may be that the news of a death, or of the lanes of one that is back, is a moment behind
             with contextlib.suppress(LinkError):
                 return self._patient(row, payload, max(left, STEP_S), again)
@@ -297,6 +297,18 @@ class Link:
         """Ask the link once more: the news of a death may be a moment behind the end of its last request."""
         self._lost.wait(STEP_S)
         return self._alive.is_set()
+
+    def _comes_back(self, timeout: float) -> bool:
+        """Wait until the target is reachable; False also as soon as it is known that its process has ended."""
+        from zendsp.link.find import local_entries
+
+        deadline = time.monotonic() + timeout
+        while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
+            if time.monotonic() >= deadline:
+                return False
+            if self.own and self.target not in {entry.name for entry in local_entries()}:
+                return False
+        return True
 
     def _meet(self) -> None:
         """Learn which run of the target has come back; with a timeout, so that no querier is in use when the link is closed."""
