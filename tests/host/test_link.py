@@ -356,3 +356,11 @@ def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_ru
 def test_credentials_that_cannot_work_are_named_before_anything_is_sent(credentials: Credentials, said: str) -> None:
     with pytest.raises(LinkError, match=said):
         zenoh_config(["tls/localhost:1"], credentials, 1.0)
+
+
+def test_a_second_link_of_the_same_program_need_not_stand_among_the_hosts(running: Target) -> None:
+    with connect("fake") as other, connect("fake", shown=False) as stopper:
+        until(lambda: len(running.status().hosts) == 2, "the other host is shown")
+        assert set(running.status().hosts) == {running.link.author, other.link.author}
+        stopper.stop()
+        assert running.status().state == "stopped"

@@ -48,6 +48,8 @@ class Link:
         Where to reach it.
     timeout : float, s
         For connecting.
+    shown : bool
+        Stand among the hosts of the target; a second link of the same program need not.
 
     Raises
     ------
@@ -56,7 +58,12 @@ class Link:
     """
 
     def __init__(
-        self, target: str, endpoints: Sequence[str], credentials: Credentials, timeout: float = 3.0
+        self,
+        target: str,
+        endpoints: Sequence[str],
+        credentials: Credentials,
+        timeout: float = 3.0,
+        shown: bool = True,
     ) -> None:
         self.target = target
         self.endpoints = tuple(endpoints)
@@ -80,7 +87,8 @@ class Link:
             self._watch = Listener(tokens, self._liveliness, "alive")
             if not self._alive.wait(timeout):
                 raise LinkError(_not_there(self._session, target, endpoints))
-            self._token = self._session.liveliness().declare_token(keys.host(target, self.author))
+            liveliness = self._session.liveliness()
+            self._token = liveliness.declare_token(keys.host(target, self.author)) if shown else None
             self._queriers = {lane: self._querier(lane) for lane in ("quick", "sync", "stop")}
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
