@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 # Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile, a wait for a sample or a large transfer must
 # neither hold these up nor each other.
 THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
+WRITE = verbs.VERBS["write"]
 WAITING = 1024  # requests that may wait in a lane
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 PULSE_S = 0.5
@@ -61,12 +62,10 @@ class Server:
         self._threads: list[threading.Thread] = []
         self._queryables: list[Any] = []
         for lane, count in THREADS.items():
-            repeating = lane == "quick"
-            answers = [partial(self._request, lane, self.service.repeats(lane) if repeating else None) for _ in range(count)]
-            self._serve(keys.rpc(self.name, lane), answers)
+            self._serve(keys.rpc(self.name, lane), [self._answerer(lane, False) for _ in range(count)])
             # STOP of each waits in a queue of its own, behind nobody else's requests
             for user in named if lane == "stop" else ("*",):
-                self._serve(keys.rpc(self.name, lane, user), [partial(self._request, lane, None)])
+                self._serve(keys.rpc(self.name, lane, user), [self._answerer(lane, True)])
         self._serve(keys.info(self.name), [self._info])
         for user in ("", "*"):
             self._serve(keys.variable(self.name, user=user), [self._variable])
@@ -113,13 +112,22 @@ class Server:
         thread.start()
         self._threads.append(thread)
 
-    def _request(self, lane: str, repeats: Repeats | None, query: zenoh.Query) -> None:
+    def _answerer(self, lane: str, named: bool) -> Callable[[zenoh.Query], None]:
+        """Make what answers the requests of a lane in one thread; of hosts that are known by name, or of the target's own user."""
+        made: dict[str, Repeats] = {}
+
+        def of(user: str) -> Repeats:
+            return made.get(user) or made.setdefault(user, self.service.repeats(lane))
+
+        return partial(self._request, lane, named, of if lane == "quick" else None)
+
+    def _request(self, lane: str, named: bool, repeats_of: Callable[[str], Repeats] | None, query: zenoh.Query) -> None:
         """Answer one request, whatever happens: silence would look like a dead target."""
         reply: bytes | bytearray
         ticket: Ticket | None = None
+        user = keys.user_of(str(query.key_expr)) if named else ""
         attachment = query.attachment
         if attachment is not None:
-            user = "" if repeats is not None else keys.user_of(str(query.key_expr))
             ticket, known = self.service.once.begin(attachment.to_bytes(), query, user)
             if ticket is None:
                 if known is not None:
@@ -130,12 +138,14 @@ class Server:
             if payload is None:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             request = payload.to_bytes()
-            user = "" if repeats is not None else keys.user_of(str(query.key_expr))
+            # a role that may write may read as well; who has less goes the whole way, where each verb asks for its own
+            repeats = repeats_of(user) if repeats_of and (not user or may(self._role_of(user), WRITE)) else None
             short = None if repeats is None else repeats.answer(request)
             if short is not None:
                 reply = short
             else:
-                verb, args, by = codec.decode_request(request, lane)
+                verb, args, said = codec.decode_request(request, lane)
+                by = said
                 if user:  # known by name: its role decides, and its name is what the log says
                     check_role(user, self._role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
@@ -143,7 +153,7 @@ class Server:
                 result = self._special(verb, args, by, user, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)
                 if repeats is not None:
-                    repeats.learn(request, verb, args, by)
+                    repeats.learn(request, verb, args, said, by)
         except Later as later:
             self._waiters.submit(self._finish, query, ticket, later.rest)
             return

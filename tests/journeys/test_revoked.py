@@ -116,7 +116,16 @@ def test_the_log_names_who_the_password_or_the_certificate_says(
         "with zendsp.connect('imi') as target:\n"
         "    target.download('pd.c')\n"
         "    target.link.author = 'somebody.else@lab:1'\n"
-        "    target.update(Kp1=410.0)\n"
-        "    print(target.log()[-1].author)\n"
+        "    for k in range(5):  # the second and later ones are known by their bytes\n"
+        "        target.write(Kp1=410.0 + k)\n"
+        "    target.update(Kp1=420.0)\n"
+        "    print({change.author for change in target.log()}, len(target.log()))\n"
+        "    open('roles.toml', 'w').write('[roles]\\none = \"tune\"\\n')\n"
+        "    try:\n"
+        "        target.write(Kp1=430.0)\n"
+        "    except zendsp.errors.Refused as error:\n"
+        "        print(error)\n"
     )
-    assert said.stdout.strip() == name, said.stdout + said.stderr
+    told = said.stdout.splitlines()
+    assert told[0] == f"{{{name!r}}} 6", said.stdout + said.stderr
+    assert len(told) == (2 if roles else 1) and (not roles or "two has none" in told[1]), told
