@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import zenoh
 
@@ -28,7 +29,7 @@ import zendsp
 from zendsp.link import Target
 from zendsp.link.find import local_entries
 from zendsp.link.settings import Credentials, zenoh_config
-from zendsp_protocol import codec
+from zendsp_protocol import codec, verbs
 from zendsp_target.endpoints import Security, with_free_ports
 from zendsp_target.endpoints import zenoh_config as target_config
 
@@ -201,6 +202,34 @@ def requests(target: Target, bare: Bare, count: int) -> list[Row]:
     ]
 
 
+class Envelope(msgspec.Struct, frozen=True):
+    """A request as one struct, for a decoder that reads and checks in one go."""
+
+    v: int
+    verb: str
+    by: str
+    args: verbs.Write
+
+
+def wire(count: int) -> list[Row]:
+    """Pack and unpack a request: ``msgpack`` with the checks of the product, against ``msgspec`` alone."""
+    whole = msgspec.msgpack.Decoder(Envelope)
+    rows = []
+    for size in (1, 64):
+        args = {"values": {f"v{k}": float(k) for k in range(size)}}
+        body = {"v": 1, "verb": "update", "by": "me", "args": args}
+
+        def ours(args: dict[str, object] = args) -> None:
+            codec.decode_request(codec.encode_request("update", args, "me"), "sync")
+
+        def alone(body: dict[str, object] = body) -> None:
+            whole.decode(msgspec.msgpack.encode(body))
+
+        a, b = (typical(times) * 1e6 for times in in_turns(count, ours, alone))
+        rows.append(Row(f"pack and unpack an update of {size}: msgpack and checks, msgspec alone", a, b, "µs", a / b, "", None))
+    return rows
+
+
 def commit(target: Target, bare: Bare, count: int) -> Row:
     """Commit 64 staged variables; the wait for the sample is taken off, as the target counts it.
 
@@ -314,7 +343,7 @@ def main() -> None:
         serve_bare(args.serve)
         return
     count, mib, rounds = (600, 64, 5) if args.quick else (3000, 256, 25)
-    rows: list[Row] = []
+    rows = wire(count)
     folder = tempfile.TemporaryDirectory()
     bare, tcp = Bare(f"unixsock-stream/{folder.name}/bare.sock"), Bare("tcp/127.0.0.1:0")
     try:

@@ -75,7 +75,7 @@ class Service:
 
     def do_info(self, args: verbs.Nothing, by: str) -> m.Info:
         status = self.runtime.status()
-        packages = ("zendsp", "eclipse-zenoh", "numpy", "msgspec", "cffi")
+        packages = ("zendsp", "eclipse-zenoh", "numpy", "msgpack", "msgspec", "cffi")
         versions = {"python": platform.python_version(), "kernel": platform.release()}
         versions |= {name: _version(name) for name in packages}
         return m.Info(

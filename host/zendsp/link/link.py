@@ -28,7 +28,7 @@ from zendsp_protocol.verbs import VERBS, Verb
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 _background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-_Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
+_Ready = tuple[Verb, zenoh.Querier | None]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
 AGAIN_S = 0.002  # before a request that was dropped is sent again
@@ -136,7 +136,7 @@ class Link:
         ZendspError
             Whatever the target says.
         """
-        row, querier, reader = self._ready.get(verb) or self._make_ready(verb)
+        row, querier = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
         if verb in ONCE:
             reply = self._once(row, querier, payload, timeout)
@@ -146,7 +146,7 @@ class Link:
             else:
                 reply = self._patient(row, payload, timeout or row.timeout)
         sample = reply.ok
-        return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
+        return self._refused(reply, row) if sample is None else codec.decode_reply(sample.payload.to_bytes(), row.result)
 
     def _quick(self, row: Verb, querier: zenoh.Querier, payload: bytes) -> zenoh.Reply:
         """Ask until an answer comes: a target that others flood with requests drops some of them, unanswered."""
@@ -251,9 +251,9 @@ class Link:
         return row
 
     def _make_ready(self, verb: str) -> _Ready:
-        """Look up once what each request of a verb needs: its row, its lane, and the reader of its replies."""
+        """Look up once what each request of a verb needs: its row and its lane."""
         row = self._row(verb)
-        ready = row, self._queriers.get(row.lane), codec.reply_reader(row.result)
+        ready = row, self._queriers.get(row.lane)
         self._ready[verb] = ready
         return ready
 
