@@ -235,7 +235,7 @@ class RuntimeApi(Protocol):
     def repeat_write(  # takes a request, in which the value stands from byte `value_at` on, as in a reply
         self, name: str, author: str, value_at: int, reply: Blank
     ) -> Callable[[bytes], int] | None: ...
-    def wait_applied(self, sequence: int, timeout: float) -> int: ...  # -> tick at which it took effect
+    def wait_applied(self, sequence: int, timeout: float) -> int: ...  # its tick; NotYet: not within the timeout
     def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live
     def acquire_start(self, stream: int, force: bool = False) -> None: ...

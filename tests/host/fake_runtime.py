@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import AcquisitionError, CompileFailed, Refused, VariableError
+from zendsp_protocol.errors import AcquisitionError, CompileFailed, NotYet, Refused, VariableError
 from zendsp_protocol.messages import Held
 from zendsp_target.api import (
     AcquireConfig,
@@ -186,7 +186,7 @@ class FakeRuntime:
     def wait_applied(self, sequence: int, timeout: float) -> int:
         with self.lock:
             if not self.lock.wait_for(lambda: self.applied >= sequence, timeout):
-                raise Refused("not applied in time")
+                raise NotYet("not applied in time")
             return self.applied_tick
 
     def log(self, since: int = 0) -> tuple[Change, ...]:
