@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 from scipy.ndimage import binary_closing
+from scipy.stats import norm
 
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia, response, run
@@ -22,13 +23,14 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 BANDS = (64.0, 32.0, 16.0, 8.0)  # rad/s of the observers; slower ones see less of a torque, and far less noise
-BLOCK = 0.5  # s, over which energies are summed before their variance is taken
+BLOCK = 0.5  # s, over which energies are summed before their variance is taken; less where there would be
+BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
-CONCENTRATED = 0.8  # of the energy, in that time
-REVISITED = 0.7  # of that time, in states that the joint is in at other times too
+CONCENTRATED = 0.5  # of the energy outside of that time, against what a random torque that is normally distributed has there
+REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
 
@@ -75,7 +77,7 @@ def kept(record: JointRecord, band: float) -> slice:
     return slice(skip, max(skip + 1, record.n - lag))
 
 
-def _noise(record: JointRecord, model: Model, band: float) -> float:
+def noise(record: JointRecord, model: Model, band: float) -> float:
     """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²."""
     here = band_of(record, band)
     draws = np.random.default_rng(0).standard_normal((DRAWS, record.n))
@@ -87,10 +89,12 @@ def _noise(record: JointRecord, model: Model, band: float) -> float:
 def energy_blocks(data: Data, squares: Sequence[Array], joint: int, band: float) -> tuple[Array, Array]:
     """Sums over blocks of time of some series, one a recording, and the number of samples in each block."""
     sums, counts = [], []
+    seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
+    block = max(min(BLOCK, seconds / BLOCKS), 8.0 / band)
     for series, rec in zip(squares, data.records, strict=True):
         record = rec[joint - 1]
         use = series[kept(record, band)]
-        size = max(10, round(max(BLOCK, 8.0 / band) / record.sample_time))
+        size = max(10, round(block / record.sample_time))
         count = max(1, len(use) // size)
         for part in np.array_split(use, count):
             sums.append(float(part.sum()))
@@ -131,13 +135,13 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     best = Size(0.0, 0.0, float("inf"))
     for band in BANDS:
         found = lacking(data, model, joint, band)
-        noise = [_noise(rec[joint - 1], model, band) for rec in data.records]
-        excess = [d**2 - v for d, v in zip(found, noise, strict=True)]
+        of_sensor = [noise(rec[joint - 1], model, band) for rec in data.records]
+        excess = [d**2 - v for d, v in zip(found, of_sensor, strict=True)]
         sums, counts = energy_blocks(data, excess, joint, band)
         total, error = float(sums.sum()), deviation(sums)
         mean, spread = total / counts.sum() / scale, error / counts.sum() / scale
         # what the noise model itself may be wrong by
-        spread = float(np.hypot(spread, 0.1 * float(np.mean(noise)) / scale))
+        spread = float(np.hypot(spread, 0.1 * float(np.mean(of_sensor)) / scale))
         value, low, high = (float(np.sqrt(max(0.0, mean + k * spread))) for k in (-1.0, -2.0, 2.0))
         best = Size(max(best.value, value), max(best.low, low), min(best.high, max(high, best.low)))
     return Size(best.value, best.low, max(best.high, best.value))
@@ -279,7 +283,7 @@ def structure(learn: Data, test: Data, model: Model, joint: int, mechanisms: Seq
             guess = theta @ _columns(rec, model, joint, mechanisms, ranges, band)
             gains.append(lack**2 - (lack - guess) ** 2)
             use = kept(rec[joint - 1], band)
-            excess += float(np.sum(lack[use] ** 2 - _noise(rec[joint - 1], model, band)))
+            excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
         sums, counts = energy_blocks(test, gains, joint, band)
         total, error = float(sums.sum()), deviation(sums)
         z = total / error if error > 0 else 0.0
@@ -360,7 +364,9 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
-        cell = 40 * np.floor(20 * _unit(q, (float(q.min()), float(q.max())))) + 10 * (v > 0) + np.minimum(9, np.floor(3 * np.abs(v) / max(float(np.std(v)), 1e-300)))
+        place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
+        fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
+        cell = 6 * place + 3 * (v > 0) + fast  # 20 places, 2 directions, 3 speeds
         met += int(np.isin(cell[high], np.unique(cell[~high])).sum())
         energy = lack[use] ** 2
         inside += float(energy[high].sum())
@@ -375,6 +381,10 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         ]
         peak = max(peak, float(np.max(np.abs(lack[use][high]), initial=0.0)))
     share = inside / max(inside + outside, 1e-300)
-    if not spans or covered > BRIEF * count or share < CONCENTRATED or met < REVISITED * covered or len(spans) > MANY:
+    if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
+        return None
+    z = float(norm.isf(0.5 * covered / count))
+    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))  # of a random torque's energy, in its largest values for so long
+    if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
         return None
     return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))

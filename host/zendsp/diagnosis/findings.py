@@ -31,7 +31,7 @@ def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
     return out
 
 
-def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, Estimate]:
+def estimates(fit: Fit, term: Term, kind: str, command_unit: str, torque_unit: str = "") -> dict[str, Estimate]:
     """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the Coulomb level."""
     effect = get_effect(term.effect)
     term = counterpart(fit.model.terms, term)
@@ -56,7 +56,7 @@ def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, E
             if term.effect == "coupling" and p.name == "coefficient"
             else p.size
         )
-        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit))
+        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit, torque_unit))
     return out
 
 
@@ -117,6 +117,11 @@ def number(estimate: Estimate) -> str:
     if abs(value) < 1e-4 or digits > 6:
         return f"{value:.3g} ± {std:.2g}{unit}"
     return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"
+
+
+def percent(share: float) -> str:
+    """A share in per cent, two digits of it or all before the point."""
+    return f"{100 * share:.2g}" if abs(share) < 1 else f"{100 * share:.0f}"
 
 
 def sentence(term: Term, values: dict[str, Estimate]) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.confidence import confidence
 from zendsp.diagnosis.decide import OF_STATE, Claim, Decision, weight_of_payload
-from zendsp.diagnosis.findings import LAWS, estimates, new_terms, sentence
+from zendsp.diagnosis.findings import LAWS, estimates, new_terms, percent, sentence
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.shift import shifted
 from zendsp.physics.fit import Data
@@ -55,7 +55,7 @@ def name_findings(
 def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float) -> Finding:
     joint, term = decision.joint, claim.term
     kind = given.joint_kind(joint)
-    unit = "N" if kind == "linear" else "N m"
+    unit = given.torque_unit(joint)
     scale = decision.scale
     share = min(1.0, share)
     sure = confidence(claim, decision)
@@ -63,12 +63,12 @@ def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, s
         size = Estimate(claim.size * scale, 0.25 * claim.size * scale, unit)
         what = VARIABLE.get(claim.mechanism, "state")
         text = (
-            f"A torque that depends on the {what} of joint {joint} is missing, {100 * claim.size:.2g} % of its torque; "
+            f"A torque that depends on the {what} of joint {joint} is missing, {percent(claim.size)} % of its torque; "
             "none of the known laws describes it."
         )
         laws = claim.laws
         return Finding("unknown", joint, {"size": size}, sure, share, (), claim.replaces, text, {}, claim.mechanism, laws)
-    values = estimates(whole.fits[joint], term, kind, given.actuator.unit)
+    values = estimates(whole.fits[joint], term, kind, given.actuator.unit, unit)
     text = sentence(term, values)
     if term.effect == "inertia":
         weight = [t for t in new_terms(given, decision.final.model, joint) if weight_of_payload(given, decision.final.model, t)]
@@ -88,7 +88,7 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
     joint, found = decision.joint, decision.bursts
     assert found is not None
     spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
-    unit = "N" if given.joint_kind(joint) == "linear" else "N m"
+    unit = given.torque_unit(joint)
     text = f"A torque over time that no state explains acts on joint {joint} at {spans}, up to {found.peak:.3g} {unit}."
     values = {"rms": Estimate(found.rms, 0.0, unit), "peak": Estimate(found.peak, 0.0, unit)}
     numbers: dict[str, object] = {"intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals]}
@@ -99,20 +99,20 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
     """What nothing named explains, joint by joint, in words; empty where it is too little to matter."""
     words = []
     for d in decisions:
-        unit = "N" if given.joint_kind(d.joint) == "linear" else "N m"
+        unit = given.torque_unit(d.joint)
         if d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
-                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS ({100 * d.state.size:.2g} % of the torque) "
+                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS ({percent(d.state.size)} % of the torque) "
                 "depends on the state of the joint and is none of the known effects"
             )
         elif d.kind == "unexplained":
             words.append(
-                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS ({100 * d.after.value:.2g} % of the torque) "
+                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS ({percent(d.after.value)} % of the torque) "
                 "is missing that neither a known effect nor any function of the joint's state predicts"
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(
                 f"Joint {d.joint}: beside what was found, {d.after.value * d.scale:.2g} {unit} RMS "
-                f"({100 * d.after.value:.2g} % of the torque) stays unexplained"
+                f"({percent(d.after.value)} % of the torque) stays unexplained"
             )
     return ". ".join(words)

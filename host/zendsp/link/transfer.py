@@ -10,17 +10,23 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING
 
 from zendsp.errors import AcquisitionError, LinkError
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, KERNEL, folded_crc, gaps, spans
+from zendsp_protocol.lazily import Lazily
 
-FloatArray = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    FloatArray = npt.NDArray[np.float64]
+else:
+    np = Lazily("numpy")
+
 REQUEST_BYTES = 128 << 20  # rows asked for at once: what is lost at most when the link breaks
 CHUNK_BYTES = CHUNK  # of one part: each has its own price at either end, and larger ones leave the caches
 PIECE_BYTES = 16 << 20  # read at once from shared memory: progress is told in between
