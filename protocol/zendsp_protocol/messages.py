@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_protocol.values import WireValue
 
 
@@ -100,7 +101,7 @@ class Trip(Message, frozen=True, kw_only=True):
 class Status(Message, frozen=True, kw_only=True):
     """The state of the target now."""
 
-    state: str  # empty, loaded, running, paused, stopped or crashed
+    state: ProgramState  # empty, loaded, running, paused, stopped or crashed
     tick: int = 0  # samples since the program was loaded
     t: float = 0.0  # s since the program was loaded
     rate_hz: float = 0.0  # samples a second
@@ -110,7 +111,7 @@ class Status(Message, frozen=True, kw_only=True):
     joints: int = 0  # number
     program: str = ""  # key of the loaded program
     timing: Timing = Timing()  # see Timing
-    drive: str = "off"  # off, ready, homed, enabled, running, stopped or tripped
+    drive: DriveState = DriveState.OFF  # off, ready, homed, enabled, running, stopped or tripped
     trip: Trip | None = None  # latched until acknowledged
     crash: str = ""  # empty, or how the runner died and at which sample
     io: dict[str, WireValue] = {}  # raw inputs and outputs: enc, aout, adc, din, dout
@@ -175,7 +176,7 @@ class Condition(Message, frozen=True, kw_only=True):
 class DriveStatus(Message, frozen=True, kw_only=True):
     """Where the drives are in the safe sequence."""
 
-    state: str  # off | ready | homed | enabled | running | stopped | tripped
+    state: DriveState  # off | ready | homed | enabled | running | stopped | tripped
     mode: str = "off"  # what the drives are told: off | torque | velocity
     managed: bool = False  # the sequence cannot be left (--managed)
     explicit: bool = False  # the sequence is in use; else the drives go on at start and off at pause
@@ -214,7 +215,7 @@ class Trigger(Message, frozen=True, kw_only=True):
 class AcquireStatus(Message, frozen=True, kw_only=True):
     """State of one acquisition stream."""
 
-    state: str  # idle, armed, running or done
+    state: RecorderState  # idle, armed, running or done
     channels: tuple[str, ...] = ()  # one for each column
     units: tuple[str, ...] = ()  # one for each column
     decimation: int = 1  # samples per row

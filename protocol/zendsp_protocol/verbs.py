@@ -161,7 +161,8 @@ ROLES = ("observe", "tune", "command", "download")
 _ROWS = (
     Verb("info", Nothing, m.Info, "quick", role="observe"),
     Verb("status", Nothing, m.Status, "quick", role="observe"),
-    Verb("stop", Nothing, m.Status, "stop", role="observe"),
+    Verb("stop", Nothing, m.Empty, "stop", role="observe"),
+    Verb("stopped", Nothing, m.Status, "stop", role="observe"),  # as `status`, past whatever holds up the other lanes
     Verb("compile", Compile, m.CompileResult, "slow", 120.0, role="download"),
     Verb("load", Load, m.Empty, "slow", 30.0, repeatable=False, role="download"),
     Verb("unload", Nothing, m.Empty, "slow", 30.0, role="download"),

@@ -20,13 +20,14 @@ import numpy.typing as npt
 from zendsp_protocol.chunks import KERNEL
 from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
 from zendsp_protocol.messages import Held
+from zendsp_protocol.states import RecorderState
 from zendsp_target.api import AcquireConfig, AcquireStatus
 from zendsp_target.dictionary import Dictionary
 from zendsp_target.layout import layout, set_text
 from zendsp_target.shm import SharedFile
 
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
-_STATES = {0: "idle", 1: "armed", 2: "running", 3: "done"}
+_STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
 _LARGEST = 2_000_000_000  # bytes of a stream: its pages are made present at once, which takes about a second for so many
 _ANSWER_S = 5.0  # the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
 
@@ -223,10 +224,10 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     """
     ffi, lib = layout()
     head = stream.head
-    state = _STATES.get(lib.monitor_load32(ffi.addressof(head[0], "state")), "done")
+    state = _STATES.get(lib.monitor_load32(ffi.addressof(head[0], "state")), RecorderState.DONE)
     count, fired = int(lib.monitor_load64(ffi.addressof(head[0], "count"))), int(head.fired)
-    if not alive and state in ("armed", "running"):
-        state = "done"
+    if not alive and state in (RecorderState.ARMED, RecorderState.RUNNING):
+        state = RecorderState.DONE
     wanted = 0 if stream.config.continuous else stream.rows
     if fired >= 0:
         first = max(0, fired - min(stream.pre, fired))

@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 _USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
-OPEN = ("stop", "status", "info")  # need no role: without the others, nobody could connect to stop it, and see that it stopped
+OPEN = ("stop", "stopped", "status", "info")  # need no role: without the others, nobody could connect to stop it, and see that it stopped
 ENCRYPTED = ("tls", "quic")
 OWNER = "owner"  # name that goes with the token of a loopback port
 

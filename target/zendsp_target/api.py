@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.messages import Held
+from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 
 Value = bool | int | float | npt.NDArray[Any]
 
@@ -134,7 +135,7 @@ class Trip:
 
 @dataclass(frozen=True)
 class Status:
-    state: str  # "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
+    state: ProgramState
     tick: int
     t: float  # s since start
     rate_hz: float
@@ -144,7 +145,7 @@ class Status:
     joints: int
     program: str  # key of the loaded program, "" if none
     timing: Timing
-    drive: str  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"
+    drive: DriveState
     trip: Trip | None
     crash: str  # "" or a sentence: signal, last sample
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)  # enc, aout, adc, din, dout
@@ -171,7 +172,7 @@ class AcquireConfig:
 
 @dataclass(frozen=True)
 class AcquireStatus:
-    state: str  # "idle" | "armed" | "running" | "done"
+    state: RecorderState
     channels: tuple[str, ...]
     units: tuple[str, ...]
     decimation: int

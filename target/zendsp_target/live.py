@@ -19,6 +19,7 @@ import numpy.typing as npt
 from zendsp_protocol import messages as m
 from zendsp_protocol.codec import encode
 from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.states import RecorderState
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import AcquireConfig, RuntimeApi
 
@@ -207,7 +208,7 @@ class LiveStreams:
             if stream.broken:
                 self._start(stream)
             status = self._runtime.acquire_status(stream.number)
-            if status.state in ("idle", "done"):  # a new program was loaded: its rings are new as well
+            if status.state in (RecorderState.IDLE, RecorderState.DONE):  # a new program was loaded: its rings are new as well
                 stream.broken = True
                 return RETRY_S
             first = max(stream.next_row, status.first, status.count - stream.window)

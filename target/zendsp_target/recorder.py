@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import AcquisitionError
 from zendsp_protocol.messages import Held
+from zendsp_protocol.states import RecorderState
 from zendsp_target import acquisition
 from zendsp_target.api import AcquireConfig, AcquireStatus
 from zendsp_target.layout import layout
@@ -57,7 +58,7 @@ class Recorder:
         found, session = self._stream(number)
         if not self._fed(session):
             raise AcquisitionError(f"stream {number} belongs to a program that is no longer loaded: configure it again")
-        if not (force and acquisition.status(found, True).state == "armed"):
+        if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
             acquisition.request(found, "arm", session.alive)
         if force:
             acquisition.request(found, "force", session.alive)
@@ -71,7 +72,7 @@ class Recorder:
     def status(self, number: int) -> AcquireStatus:
         """Where a stream stands."""
         if number not in self._streams:
-            return AcquireStatus("idle", (), (), 1, 0, 0, 0, 0, 0, -1)
+            return AcquireStatus(RecorderState.IDLE, (), (), 1, 0, 0, 0, 0, 0, -1)
         found, session = self._streams[number]
         return acquisition.status(found, self._fed(session))
 

@@ -17,6 +17,7 @@ import msgspec
 from zendsp_protocol import keys, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused
+from zendsp_protocol.states import ProgramState, RecorderState
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
 from zendsp_target.drives import Drives
@@ -95,7 +96,7 @@ class Service:
 
     def do_status(self, args: verbs.Nothing, by: str) -> Any:
         status = self.runtime.status()
-        if status.state == "crashed" and not status.crash:
+        if status.state == ProgramState.CRASHED and not status.crash:
             raise Later(self._post_mortem)
         return self._shown(status)
 
@@ -106,14 +107,16 @@ class Service:
         """Status of a runner that is dead already, once it is known how it died."""
         deadline = time.monotonic() + POST_MORTEM_S
         status = self.runtime.status()
-        while status.state == "crashed" and not status.crash and time.monotonic() < deadline:
+        while status.state == ProgramState.CRASHED and not status.crash and time.monotonic() < deadline:
             time.sleep(0.005)
             status = self.runtime.status()
         return self._shown(status)
 
-    def do_stop(self, args: verbs.Nothing, by: str) -> Any:
-        """Stop, and tell the status at once: the loop stops at its next sample, after which ``trip`` says so."""
+    def do_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.stop()
+        return m.Empty()
+
+    def do_stopped(self, args: verbs.Nothing, by: str) -> Any:
         return self._shown(self.runtime.status())
 
     # what a simulated machine conceals ----------------------------------------------------------------------------------
@@ -187,7 +190,7 @@ class Service:
         config = AcquireConfig(tuple(args.channels), args.decimation, args.seconds, trigger, args.continuous)
         with self._lock:
             owner = self._recorder_owner
-            busy = self.runtime.acquire_status(RECORDER).state in ("armed", "running") if owner else False
+            busy = self.runtime.acquire_status(RECORDER).state in (RecorderState.ARMED, RecorderState.RUNNING) if owner else False
             if busy and owner != by and owner in self.present() and not args.take:
                 raise Refused(f"{owner} is recording; wait, or take the recorder over (take=True)")
             status = self.runtime.acquire_configure(RECORDER, config)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
 from zendsp.link.requests import Requests
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveState, ProgramState
 
 if TYPE_CHECKING:
     from zendsp_isr.sources import Source
@@ -21,7 +22,7 @@ WATCHED_S = 0.25  # of the target's time: a program that runs for so long has be
 def stopped(status: m.Status) -> str:
     """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
     if status.trip is None:
-        what = "no program is loaded" if status.state == "empty" else "the program crashed"
+        what = "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
         return f"stopped: {what}, nothing moves"
     why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
     return f"stopped, at sample {status.trip.tick}{why}"
@@ -111,9 +112,10 @@ class Programs(Requests):
         """
         begin = time.monotonic()
         try:
+            self.request("stop")
             while True:
-                status = self.request("stop")  # again and again, on its own lane: others may flood that of `status`
-                if status.trip is not None or status.state in ("empty", "crashed"):
+                status = self.request("stopped")  # on the lane of STOP: others may flood that of `status`
+                if status.trip is not None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
                     return status  # type: ignore[no-any-return]
                 if time.monotonic() > begin + STOPPED_S:
                     raise LinkError(f"asked, but the loop of {self.link.target!r} goes on or hangs: it is {status.state}")
@@ -183,7 +185,7 @@ class Programs(Requests):
         while True:
             status = self.status()
             first = status.t if first is None else first
-            if status.state != "running" or status.t - first >= seconds or time.monotonic() > deadline:
+            if status.state != ProgramState.RUNNING or status.t - first >= seconds or time.monotonic() > deadline:
                 return status
             time.sleep(0.01)
 
@@ -208,11 +210,11 @@ class Programs(Requests):
         pause = POLL_FIRST_S
         while True:
             status = self.status()
-            if status.state == "crashed":
+            if status.state == ProgramState.CRASHED:
                 raise RunnerDied(status.crash)
             if on_status is not None:
                 on_status(status)
-            if status.state != "running":
+            if status.state != ProgramState.RUNNING:
                 return status
             if time.monotonic() > deadline:
                 raise LinkError(
@@ -224,10 +226,10 @@ class Programs(Requests):
 
 def trouble(status: m.Status) -> str:
     """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do next; else ``""``."""
-    if status.state == "crashed":
+    if status.state == ProgramState.CRASHED:
         return f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or download()"
     if status.trip is not None:
-        what = "stopped" if status.drive == "stopped" else "tripped"
+        what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         cause = (status.trip.text or status.trip.reason).removesuffix("; outputs are safe until acknowledged")
         return f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then start again"
     return ""
