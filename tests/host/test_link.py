@@ -382,3 +382,27 @@ def test_a_second_link_of_the_same_program_need_not_stand_among_the_hosts(runnin
         assert set(running.status().hosts) == {running.link.author, other.link.author}
         stopper.stop()
         assert running.status().state == "stopped"
+
+
+def ask_on(other: Target, said: list[BaseException], verb: str, arguments: dict[str, object]) -> None:
+    try:
+        while True:
+            other.request(verb, **arguments)
+    except BaseException as error:
+        said.append(error)
+
+
+def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -> None:
+    for _ in range(10):
+        other, said = connect("fake"), list[BaseException]()
+        threads = [
+            threading.Thread(target=ask_on, args=(other, said, "read", {"names": ["Kp1"]})),
+            threading.Thread(target=ask_on, args=(other, said, "write", {"values": {"Kp1": 1.0}})),
+        ]
+        for thread in threads:
+            thread.start()
+        time.sleep(0.01)  # any moment will do
+        other.close()
+        for thread in threads:
+            thread.join(DEADLINE_S)
+        assert [type(error) for error in said] == [LinkError, LinkError], said

@@ -153,7 +153,7 @@ class Link:
         begin = time.monotonic()
         while True:
             try:
-                return querier.get(payload=payload).recv()
+                return _ask(querier, payload)
             except zenoh.ZError as error:
                 if self.closed or not self._alive.is_set() or time.monotonic() > begin + limit:
                     raise self.silence(row.name, limit) from error
@@ -166,7 +166,7 @@ class Link:
         deadline = time.monotonic() + (timeout or row.timeout)
         try:
             if querier is not None and timeout is None:
-                return querier.get(payload=payload, attachment=first).recv()
+                return _ask(querier, payload, first)
             return self._patient(row, payload, timeout or row.timeout, first)
         except (zenoh.ZError, LinkError):
             pass  # its request or its reply is lost
@@ -229,7 +229,7 @@ class Link:
             for querier in self._queriers.values():
                 # Zenoh keeps 16 kB of a session that closes with one declared.
                 with contextlib.suppress(zenoh.ZError):
-                    querier.undeclare()  # type: ignore[no-untyped-call]
+                    _undeclare(querier)
             self._session.close()  # type: ignore[no-untyped-call]
 
     def disown(self) -> None:
@@ -340,6 +340,33 @@ class Link:
             background("returned", self._meet)
             for callback in list(self._returned):
                 background("returned", callback)
+
+
+def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None) -> zenoh.Reply:
+    """Send a request and wait for its reply.
+
+    Raises
+    ------
+    zenoh.ZError
+        There is none, or another thread closes the link now.
+    """
+    try:
+        return querier.get(payload=payload, attachment=attachment).recv()
+    except RuntimeError as error:  # it is being undeclared: "Already mutably borrowed"
+        raise zenoh.ZError(str(error)) from error
+
+
+def _undeclare(querier: zenoh.Querier) -> None:
+    """Undeclare a querier, as soon as no other thread is just sending a request with it."""
+    end = time.monotonic() + END_S
+    while True:
+        try:
+            querier.undeclare()  # type: ignore[no-untyped-call]
+            return
+        except RuntimeError:  # "Already borrowed"
+            if time.monotonic() > end:
+                return
+            time.sleep(AGAIN_S)
 
 
 def background(name: str, work: Callable[..., object], *arguments: object) -> None:
