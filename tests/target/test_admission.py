@@ -88,7 +88,7 @@ def test_what_runs_code_or_moves_the_machine_needs_the_role_for_it() -> None:
 def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: object) -> None:
     needed = ROLES.index(verb.role)  # type: ignore[attr-defined]
     for role in ("", *ROLES):
-        allowed = verb.name in ("stop", "status", "info") or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
+        allowed = verb.name in ("stop", "stopped", "status", "info") or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
         if allowed:
             check_role("anna", role, verb)  # type: ignore[arg-type]
         else:
@@ -137,7 +137,11 @@ def test_a_loopback_port_needs_a_token_that_only_this_user_can_read(tmp_path: Pa
 
 
 def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(tmp_path: Path) -> None:
-    files = Security(*(write(tmp_path / name, "") for name in ("one.pem", "one.key", "ca.pem")))
+    pems = [write(tmp_path / name, "") for name in ("one.pem", "one.key", "ca.pem")]
+    with pytest.raises(Refused, match=r"--tls-ca without --roles: whoever has a certificate.*'zendsp keys' makes it"):
+        settle("imi", ["tls/0.0.0.0:7447"], [], Security(*pems))
+    files = Security(*pems, roles=write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\n'))
+    assert settle("imi", ["tls/0.0.0.0:7447"], [], files).sentence == "lets in: anna (tune)"
     with pytest.raises(Refused, match="every user of this computer"):
         settle("imi", ["tls/0.0.0.0:7447", "tcp/127.0.0.1:0"], [], files)
     assert settle("imi", ["tls/0.0.0.0:7447", "here"], [], files).token == ("", "")
