@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from zendsp_isr import compiler
 from zendsp_isr.confine import landlock_version
 from zendsp_target.compile_service import compile_program
 
@@ -78,6 +79,19 @@ def test_of_many_messages_the_first_are_told() -> None:
 def test_a_huge_result_is_refused() -> None:
     result = compile_program({"huge.c": HEAD + "char y[400 << 20] = {1};\n"}, timeout_s=10.0)
     assert not result.ok
+
+
+@pytest.mark.parametrize(
+    ("limit", "most", "said"),
+    [("_MAX_PROCESSES", 0, "more than 0 processes"), ("_MAX_MEMORY_ALL", 1 << 20, "took more than 1 MB"), ("_MAX_FOLDER", 10, "wrote files of more")],
+)  # fmt: skip
+def test_a_compilation_is_limited_as_a_whole(limit: str, most: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler, limit, most)
+    double = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
+    began = time.monotonic()
+    result = compile_program({f"{limit.lower()}.c": HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=20.0)
+    assert not result.ok and said in result.diagnostics[0].message, result.diagnostics
+    assert time.monotonic() - began < 10.0
 
 
 WAYS = {

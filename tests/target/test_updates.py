@@ -345,3 +345,29 @@ def test_the_log_keeps_its_newest_lines_and_their_numbers(
     assert [(c.tick, c.old, c.new) for c in log.since(0)] == [(k, k - 1.0, k) for k in range(30, 40)]
     assert [c.new for c in log.since(38)] == [38.0, 39.0]
     assert log.since(40) == ()
+
+
+TABLES = """
+#include "isr.h"
+static const table *a, *b;
+static double x, y;
+void UserInit(void) { TABLE(a, 8, 1, "", ""); TABLE(b, 8, 1, "", ""); PARAMETER(x, 0, "V", -1.0, 1.0, ""); }
+void UserISR_INT2(void) { y = a->rows + b->rows + x; }
+"""
+
+
+def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_alone(make_runtime: Make) -> None:
+    runtime = make_runtime(TABLES)
+    rows = {k: np.full((4, 1), float(k)) for k in range(5)}
+    runtime.wait_applied(runtime.write({"a": rows[1], "b": rows[1]}, "me"), 10.0)
+    runtime.write({"b": rows[2]}, "me", at_tick=50)
+    with pytest.raises(Refused, match=r"b: its last download is not in effect yet"):
+        runtime.write({"a": rows[3], "b": rows[3]}, "me")
+    with pytest.raises(VariableError, match=r"x: 2 V is outside its limits"):
+        runtime.write({"a": rows[3], "x": 2.0}, "me")
+    runtime.write({"a": rows[4]}, "me", at_tick=60)
+    assert np.array_equal(runtime.read(["a"])[1]["a"], rows[1])  # what the loop uses now is never written over
+    runtime.start(ticks=100)
+    runtime.wait_paused()
+    found = runtime.read(["a", "b"])[1]
+    assert np.array_equal(found["a"], rows[4]) and np.array_equal(found["b"], rows[2])
