@@ -36,7 +36,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", ".venv/bin/pip install ."): NETWORK,
     ("README.md", ".venv/bin/pip install '.[test]'"): NETWORK,
     ("README.md", ".venv/bin/pytest"): "is what runs this",
-    ("README.md", ".venv/bin/pip install eclipse-zenoh numpy msgspec cffi pyelftools"): NETWORK,
+    ("README.md", ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools"): NETWORK,
     ("README.md", ".venv/bin/pip install --no-deps ."): NETWORK,
     ("README.md", "zendsp demo --effect ripple --seed 1"): "test_slim_install.py runs it; `zendsp demo` of this page runs here",
     ("README.md", "pip install 'zendsp[zig]'"): NETWORK,
