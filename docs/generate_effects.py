@@ -24,6 +24,7 @@ SITE = {
     "actuator": "between command and torque",
     "sensor": "between joint and recording",
     "setup": "in the equation of the joint itself (states, timing, inertia)",
+    "body": "in the bodies of the whole machine: every joint that moves them",
 }
 
 ADD = """

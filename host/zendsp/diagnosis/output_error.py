@@ -129,7 +129,7 @@ def screen(benches: Sequence[Bench], current: Output, joint: int, tell: Progress
     found, calls = [], 0
     present = {t.effect for t in current.model.at(joint)}
     for effect in library().values():
-        if effect.name in NOT_ON_INPUT or effect.name in ("delay", "lag") or (effect.name in present and not effect.repeatable):
+        if effect.site == "body" or effect.name in NOT_ON_INPUT or effect.name in ("delay", "lag") or (effect.name in present and not effect.repeatable):
             continue
         if effect.needs and not (effect.needs == ("friction",) and present) and not set(effect.needs) <= present:
             continue

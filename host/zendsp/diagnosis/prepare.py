@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.inertia import inertia_ranges
 from zendsp.diagnosis.reading import Signals
+from zendsp.errors import ModelError
+from zendsp.physics.bodies import Links, body_terms, machine_tree
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, Scale, mechanism_value
 from zendsp.physics.model import Model, per_joint
@@ -52,6 +54,13 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     within = [_within_samples(m.states, s.sample_time) for m in motions]
     others = np.ascontiguousarray(np.stack(within))
     basis = bases(model, within)
+    tree = machine_tree(model)
+    links = Links(tuple(tree[0]), tree[1], others) if tree else None
+    if links is None and (terms := body_terms(model)):
+        raise ModelError(
+            f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind = 'urdf' or"
+            f" 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
+        )
     out = []
     for j in range(joints):
         q, qd, qdd = motions[j].states
@@ -86,6 +95,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
                 scale=scale,
                 base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
                 position=np.ascontiguousarray(s.position[:, j]),
+                links=links,
             )
         )
     return tuple(out)

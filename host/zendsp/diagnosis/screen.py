@@ -188,6 +188,8 @@ class Screen:
         for effect in library().values():
             if effect.starts and effect.name not in ("lag", "delay"):
                 continue
+            if effect.site == "body":  # all joints decide: see bodies.py
+                continue
             if only and effect.name not in only:
                 continue
             if effect.name in present and not effect.repeatable:

@@ -19,7 +19,8 @@ class Parameter:
     size : str
         What the number measures, from which its unit, its scale in a given recording and its step follow: ``"torque"``,
         ``"torque/speed"``, ``"torque/speed2"``, ``"torque/position"``, ``"torque/position3"``, ``"speed"``, ``"position"``,
-        ``"time"``, ``"ratio"``, ``"angle"``, ``"order"``, ``"inertia"``, ``"command"``, ``"number"``.
+        ``"time"``, ``"ratio"``, ``"angle"``, ``"order"``, ``"inertia"``, ``"command"``, ``"number"``;
+        of bodies, whatever the joint: ``"mass"``, ``"length"``, ``"body_inertia"``.
     lower, upper : float
         Bounds in SI units; ``upper`` is also limited by the recording's scales.
     default : float or None
@@ -52,6 +53,9 @@ UNITS = {
     "inertia": "{J}",
     "command": "{u}",
     "number": "1",
+    "mass": "kg",
+    "length": "m",
+    "body_inertia": "kg m²",
 }
 
 
@@ -95,7 +99,8 @@ class Effect:
     site : str
         Where it acts. ``torque``: a resisting torque. ``viscous``: the same, also scaled by a friction drift. ``dry``: a friction
         level, per direction. ``scale``: a factor on all friction. ``actuator``: a map of the command. ``sensor``: a map of the
-        measured position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
+        measured position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays). ``body``: bodies or gravity of the
+        whole machine (see ``physics/bodies.py``), without C of its own.
     c : str
         Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c), ``dir`` the direction for ``dry``.
     linear : tuple of str

@@ -1,0 +1,21 @@
+"""A base that does not stand as the model says: gravity points elsewhere in its frame."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="base_tilt",
+    site="body",
+    parameters=(
+        Parameter("angle_x", "angle", lower=-1.6, upper=1.6, default=0.0, meaning="of the base about its x axis"),
+        Parameter("angle_y", "angle", lower=-1.6, upper=1.6, default=0.0, meaning="then about its y axis"),
+    ),
+    c="",
+    sentence="The base is tilted by {angle_x} about its x axis and {angle_y} about its y axis.",
+    experiment=(
+        "Lay a spirit level on the base, or hold the arm still in poses all around it."
+    ),
+    equation="g in the base's frame = (Ry(ay) Rx(ax))ᵀ g",
+    rivals=("body", "gravity", "torque_offset"),
+)  # fmt: skip
