@@ -1,0 +1,384 @@
+"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and what must be told from them.
+
+Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all joints decide together. To first order, the torque that a
+body adds along the measured motion leaves its response in the observers' innovations (``physics.joint.response``), and torque is linear
+in ten numbers of each link (``physics.bodies``). Beside them, every joint has nuisance columns of its own: offset, viscous and dry
+friction, drag, rotor inertia. So friction that the model lacks does not pass for a body, nor a body for friction. All that a hypothesis
+needs is in the blocks' Gram matrices: estimate, evidence on other recordings and rivals cost next to nothing. What wins is refined by
+the full fit, with its numbers shared by all joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.score import Scored, fastest, fit_scored
+from zendsp.physics.bodies import Links, change_of, turned_gravity
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Data, Fit, Handle, fit, free_handles
+from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, response, run
+from zendsp.physics.model import Model, Quantity, Term, per_joint
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class BodyLimits:
+    """What the search for bodies takes for granted."""
+
+    bandwidth: float = 64.0  # rad/s of the observers: fast, since much is missing when bodies are looked for
+    block: float = 1.0  # s: what an observer remembers, and a swing of an arm, lie within
+    blocks: int = 16  # at least so many, or they are shorter
+    still: float = 0.05  # of the RMS speed: slower, a joint may stick, and says nothing of what pulls it
+    memory: float = 0.1  # s for which an observer remembers that a joint stuck
+    tie: float = 2.5  # standard deviations over the blocks within which two explanations are as good
+    share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
+    sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
+    step: float = 1e-6  # relative, of numerical derivatives
+
+
+LIMITS = BodyLimits()
+NUISANCE = 6  # columns that every joint has for itself
+OWN = ("gain", "sine", "cosine", "spring")  # further columns of one joint: its rivals to a body
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An explanation of what all joints leave.
+
+    Attributes
+    ----------
+    effect : str
+        Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the mechanism's own free parameters), ``nothing``.
+    joint : int
+        1-based; the last joint that moves the body. 0: all joints.
+    body : str
+        Name of the link, empty where it is of none.
+    free : tuple of str
+        Names of its numbers.
+    """
+
+    effect: str
+    joint: int = 0
+    body: str = ""
+    free: tuple[str, ...] = ()
+
+    @property
+    def of_bodies(self) -> bool:
+        """Whether it is about bodies or gravity, and not a rival of those."""
+        return self.effect in ("payload", "body", "base_tilt")
+
+    @property
+    def name(self) -> str:
+        """Name for a list of what cannot be told apart."""
+        if self.effect == "torque_gain":
+            return f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
+        place = f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else ""
+        what = f" ({', '.join(self.free)})" if self.effect == "body" else ""
+        return self.effect + what + place
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A hypothesis after its linear fit.
+
+    Attributes
+    ----------
+    hypothesis : Hypothesis
+    values : ndarray, shape (p,)
+        Of ``hypothesis.free``.
+    std : ndarray, shape (p,)
+        Over the blocks.
+    gain : float
+        Deviance over ``nothing`` on the recordings that choose.
+    z : float
+        Standard deviations over their blocks.
+    behind : float
+        Standard deviations by which the best explanation predicts better; 0 for the best.
+    joints : ndarray, shape (joints,)
+        The gain by joints.
+    blocks : ndarray, shape (blocks,)
+        The gain by blocks.
+    """
+
+    hypothesis: Hypothesis
+    values: Array
+    std: Array
+    gain: float
+    z: float
+    behind: float
+    joints: Array
+    blocks: Array
+
+
+class Sums:
+    """Gram matrices of all columns and the innovations, per joint and block; the innovations are the last column."""
+
+    def __init__(self, data: Data, model: Model, limits: BodyLimits = LIMITS) -> None:
+        seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
+        block = min(limits.block, seconds / limits.blocks)
+        grams: list[Array] = []
+        counts: list[Array] = []
+        for rec in data.records:
+            starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
+            per_joint_grams, per_joint_counts = [], []
+            for record in rec:
+                columns, moving = _columns(record, model, limits)
+                columns = np.ascontiguousarray(columns[:, moving].T)
+                edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
+                parts = [columns[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+                per_joint_grams.append(np.stack([part.T @ part for part in parts]))
+                per_joint_counts.append(np.diff(edges))
+            grams.append(np.stack(per_joint_grams))
+            counts.append(np.stack(per_joint_counts).astype(np.float64))
+        self.grams = np.concatenate(grams, axis=1)  # (joints, blocks, columns, columns)
+        self.counts = np.concatenate(counts, axis=1)  # (joints, blocks)
+
+    @property
+    def whole(self) -> Array:
+        """Sum over the blocks, (joints, columns, columns)."""
+        return np.asarray(self.grams.sum(axis=1))
+
+
+def _columns(record: JointRecord, model: Model, limits: BodyLimits) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the joint moves."""
+    bandwidth = min(limits.bandwidth, fastest_of(record))
+    q, qd, qdd = record.motion.states
+    speed, j = record.scale.speed, record.joint - 1
+    links = record.links
+    assert links is not None
+    slow = limits.still * speed
+    gain = per_joint(model.actuator.gain, record.joint, 1.0)
+    own = [np.ones(record.n), qd, np.tanh(qd / slow), np.tanh(qd / slow / 8), qd * np.abs(qd), qdd]
+    torques = [*own, *_shared(links, j, model, record), -gain * record.command, np.sin(q), np.cos(q), q - np.mean(q)]
+    damping = sum(t.value("coefficient") for t in model.at(record.joint) if t.effect == "viscous")
+    inertia = effective_inertia(record, model)
+    seen = response(record, bandwidth, inertia, np.full(record.n, damping), np.stack(torques))
+    left = run(record, model, bandwidth).innovations
+    still = max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), slow)
+    sticks = np.flatnonzero(np.abs(qd) < still)
+    moving = record.counted.copy()
+    for k in range(max(1, round(limits.memory / record.sample_time))):
+        at = sticks + k
+        moving[at[at < record.n]] = False
+    moving[: round(0.5 / record.sample_time)] = False  # the observer settles
+    return np.concatenate([seen, left[None]]), moving
+
+
+def fastest_of(record: JointRecord) -> float:
+    """Fastest observer that a record's sample time allows, rad/s."""
+    return 0.5 / record.sample_time
+
+
+def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list[Array]:
+    """Columns that all joints share: ten numbers of each link, tilt about x and y, gravity's size, mechanism parameters."""
+    n = record.n
+    out: list[Array] = []
+    for k in range(len(links.bodies)):
+        out += list(links.columns(joint, k)[1]) if links.moves(joint, k) else [np.zeros(n)] * 10
+    weight = links.weight(joint)
+    for key in ("angle_x", "angle_y"):
+        tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
+        out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)
+    out.append(links.gravity @ weight)
+    qdd = record.others[joint, 2]
+    for key in calibrated(model):
+        basis = record.basis.get(key)
+        if basis is not None:
+            out.append(basis.inertia * qdd + basis.bias)
+        else:
+            out.append(np.sin(record.motion.states[0]) if key == "gravity" else np.zeros(n))
+    return out
+
+
+def calibrated(model: Model) -> tuple[str, ...]:
+    """Mechanism parameters of a model that may be calibrated."""
+    return tuple(key for key, items in model.mechanism.items() if any(i.free and i.value for i in items))
+
+
+class Layout:
+    """Where the numbers of a hypothesis stand among the columns."""
+
+    def __init__(self, model: Model, links: Links) -> None:
+        self.links, self.keys = links, calibrated(model)
+        self.joints = len(links.bodies)
+        self.tilt = NUISANCE + 10 * self.joints
+        self.scale = self.tilt + 2
+        self.mechanism = self.scale + 1
+        self.own = self.mechanism + len(self.keys)
+        self.width = self.own + len(OWN)
+
+    def term(self, h: Hypothesis, values: Array) -> Term:
+        """The hypothesis as a term of a model."""
+        known = dict(zip(h.free, values.tolist(), strict=True))
+        effect = get_effect(h.effect)
+        return Term(
+            h.effect,
+            max(h.joint, 1),
+            {p.name: Quantity(known.get(p.name, p.default or 0.0), p.name in known) for p in effect.parameters},
+        )
+
+    def place(self, h: Hypothesis, values: Array) -> Array:
+        """Coefficients of the columns, (joints, width)."""
+        x = np.zeros((self.joints, self.width))
+        if h.effect in ("payload", "body"):
+            k = h.joint - 1
+            at = NUISANCE + 10 * k
+            x[:, at : at + 10] = change_of(self.term(h, values), self.links.bodies[k])
+        elif h.effect == "base_tilt":
+            x[:, self.tilt : self.tilt + 2] = values
+        elif h.effect == "gravity_scale":
+            x[:, self.scale] = values[0]
+        elif h.effect == "calibration":
+            x[:, self.mechanism : self.own] = values
+        elif h.effect == "torque_gain":
+            rows = slice(None) if h.joint == 0 else slice(h.joint - 1, h.joint)
+            x[rows, self.own] = values
+        elif h.effect == "gravity":
+            x[h.joint - 1, self.own + 1 : self.own + 3] = values
+        elif h.effect == "stiffness":
+            x[h.joint - 1, self.own + 3] = values[0]
+        return x
+
+
+def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
+    """All that is tried, the simplest first."""
+    joints, out = len(links.bodies), [Hypothesis("nothing")]
+    com = ("com_x", "com_y", "com_z")
+    heavy = [(k + 1, b) for k, b in enumerate(links.bodies) if b.mass > 0]
+    out += [Hypothesis("payload", k + 1, b.name, ("mass", *com)) for k, b in reversed(list(enumerate(links.bodies)))]
+    out += [Hypothesis("body", j, b.name, ("mass",)) for j, b in heavy]
+    out += [Hypothesis("body", j, b.name, com) for j, b in heavy]
+    if heavy and np.any(links.gravity):
+        out += [Hypothesis("base_tilt", free=("angle_x", "angle_y")), Hypothesis("gravity_scale", free=("ratio",))]
+    if keys := calibrated(model):
+        out.append(Hypothesis("calibration", free=keys))
+    out.append(Hypothesis("torque_gain", 0, "", ("ratio",)))
+    for j in range(1, joints + 1):
+        out += [
+            Hypothesis("torque_gain", j, "", ("ratio",)),
+            Hypothesis("gravity", j, "", ("sine", "cosine")),
+            Hypothesis("stiffness", j, "", ("coefficient",)),
+        ]
+    return out
+
+
+class Solver:
+    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that choose."""
+
+    def __init__(self, fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits = LIMITS) -> None:
+        self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
+        whole = fit.whole
+        n = NUISANCE
+        self.eliminate = np.stack([-_solve(g[:n, :n], g[:n, n:]) for g in whole])  # nuisance = eliminate @ (x, 1)
+        self.rest = np.stack([g[n:, n:] + g[n:, :n] @ e for g, e in zip(whole, self.eliminate, strict=True)])
+        self.counts = fit.counts.sum(axis=1)
+
+    def _full(self, x: Array) -> Array:
+        """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints, width + 1)."""
+        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+        head = np.einsum("jab,jb->ja", self.eliminate, tail)
+        return np.concatenate([head, tail], axis=1)
+
+    def _left(self, x: Array) -> Array:
+        """Sum of squares that the fit leaves, per joint."""
+        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+        return np.asarray(np.einsum("ja,jab,jb->j", tail, self.rest, tail))
+
+    def deviance(self, x: Array) -> float:
+        """Of the fit, with the noise of each joint profiled out."""
+        used = self.counts > NUISANCE
+        return float(np.sum(self.counts[used] * np.log(np.maximum(self._left(x)[used], 1e-300) / self.counts[used])))
+
+    def estimate(self, h: Hypothesis) -> Array:
+        """Numbers that make the innovations of all joints most likely, (p,)."""
+        values = self._start(h)
+        best = self.deviance(self.layout.place(h, values))
+        damping = 1e-6
+        for _ in range(30):
+            x, jac = self._linear(h, values)
+            weight = self.counts / np.maximum(self._left(x), 1e-300)
+            tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+            inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
+            normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
+            slope = np.einsum("j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail))
+            while damping < 1e6:
+                step = -_solve(normal + damping * np.diag(np.diag(normal)), slope)
+                trial = values + step
+                value = self.deviance(self.layout.place(h, trial))
+                if value <= best:
+                    break
+                damping *= 10
+            else:
+                break
+            done = best - value < 1e-3
+            values, best, damping = trial, value, max(damping / 10, 1e-9)
+            if done:
+                break
+        return values
+
+    def _linear(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
+        """Coefficients and their derivatives without the nuisance, (joints, columns, p)."""
+        x = self.layout.place(h, values)
+        step = self.limits.step * np.maximum(np.abs(values), 0.1)
+        jac = [(self.layout.place(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))]
+        return x, np.stack(jac, axis=2)[:, NUISANCE:]
+
+    def _start(self, h: Hypothesis) -> Array:
+        if h.effect != "payload":
+            return np.zeros(len(h.free))
+        at = 10 * (h.joint - 1)  # mass and first moment are linear: a start for the centre of mass
+        zero = self.layout.place(Hypothesis("nothing"), np.zeros(0))
+        weight = self.counts / np.maximum(self._left(zero), 1e-300)
+        part = slice(at, at + 4)
+        normal = np.einsum("j,jab->ab", weight, self.rest[:, part, part])
+        slope = np.einsum("j,ja->a", weight, self.rest[:, part, -1])
+        m, *moment = -_solve(normal + 1e-9 * np.diag(np.diag(normal)), slope)
+        heavy = max(abs(float(m)), 1e-3)
+        return np.array([heavy, *np.clip(np.array(moment) / heavy, -1.0, 1.0)])
+
+    def std(self, h: Hypothesis, values: Array) -> Array:
+        """Standard deviations from what the blocks disagree, (p,)."""
+        if not len(values):
+            return np.zeros(0)
+        x, jac = self._linear(h, values)
+        full, weight = self._full(x), self.counts / np.maximum(self._left(x), 1e-300)
+        sense = np.concatenate([np.einsum("jab,jbp->jap", self.eliminate[:, :, :-1], jac), jac], axis=1)
+        scores = np.einsum("j,jap,jkab,jb->kp", weight, sense, self.fit.grams[:, :, :-1], full)
+        normal = np.einsum("j,jap,jab,jbq->pq", weight, jac, self.rest[:, :-1, :-1], jac)
+        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+        paired = scores[:-1].T @ scores[1:]
+        spread = scores.T @ scores + 0.5 * (paired + paired.T)  # neighbours are alike (Newey and West 1987)
+        return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
+
+    def points(self, x: Array) -> Array:
+        """Deviance of the blocks that choose, (joints, blocks)."""
+        full = self._full(x)
+        left = np.maximum(np.einsum("ja,jkab,jb->jk", full, self.choose.grams, full), 0.0)
+        counts = self.choose.counts
+        mean = left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
+        mean = np.maximum(mean, 1e-300)[:, None]
+        return np.asarray(np.where(counts.sum(axis=1)[:, None] > NUISANCE, left / mean + counts * np.log(mean), 0.0))
+
+
+def _solve(a: Array, b: Array) -> Array:
+    """Solution of a symmetric system in units of its diagonal; what nothing determines is 0."""
+    unit = np.sqrt(np.maximum(np.diag(a), 0.0))
+    unit = np.where(unit > 0, unit, 1.0)
+    scaled = (b.T / unit).T
+    return np.asarray((np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T)
+
+
+def z_of(blocks: Array) -> float:
+    """Mean of the blocks over its standard error, neighbours taken together."""
+    n = len(blocks)
+    if n < 4:
+        return 0.0
+    off = blocks - blocks.mean()
+    variance = float(off @ off) + float(off[:-1] @ off[1:])
+    return float(blocks.sum() / np.sqrt(max(variance, 1e-12 * float(blocks @ blocks), 1e-300) * n / (n - 1)))
