@@ -39,12 +39,21 @@ class BodyLimits:
     tie: float = 2.5  # standard deviations over the blocks within which two explanations are as good
     share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
     sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
+    part: float = 0.2  # of what the joints leave has to go on the recordings that choose
+    reach: float = 1.0  # m: farther from its link's origin nothing is carried
+    gain: float = 0.5  # no actuator gives half as much again, or half
     step: float = 1e-6  # relative, of numerical derivatives
+    rounds: int = 3  # changes of the observers in the full fits
 
 
 LIMITS = BodyLimits()
 NUISANCE = 6  # columns that every joint has for itself
-OWN = ("gain", "sine", "cosine", "spring")  # further columns of one joint: its rivals to a body
+OWN = 6  # further columns of one joint, its rivals to a body: gain, sin q, cos q, q, sin 2q, cos 2q
+COM = ("com_x", "com_y", "com_z")
+# what an explanation costs where several are as good: the fewest numbers, and the most frequent cause first
+COST = {"payload": 4.0, "body": 1.0, "base_tilt": 1.0, "torque_gain": 1.0, "gravity": 2.0, "stiffness": 3.0, "unknown": 8.0}
+TOOL = 2.0  # of a payload at the end of a chain
+RARE = 4.0  # of causes that act on the whole machine: its gravity, all its gains
 
 
 @dataclass(frozen=True)
@@ -54,7 +63,8 @@ class Hypothesis:
     Attributes
     ----------
     effect : str
-        Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the mechanism's own free parameters), ``nothing``.
+        Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the mechanism's own free parameters), ``nothing``;
+        ``unknown`` is any torque of one joint's own position and command.
     joint : int
         1-based; the last joint that moves the body. 0: all joints.
     body : str
@@ -67,6 +77,7 @@ class Hypothesis:
     joint: int = 0
     body: str = ""
     free: tuple[str, ...] = ()
+    cost: float = 0.0
 
     @property
     def of_bodies(self) -> bool:
@@ -104,6 +115,8 @@ class Explained:
         The gain by joints.
     blocks : ndarray, shape (blocks,)
         The gain by blocks.
+    share : ndarray, shape (joints,)
+        Of the squared innovations that ``nothing`` leaves at a joint, how much goes.
     """
 
     hypothesis: Hypothesis
@@ -114,6 +127,13 @@ class Explained:
     behind: float
     joints: Array
     blocks: Array
+    share: Array
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(
+            f"{n} = {v:.4g} ± {s:.2g}" for n, v, s in zip(self.hypothesis.free, self.values, self.std, strict=True)
+        )
+        return f"<{self.hypothesis.name}: {numbers}; gain {self.gain:.0f}, z = {self.z:.1f}, behind {self.behind:.1f}>"
 
 
 class Sums:
@@ -155,7 +175,8 @@ def _columns(record: JointRecord, model: Model, limits: BodyLimits) -> tuple[Arr
     slow = limits.still * speed
     gain = per_joint(model.actuator.gain, record.joint, 1.0)
     own = [np.ones(record.n), qd, np.tanh(qd / slow), np.tanh(qd / slow / 8), qd * np.abs(qd), qdd]
-    torques = [*own, *_shared(links, j, model, record), -gain * record.command, np.sin(q), np.cos(q), q - np.mean(q)]
+    torques = [*own, *_shared(links, j, model, record), -gain * record.command]
+    torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
     damping = sum(t.value("coefficient") for t in model.at(record.joint) if t.effect == "viscous")
     inertia = effective_inertia(record, model)
     seen = response(record, bandwidth, inertia, np.full(record.n, damping), np.stack(torques))
@@ -211,7 +232,7 @@ class Layout:
         self.scale = self.tilt + 2
         self.mechanism = self.scale + 1
         self.own = self.mechanism + len(self.keys)
-        self.width = self.own + len(OWN)
+        self.width = self.own + OWN
 
     def term(self, h: Hypothesis, values: Array) -> Term:
         """The hypothesis as a term of a model."""
@@ -243,28 +264,36 @@ class Layout:
             x[h.joint - 1, self.own + 1 : self.own + 3] = values
         elif h.effect == "stiffness":
             x[h.joint - 1, self.own + 3] = values[0]
+        elif h.effect == "unknown":
+            x[h.joint - 1, self.own :] = values
         return x
 
 
 def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
-    """All that is tried, the simplest first."""
-    joints, out = len(links.bodies), [Hypothesis("nothing")]
-    com = ("com_x", "com_y", "com_z")
-    heavy = [(k + 1, b) for k, b in enumerate(links.bodies) if b.mass > 0]
-    out += [Hypothesis("payload", k + 1, b.name, ("mass", *com)) for k, b in reversed(list(enumerate(links.bodies)))]
-    out += [Hypothesis("body", j, b.name, ("mass",)) for j, b in heavy]
-    out += [Hypothesis("body", j, b.name, com) for j, b in heavy]
-    if heavy and np.any(links.gravity):
-        out += [Hypothesis("base_tilt", free=("angle_x", "angle_y")), Hypothesis("gravity_scale", free=("ratio",))]
+    """All that is tried."""
+    out: list[Hypothesis] = []
+    ends = {k for k in range(len(links.bodies)) if all(b.parent != k for b in links.bodies)}
+    flat = model.kind == "planar2r"  # its parameters know nothing of what lies beside the links' lines
+    for k, b in enumerate(links.bodies):
+        free = ("mass", "com_x") if flat else ("mass", *COM)
+        out.append(Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"]))
+        if b.mass > 0:
+            out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
+            out.append(Hypothesis("body", k + 1, b.name, COM, COST["body"] + 3))
+    if any(b.mass > 0 for b in links.bodies) and np.any(links.gravity):
+        out.append(Hypothesis("base_tilt", free=("angle_x", "angle_y"), cost=COST["base_tilt"] + 2))
+        out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))
     if keys := calibrated(model):
-        out.append(Hypothesis("calibration", free=keys))
-    out.append(Hypothesis("torque_gain", 0, "", ("ratio",)))
-    for j in range(1, joints + 1):
-        out += [
-            Hypothesis("torque_gain", j, "", ("ratio",)),
-            Hypothesis("gravity", j, "", ("sine", "cosine")),
-            Hypothesis("stiffness", j, "", ("coefficient",)),
-        ]
+        out.append(Hypothesis("calibration", free=keys, cost=RARE))
+    out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
+    for j in range(1, len(links.bodies) + 1):
+        for effect, free in (
+            ("torque_gain", ("ratio",)),
+            ("gravity", ("sine", "cosine")),
+            ("stiffness", ("coefficient",)),
+            ("unknown", tuple(f"c{i}" for i in range(OWN))),
+        ):
+            out.append(Hypothesis(effect, j, "", free, COST[effect]))
     return out
 
 
@@ -340,7 +369,22 @@ class Solver:
         slope = np.einsum("j,ja->a", weight, self.rest[:, part, -1])
         m, *moment = -_solve(normal + 1e-9 * np.diag(np.diag(normal)), slope)
         heavy = max(abs(float(m)), 1e-3)
-        return np.array([heavy, *np.clip(np.array(moment) / heavy, -1.0, 1.0)])
+        far = np.clip(np.array(moment) / heavy, -self.limits.reach, self.limits.reach)
+        return np.array([heavy, *far[: len(h.free) - 1]])
+
+    def plausible(self, h: Hypothesis, values: Array) -> bool:
+        """Whether numbers are those of a machine."""
+        known = dict(zip(h.free, values.tolist(), strict=True))
+        bodies = self.layout.links.bodies
+        if h.effect == "payload":
+            robot = sum(b.mass for b in bodies) or np.inf
+            far = max(abs(known.get(key, 0.0)) for key in COM)
+            return 0.0 < known["mass"] < robot and far < self.limits.reach
+        if h.effect == "body":
+            return known.get("mass", 0.0) > -bodies[h.joint - 1].mass and max(np.abs(values)) < np.inf
+        if h.effect in ("torque_gain", "gravity_scale"):
+            return abs(known["ratio"]) < self.limits.gain
+        return True
 
     def std(self, h: Hypothesis, values: Array) -> Array:
         """Standard deviations from what the blocks disagree, (p,)."""
@@ -355,6 +399,11 @@ class Solver:
         paired = scores[:-1].T @ scores[1:]
         spread = scores.T @ scores + 0.5 * (paired + paired.T)  # neighbours are alike (Newey and West 1987)
         return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
+
+    def squares(self, x: Array) -> Array:
+        """Squared innovations on the recordings that choose, per joint."""
+        full = self._full(x)
+        return np.asarray(np.einsum("ja,jkab,jb->j", full, self.choose.grams, full))
 
     def points(self, x: Array) -> Array:
         """Deviance of the blocks that choose, (joints, blocks)."""
@@ -372,6 +421,39 @@ def _solve(a: Array, b: Array) -> Array:
     unit = np.where(unit > 0, unit, 1.0)
     scaled = (b.T / unit).T
     return np.asarray((np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T)
+
+
+def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
+    """All hypotheses after their linear fits, the best first.
+
+    Those that predict as well as the best one are ordered by what they cost; then all others by their gain.
+    """
+    none = solver.points(solver.layout.place(Hypothesis("nothing"), np.zeros(0)))
+    before = solver.squares(solver.layout.place(Hypothesis("nothing"), np.zeros(0)))
+    before = np.where(before > 0, before, np.inf)
+    out = []
+    for h in tried:
+        values = solver.estimate(h)
+        if not solver.plausible(h, values):
+            continue
+        x = solver.layout.place(h, values)
+        gain = none - solver.points(x)
+        blocks = gain.sum(axis=0)
+        share = np.where(np.isfinite(before), 1.0 - solver.squares(x) / before, 0.0)
+        out.append(
+            Explained(h, values, solver.std(h, values), float(blocks.sum()), z_of(blocks), 0.0, gain.sum(axis=1), blocks, share)
+        )
+    top = max(out, key=lambda e: e.gain)
+    out = [replace(e, behind=z_of(top.blocks - e.blocks) if e is not top else 0.0) for e in out]
+    ties = [e for e in out if tied(e, top, solver.limits)]
+    ties.sort(key=lambda e: (e.hypothesis.cost, -e.gain))
+    others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
+    return ties + others
+
+
+def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether an explanation predicts as well as the best one."""
+    return other.behind < limits.tie or top.gain - other.gain < limits.share * abs(top.gain)
 
 
 def z_of(blocks: Array) -> float:
