@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from zendsp.errors import RecordingError
+from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Recording, Table, read_table
@@ -55,6 +56,22 @@ class Signals:
             extra={key: value[cut] for key, value in self.extra.items()},
             raw=None,
         )
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The three parts of the data: what models are fitted to, what choices are made by, and what neither has touched."""
+
+    fit: Data
+    choose: Data
+    test: Data
+
+    @property
+    def held(self) -> Data:
+        """Everything that no model is fitted to."""
+        if self.choose is self.test:
+            return self.test
+        return replace(self.test, records=(*self.choose.records, *self.test.records))
 
 
 def read_signals(source: str | Path | Recording | Table, model: Model) -> Signals:
@@ -340,6 +357,27 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     return train, test, notes
+
+
+def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
+    """Recordings to choose by and recordings to test on: whole ones where there are several, else the halves of the one.
+
+    Returns
+    -------
+    choose, test, notes
+    """
+    if len(held) > 1:
+        middle = len(held) // 2
+        return list(held[:middle]), list(held[middle:]), []
+    (s,) = held
+    n = len(s.time)
+    if n < 2 * MIN_SAMPLES:
+        note = f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the tested figures flatter"
+        return [s], [s], [note]
+    way = _way(s)
+    cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
+    cut = cut if min(cut, n - cut) > n // 4 else n // 2
+    return [s.part(0, cut, f"{s.name} (to choose by)")], [s.part(cut, n, f"{s.name} (to test on)")], []
 
 
 def _way(s: Signals) -> Array:
