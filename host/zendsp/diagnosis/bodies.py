@@ -4,23 +4,24 @@ Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all j
 body adds along the measured motion leaves its response in the observers' innovations (``physics.joint.response``), and torque is linear
 in ten numbers of each link (``physics.bodies``). Beside them, every joint has nuisance columns of its own: offset, viscous and dry
 friction, drag, rotor inertia. So friction that the model lacks does not pass for a body, nor a body for friction. All that a hypothesis
-needs is in the blocks' Gram matrices: estimate, evidence on other recordings and rivals cost next to nothing. What wins is refined by
-the full fit, with its numbers shared by all joints.
+needs is in the blocks' Gram matrices: estimate, evidence on other recordings and rivals cost next to nothing. What wins is estimated
+again around itself, so that what a body does to the inertia is exact.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.score import Scored, fastest, fit_scored
 from zendsp.physics.bodies import Links, change_of, turned_gravity
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data, Fit, Handle, fit, free_handles
-from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, response, run
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import JointRecord, effective_inertia, response, run
 from zendsp.physics.model import Model, Quantity, Term, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -39,11 +40,15 @@ class BodyLimits:
     tie: float = 2.5  # standard deviations over the blocks within which two explanations are as good
     share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
     sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
-    part: float = 0.2  # of what the joints leave has to go on the recordings that choose
+    part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
+    least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
+    bodies: int = 3  # at most so many wrong bodies
     reach: float = 1.0  # m: farther from its link's origin nothing is carried
     gain: float = 0.5  # no actuator gives half as much again, or half
     step: float = 1e-6  # relative, of numerical derivatives
-    rounds: int = 3  # changes of the observers in the full fits
+    calibrated: float = 0.15  # a free parameter of the mechanism farther off than so much of itself is no calibration
+    rounds: int = 3  # estimates around the one before
+    starts: tuple[float, ...] = (0.05, 0.15, 0.4)  # m from the link's origin, of a payload's centre to begin with
 
 
 LIMITS = BodyLimits()
@@ -139,23 +144,17 @@ class Explained:
 class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are the last column."""
 
-    def __init__(self, data: Data, model: Model, limits: BodyLimits = LIMITS) -> None:
+    def __init__(self, data: Data, model: Model, limits: BodyLimits = LIMITS, jobs: int = 1) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
         grams: list[Array] = []
         counts: list[Array] = []
         for rec in data.records:
             starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
-            per_joint_grams, per_joint_counts = [], []
-            for record in rec:
-                columns, moving = _columns(record, model, limits)
-                columns = np.ascontiguousarray(columns[:, moving].T)
-                edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
-                parts = [columns[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-                per_joint_grams.append(np.stack([part.T @ part for part in parts]))
-                per_joint_counts.append(np.diff(edges))
-            grams.append(np.stack(per_joint_grams))
-            counts.append(np.stack(per_joint_counts).astype(np.float64))
+            with ThreadPoolExecutor(jobs) as pool:  # the kernel runs outside the interpreter's lock
+                done = list(pool.map(lambda record, starts=starts: _grams(record, model, starts, limits), rec))
+            grams.append(np.stack([g for g, _ in done]))
+            counts.append(np.stack([c for _, c in done]).astype(np.float64))
         self.grams = np.concatenate(grams, axis=1)  # (joints, blocks, columns, columns)
         self.counts = np.concatenate(counts, axis=1)  # (joints, blocks)
 
@@ -163,6 +162,15 @@ class Sums:
     def whole(self) -> Array:
         """Sum over the blocks, (joints, columns, columns)."""
         return np.asarray(self.grams.sum(axis=1))
+
+
+def _grams(record: JointRecord, model: Model, starts: Array, limits: BodyLimits) -> tuple[Array, Array]:
+    """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
+    columns, moving = _columns(record, model, limits)
+    columns = np.ascontiguousarray(columns[:, moving].T)
+    edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
+    parts = [columns[a:b] for a, b in pairwise(edges)]
+    return np.stack([part.T @ part for part in parts]), np.diff(edges)
 
 
 def _columns(record: JointRecord, model: Model, limits: BodyLimits) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -227,6 +235,7 @@ class Layout:
 
     def __init__(self, model: Model, links: Links) -> None:
         self.links, self.keys = links, calibrated(model)
+        self.given = np.array([model.mechanism[key][0].value for key in self.keys])
         self.joints = len(links.bodies)
         self.tilt = NUISANCE + 10 * self.joints
         self.scale = self.tilt + 2
@@ -275,7 +284,7 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     ends = {k for k in range(len(links.bodies)) if all(b.parent != k for b in links.bodies)}
     flat = model.kind == "planar2r"  # its parameters know nothing of what lies beside the links' lines
     for k, b in enumerate(links.bodies):
-        free = ("mass", "com_x") if flat else ("mass", *COM)
+        free: tuple[str, ...] = ("mass", "com_x") if flat else ("mass", *COM)
         out.append(Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"]))
         if b.mass > 0:
             out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
@@ -298,10 +307,16 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
 
 
 class Solver:
-    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that choose."""
+    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that choose.
 
-    def __init__(self, fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits = LIMITS) -> None:
+    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis.
+    """
+
+    def __init__(
+        self, fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits = LIMITS, origin: Array | None = None
+    ) -> None:
         self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
+        self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
         whole = fit.whole
         n = NUISANCE
         self.eliminate = np.stack([-_solve(g[:n, :n], g[:n, n:]) for g in whole])  # nuisance = eliminate @ (x, 1)
@@ -324,10 +339,19 @@ class Solver:
         used = self.counts > NUISANCE
         return float(np.sum(self.counts[used] * np.log(np.maximum(self._left(x)[used], 1e-300) / self.counts[used])))
 
-    def estimate(self, h: Hypothesis) -> Array:
+    def at(self, h: Hypothesis, values: Array) -> Array:
+        """Coefficients that a hypothesis adds to the model, (joints, width)."""
+        return self.layout.place(h, values) - self.origin
+
+    def estimate(self, h: Hypothesis, start: Array | None = None) -> Array:
         """Numbers that make the innovations of all joints most likely, (p,)."""
-        values = self._start(h)
-        best = self.deviance(self.layout.place(h, values))
+        begins = self._starts(h) if start is None else [start]
+        ends = [self._descend(h, values) for values in begins]
+        return min(ends, key=lambda end: end[1])[0]
+
+    def _descend(self, h: Hypothesis, values: Array) -> tuple[Array, float]:
+        """Levenberg-Marquardt from some numbers: where it ends, and its deviance."""
+        best = self.deviance(self.at(h, values))
         damping = 1e-6
         for _ in range(30):
             x, jac = self._linear(h, values)
@@ -337,9 +361,8 @@ class Solver:
             normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
             slope = np.einsum("j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail))
             while damping < 1e6:
-                step = -_solve(normal + damping * np.diag(np.diag(normal)), slope)
-                trial = values + step
-                value = self.deviance(self.layout.place(h, trial))
+                trial = values - _solve(normal + damping * np.diag(np.diag(normal)), slope)
+                value = self.deviance(self.at(h, trial))
                 if value <= best:
                     break
                 damping *= 10
@@ -349,28 +372,29 @@ class Solver:
             values, best, damping = trial, value, max(damping / 10, 1e-9)
             if done:
                 break
-        return values
+        return values, best
 
     def _linear(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
         """Coefficients and their derivatives without the nuisance, (joints, columns, p)."""
-        x = self.layout.place(h, values)
+        x = self.at(h, values)
         step = self.limits.step * np.maximum(np.abs(values), 0.1)
-        jac = [(self.layout.place(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))]
+        jac = [(self.at(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))]
         return x, np.stack(jac, axis=2)[:, NUISANCE:]
 
-    def _start(self, h: Hypothesis) -> Array:
+    def _starts(self, h: Hypothesis) -> list[Array]:
+        """Numbers to begin with: all zero, but for a payload, whose centre nobody can see without its mass."""
         if h.effect != "payload":
-            return np.zeros(len(h.free))
-        at = 10 * (h.joint - 1)  # mass and first moment are linear: a start for the centre of mass
-        zero = self.layout.place(Hypothesis("nothing"), np.zeros(0))
-        weight = self.counts / np.maximum(self._left(zero), 1e-300)
-        part = slice(at, at + 4)
+            return [np.zeros(len(h.free))]
+        at = 10 * (h.joint - 1)  # mass and first moment are linear
+        weight = self.counts / np.maximum(self._left(-self.origin), 1e-300)
+        part = slice(at, at + len(h.free))
         normal = np.einsum("j,jab->ab", weight, self.rest[:, part, part])
         slope = np.einsum("j,ja->a", weight, self.rest[:, part, -1])
-        m, *moment = -_solve(normal + 1e-9 * np.diag(np.diag(normal)), slope)
-        heavy = max(abs(float(m)), 1e-3)
-        far = np.clip(np.array(moment) / heavy, -self.limits.reach, self.limits.reach)
-        return np.array([heavy, *far[: len(h.free) - 1]])
+        mass, *moment = -_solve(normal + 1e-9 * np.diag(np.diag(normal)), slope)
+        size = max(float(np.linalg.norm(moment)), 1e-6)
+        heavy = [max(abs(float(mass)), 1e-3), *(size / distance for distance in self.limits.starts)]
+        far = self.limits.reach
+        return [np.array([m, *np.clip(np.array(moment) / m, -far, far)]) for m in heavy]
 
     def plausible(self, h: Hypothesis, values: Array) -> bool:
         """Whether numbers are those of a machine."""
@@ -379,11 +403,13 @@ class Solver:
         if h.effect == "payload":
             robot = sum(b.mass for b in bodies) or np.inf
             far = max(abs(known.get(key, 0.0)) for key in COM)
-            return 0.0 < known["mass"] < robot and far < self.limits.reach
+            wide = abs(known.get("inertia", 0.0)) < known["mass"] * self.limits.reach**2
+            return bool(0.0 < known["mass"] < robot and far < self.limits.reach and wide)
         if h.effect == "body":
-            return known.get("mass", 0.0) > -bodies[h.joint - 1].mass and max(np.abs(values)) < np.inf
+            far = max(abs(known.get(key, 0.0)) for key in COM)
+            return bool(abs(known.get("mass", 0.0)) < bodies[h.joint - 1].mass and far < self.limits.reach)
         if h.effect in ("torque_gain", "gravity_scale"):
-            return abs(known["ratio"]) < self.limits.gain
+            return bool(abs(known["ratio"]) < self.limits.gain)
         return True
 
     def std(self, h: Hypothesis, values: Array) -> Array:
@@ -428,15 +454,15 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
 
     Those that predict as well as the best one are ordered by what they cost; then all others by their gain.
     """
-    none = solver.points(solver.layout.place(Hypothesis("nothing"), np.zeros(0)))
-    before = solver.squares(solver.layout.place(Hypothesis("nothing"), np.zeros(0)))
+    nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
+    none, before = solver.points(nothing), solver.squares(nothing)
     before = np.where(before > 0, before, np.inf)
     out = []
     for h in tried:
         values = solver.estimate(h)
         if not solver.plausible(h, values):
             continue
-        x = solver.layout.place(h, values)
+        x = solver.at(h, values)
         gain = none - solver.points(x)
         blocks = gain.sum(axis=0)
         share = np.where(np.isfinite(before), 1.0 - solver.squares(x) / before, 0.0)
@@ -446,14 +472,167 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
     top = max(out, key=lambda e: e.gain)
     out = [replace(e, behind=z_of(top.blocks - e.blocks) if e is not top else 0.0) for e in out]
     ties = [e for e in out if tied(e, top, solver.limits)]
-    ties.sort(key=lambda e: (e.hypothesis.cost, -e.gain))
+    ties.sort(key=lambda e: (_cost(e, solver), -e.gain))
     others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
     return ties + others
+
+
+def _cost(e: Explained, solver: Solver) -> float:
+    """What an explanation costs; nothing where a model's free parameters need little to do as well."""
+    if e.hypothesis.effect == "calibration":
+        given = solver.layout.given
+        if np.all(np.abs(e.values) < solver.limits.calibrated * np.abs(given)):
+            return 0.0
+    return e.hypothesis.cost
 
 
 def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
     """Whether an explanation predicts as well as the best one."""
     return other.behind < limits.tie or top.gain - other.gain < limits.share * abs(top.gain)
+
+
+@dataclass(frozen=True)
+class FoundBody:
+    """What all joints together say of one body, or of gravity.
+
+    Attributes
+    ----------
+    term : Term
+        To be added to a model; its numbers bear their standard deviations and are held in fits of single joints.
+    body : str
+        Name of the link; empty for gravity.
+    explained : Explained
+        Values, evidence on the recordings that choose, and what each joint gains.
+    indistinguishable : tuple of str
+        Explanations that predict as well.
+    rejected : tuple of Explained
+        Those that predict worse, the best first.
+    """
+
+    term: Term
+    body: str
+    explained: Explained
+    indistinguishable: tuple[str, ...]
+    rejected: tuple[Explained, ...]
+
+
+@dataclass(frozen=True)
+class BodySearch:
+    """What is wrong with the bodies of a machine: ``model`` is the given one with it; ``tried`` are all explanations of the last round."""
+
+    model: Model
+    found: tuple[FoundBody, ...] = ()
+    tried: tuple[Explained, ...] = ()
+
+
+def find_bodies(
+    fit: Data, choose: Data, model: Model, jobs: int, tell: Progress, limits: BodyLimits = LIMITS
+) -> BodySearch:
+    """Look for wrong bodies: payloads, links, gravity.
+
+    Parameters
+    ----------
+    fit, choose : Data
+        Recordings to fit to, and to choose by.
+    model : Model
+        The given one, in kernel form.
+    jobs : int
+        Threads.
+    tell : callable
+        Receives a sentence at each stage.
+    limits : BodyLimits
+
+    Returns
+    -------
+    BodySearch
+        Proposals: whether they are claimed is decided on recordings that were not touched here.
+    """
+    links = fit.records[0][0].links
+    if links is None or len(links.bodies) < 2:  # a single joint's payload is its inertia and its gravity
+        return BodySearch(model)
+    layout = Layout(model, links)
+    begun = model
+    found: list[FoundBody] = []
+    tried: list[Explained] = []
+    while len(found) < limits.bodies:
+        tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
+        solver = Solver(Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits)
+        tried = explain(solver, hypotheses(model, links))
+        best = tried[0]
+        taken = {(f.term.effect, f.term.joint) for f in found}
+        if not counts(best, solver) or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken:
+            break
+        best = refined(fit, model, layout, best, limits, jobs)
+        if weight_of(choose, layout, best) < limits.least:
+            break
+        same = tuple(e.hypothesis.name for e in tried[1:] if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown")
+        others = tuple(e for e in tried[1:] if e.hypothesis.name not in same and e.gain > 0)
+        term = stated(layout, best)
+        tell(f"bodies: {best.hypothesis.name}")
+        found.append(FoundBody(term, best.hypothesis.body, best, same, others))
+        if "calibration" in same:  # what the body explains is not to be calibrated away
+            held = {key: tuple(replace(q, free=False) for q in items) for key, items in begun.mechanism.items()}
+            begun = replace(begun, mechanism=held)
+        model = begun.with_terms((*begun.terms, *(f.term for f in found)))
+    return BodySearch(model, tuple(found), tuple(tried))
+
+
+def counts(best: Explained, solver: Solver) -> bool:
+    """Whether an explanation is about bodies, and one that the recordings to choose by bear out."""
+    limits = solver.limits
+    return best.hypothesis.of_bodies and best.z > limits.sure and float(best.share.max()) > limits.part
+
+
+def refined(
+    fit: Data, model: Model, layout: Layout, first: Explained, limits: BodyLimits = LIMITS, jobs: int = 1
+) -> Explained:
+    """An explanation estimated again around itself, until its numbers stand; a payload with its own inertia where that shows."""
+    h, values = first.hypothesis, first.values
+    wider = replace(h, free=(*h.free, "inertia")) if h.effect == "payload" else h
+    last = first
+    for _ in range(limits.rounds):
+        here = model.with_terms((*model.terms, layout.term(h, values)))
+        sums = Sums(fit, here, limits, jobs)
+        solver = Solver(sums, sums, layout, limits, layout.place(h, values))
+        new = solver.estimate(h, values)
+        std = solver.std(h, new)
+        if len(wider.free) > len(h.free):
+            more = solver.estimate(wider, np.append(new, 0.0))
+            spread = solver.std(wider, more)
+            told_apart = spread[0] < max(3.0 * std[0], 0.01 * abs(more[0]))
+            if more[-1] > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
+                h, new, std = wider, more, spread
+        known = len(values)
+        stands = len(new) == known and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3
+        last, values = replace(first, hypothesis=h, values=new, std=std), new
+        if stands:
+            break
+    return last
+
+
+def stated(layout: Layout, e: Explained) -> Term:
+    """The term of an explanation, with its standard deviations; no fit of a single joint moves it."""
+    term = layout.term(e.hypothesis, e.values)
+    spread = dict(zip(e.hypothesis.free, e.std.tolist(), strict=True))
+    numbers = {key: replace(q, free=False, std=spread.get(key, 0.0)) for key, q in term.parameters.items()}
+    return Term(term.effect, term.joint, numbers)
+
+
+def weight_of(data: Data, layout: Layout, e: Explained) -> float:
+    """RMS torque of an explanation at the joint where it is largest, as a part of that joint's RMS torque."""
+    term = layout.term(e.hypothesis, e.values)
+    most = 0.0
+    for j in range(layout.joints):
+        total = scale = 0.0
+        for rec in data.records:
+            record = rec[j]
+            assert record.links is not None
+            change = record.links.change([term], j)
+            torque = change.bias + change.inertia * record.others[j, 2]
+            total += float(torque @ torque)
+            scale += record.scale.torque**2 * record.n
+        most = max(most, float(np.sqrt(total / max(scale, 1e-300))))
+    return most
 
 
 def z_of(blocks: Array) -> float:
