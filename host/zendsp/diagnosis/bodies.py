@@ -332,7 +332,8 @@ class Solver:
     def _left(self, x: Array) -> Array:
         """Sum of squares that the fit leaves, per joint."""
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        return np.asarray(np.einsum("ja,jab,jb->j", tail, self.rest, tail))
+        left = np.einsum("ja,jab,jb->j", tail, self.rest, tail)
+        return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))  # less is rounding
 
     def deviance(self, x: Array) -> float:
         """Of the fit, with the noise of each joint profiled out."""
@@ -550,12 +551,12 @@ def find_bodies(
     links = fit.records[0][0].links
     if links is None or len(links.bodies) < 2:  # a single joint's payload is its inertia and its gravity
         return BodySearch(model)
-    layout = Layout(model, links)
     begun = model
     found: list[FoundBody] = []
     tried: list[Explained] = []
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
+        layout = Layout(model, links)
         solver = Solver(Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits)
         tried = explain(solver, hypotheses(model, links))
         best = tried[0]

@@ -171,9 +171,9 @@ class Plant:
     ) -> None:
         if model.kind not in KINDS:
             raise ModelError(f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected {', '.join(KINDS)}")
+        model = with_bodies(model)
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
-        model = with_bodies(model)
         self.model, self.samples, self.period, self.inner = model, int(samples), float(model.sample_time), int(inner)
         self.native: SimulatorLibrary = simulator_library()
         self._keep: list[Any] = []
