@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.assemble import Assembled, assemble
+from zendsp.diagnosis.assemble import Assembled, assemble, merge
+from zendsp.diagnosis.bodies import find_bodies
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.decide import Decision, decide
+from zendsp.diagnosis.decide_bodies import decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.detectable import detectable
 from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.findings import file_model, kernel_model
@@ -128,7 +130,13 @@ def _diagnose(
     notes += check_motion(everything, given, names)
     notes += check_excitation(fit)
     tell("calibrating the given model")
-    searches, decisions, whole = _explain(parts, given, given, jobs, tell)
+    bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
+    beneath = bodies.model
+    searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+    claims = decide_bodies(parts, bodies, decisions, jobs)
+    if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
+        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims)))
+        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     tell("looking for what passes fast")
     fine = [
         ripple
@@ -137,9 +145,14 @@ def _diagnose(
         for ripple in fine_ripples(parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs)
     ]
     if fine:  # a ripple that nobody models lends itself to effects that are not there: search again upon it
-        beneath = given.with_terms((*given.terms, *(fixed(ripple.term) for ripple in fine)))
+        beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
-    findings, refinements, rejected = name_findings(parts.test, given, decisions, whole)
+    if claims:
+        claims, improved = settled(parts, claims, whole.improved, jobs)
+        bases = [calibrate_joint(parts.fit, given, joint, jobs) for joint in range(1, given.joints + 1)]
+        whole = replace(whole, improved=improved, calibrated=merge(given, bases))
+    findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
+    rejected = (*rejected_bodies(bodies.tried, claims), *rejected)
     findings += tuple(ripple.finding for ripple in fine)
     kinds = {d.kind for d in decisions}
     verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"

@@ -134,6 +134,10 @@ class Links:
     gravity: Array
     motion: Array  # (joints, 3, n): q, qd, qdd
 
+    def __reduce__(self) -> tuple[type[Links], tuple[tuple[Body, ...], Array, Array]]:
+        """To another process goes what the rest follows from."""
+        return Links, (self.bodies, self.gravity, self.motion)
+
     @cached_property
     def _moved(self) -> LinkMotion:
         q, qd, qdd = (np.ascontiguousarray(self.motion[:, i].T) for i in range(3))
