@@ -43,6 +43,7 @@ class BodyLimits:
     part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
     least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
     bodies: int = 3  # at most so many wrong bodies
+    same: float = 0.02  # m from a link's centre of mass: what it carries there is its own
     reach: float = 1.0  # m: farther from its link's origin nothing is carried
     gain: float = 0.5  # no actuator gives half as much again, or half
     step: float = 1e-6  # relative, of numerical derivatives
@@ -94,9 +95,7 @@ class Hypothesis:
         """Name for a list of what cannot be told apart."""
         if self.effect == "torque_gain":
             return f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
-        place = f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else ""
-        what = f" ({', '.join(self.free)})" if self.effect == "body" else ""
-        return self.effect + what + place
+        return self.effect + (f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else "")
 
 
 @dataclass(frozen=True)
@@ -289,6 +288,7 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
         if b.mass > 0:
             out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
             out.append(Hypothesis("body", k + 1, b.name, COM, COST["body"] + 3))
+            out.append(Hypothesis("body", k + 1, b.name, ("mass", *COM), COST["body"] + 4))
     if any(b.mass > 0 for b in links.bodies) and np.any(links.gravity):
         out.append(Hypothesis("base_tilt", free=("angle_x", "angle_y"), cost=COST["base_tilt"] + 2))
         out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))
@@ -563,11 +563,13 @@ def find_bodies(
         taken = {(f.term.effect, f.term.joint) for f in found}
         if not counts(best, solver) or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken:
             break
-        best = refined(fit, model, layout, best, limits, jobs)
+        best = refined(fit, model, layout, own_mass(best, tried, links, limits), limits, jobs)
         if weight_of(choose, layout, best) < limits.least:
             break
-        same = tuple(e.hypothesis.name for e in tried[1:] if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown")
-        others = tuple(e for e in tried[1:] if e.hypothesis.name not in same and e.gain > 0)
+        h = best.hypothesis
+        alike = [e.hypothesis for e in tried if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown"]
+        same = tuple(dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint)))
+        others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
         term = stated(layout, best)
         tell(f"bodies: {best.hypothesis.name}")
         found.append(FoundBody(term, best.hypothesis.body, best, same, others))
@@ -584,12 +586,27 @@ def counts(best: Explained, solver: Solver) -> bool:
     return best.hypothesis.of_bodies and best.z > limits.sure and float(best.share.max()) > limits.part
 
 
+def own_mass(best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits) -> Explained:
+    """The wrong mass of a link in place of a body that sits at its centre of mass."""
+    h = best.hypothesis
+    if "mass" not in h.free or h.free == ("mass",):
+        return best
+    body = links.bodies[h.joint - 1]
+    known = dict(zip(h.free, best.values.tolist(), strict=True))
+    mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])
+    away = com - body.com if h.effect == "payload" else com * (body.mass + mass) / (mass or 1e-12)
+    if abs(mass) > 0.5 * body.mass or float(np.linalg.norm(away)) > limits.same:
+        return best
+    plain = [e for e in tried if (e.hypothesis.effect, e.hypothesis.joint, e.hypothesis.free) == ("body", h.joint, ("mass",))]
+    return plain[0] if plain else best
+
+
 def refined(
     fit: Data, model: Model, layout: Layout, first: Explained, limits: BodyLimits = LIMITS, jobs: int = 1
 ) -> Explained:
-    """An explanation estimated again around itself, until its numbers stand; a payload with its own inertia where that shows."""
+    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia of its own where that shows."""
     h, values = first.hypothesis, first.values
-    wider = replace(h, free=(*h.free, "inertia")) if h.effect == "payload" else h
+    wider = replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
     last = first
     for _ in range(limits.rounds):
         here = model.with_terms((*model.terms, layout.term(h, values)))
@@ -601,7 +618,7 @@ def refined(
             more = solver.estimate(wider, np.append(new, 0.0))
             spread = solver.std(wider, more)
             told_apart = spread[0] < max(3.0 * std[0], 0.01 * abs(more[0]))
-            if more[-1] > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
+            if abs(more[-1]) > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
                 h, new, std = wider, more, spread
         known = len(values)
         stands = len(new) == known and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3

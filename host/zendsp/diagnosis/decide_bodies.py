@@ -157,7 +157,10 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
         return f"{link} carries {number(values['mass'])} that the model lacks, with its centre at {where} in the link's frame."
     if effect == "base_tilt":
         about_x, about_y = (number(values[key]) for key in ("angle_x", "angle_y"))
-        return f"The base is tilted by {about_x} about its x axis and by {about_y} about its y axis."
+        return (
+            f"Gravity does not point where the model says: it is turned by {about_x} about the base's x axis and by"
+            f" {about_y} about its y axis, as on a tilted base."
+        )
     if "mass" in values:
         return f"{link} has another mass than the model says: the difference is {number(values['mass'])}."
     return f"{link} has its centre of mass elsewhere than the model says: the difference is ({centre}) m."

@@ -42,13 +42,13 @@ def body_terms(model: Model) -> tuple[Term, ...]:
 
 
 def turned_gravity(gravity: Array, terms: Sequence[Term]) -> Array:
-    """Gravity in the frame of a base that ``base_tilt`` has turned about its x axis, then about its y axis."""
+    """Gravity as ``base_tilt`` turns it: about the base's x axis, then about its y axis."""
     for term in terms:
         if term.effect == "base_tilt":
             x, y = term.value("angle_x"), term.value("angle_y")
             about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
             about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
-            gravity = (about_y @ about_x).T @ gravity
+            gravity = about_y @ about_x @ gravity
     return gravity
 
 

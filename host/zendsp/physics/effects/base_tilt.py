@@ -8,14 +8,17 @@ EFFECT = Effect(
     name="base_tilt",
     site="body",
     parameters=(
-        Parameter("angle_x", "angle", lower=-1.6, upper=1.6, default=0.0, meaning="of the base about its x axis"),
+        Parameter("angle_x", "angle", lower=-1.6, upper=1.6, default=0.0, meaning="of gravity about the base's x axis"),
         Parameter("angle_y", "angle", lower=-1.6, upper=1.6, default=0.0, meaning="then about its y axis"),
     ),
     c="",
-    sentence="The base is tilted by {angle_x} about its x axis and {angle_y} about its y axis.",
+    sentence=(
+        "Gravity does not point where the model says: it is turned by {angle_x} about the base's x axis and by"
+        " {angle_y} about its y axis."
+    ),
     experiment=(
         "Lay a spirit level on the base, or hold the arm still in poses all around it."
     ),
-    equation="g in the base's frame = (Ry(ay) Rx(ax))ᵀ g",
+    equation="g = Ry(angle_y) Rx(angle_x) g₀, in the base's frame",
     rivals=("body", "gravity", "torque_offset"),
 )  # fmt: skip
