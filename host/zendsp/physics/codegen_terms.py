@@ -33,6 +33,7 @@ _WHY_NOT = {
     "lag": "a torque cannot come sooner: lower the bandwidth, or predict the reference",
     "delay": "a torque cannot come sooner: lower the bandwidth, or predict the reference",
     "encoder_eccentricity": "it is in the sensor: correct the measured angle",
+    **dict.fromkeys(("payload", "body", "base_tilt"), "it acts on all joints: the improved model in C has it (zendsp model2c)"),
 }
 
 
