@@ -23,6 +23,7 @@ from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.findings import file_model, kernel_model
 from zendsp.diagnosis.fine import fine_ripples, fixed
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.inertia import inertia_ranges
 from zendsp.diagnosis.naming import left_over, name_findings
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.propose import propose
@@ -131,11 +132,13 @@ def _diagnose(
     notes += check_excitation(fit)
     tell("calibrating the given model")
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
-    beneath = bodies.model
+    beneath, bare = bodies.model, parts
+    parts = _with_bodies(bare, beneath)
     searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims)))
+        parts = _with_bodies(bare, beneath)
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     tell("looking for what passes fast")
     fine = [
@@ -149,7 +152,7 @@ def _diagnose(
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
-        bases = [calibrate_joint(parts.fit, given, joint, jobs) for joint in range(1, given.joints + 1)]
+        bases = [calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)]
         whole = replace(whole, improved=improved, calibrated=merge(given, bases))
     findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
     rejected = (*rejected_bodies(bodies.tried, claims), *rejected)
@@ -229,6 +232,11 @@ def _explain(
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
     known = tuple(t for t in whole.calibrated.terms if t not in added)
     return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
+
+
+def _with_bodies(parts: Parts, model: Model) -> Parts:
+    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are known."""
+    return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
 
 
 def _search(
