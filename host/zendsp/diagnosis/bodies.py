@@ -10,7 +10,7 @@ again around itself, so that what a body does to the inertia is exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -233,7 +233,7 @@ class Layout:
     """Where the numbers of a hypothesis stand among the columns."""
 
     def __init__(self, model: Model, links: Links) -> None:
-        self.links, self.keys = links, calibrated(model)
+        self.model, self.links, self.keys = model, links, calibrated(model)
         self.given = np.array([model.mechanism[key][0].value for key in self.keys])
         self.joints = len(links.bodies)
         self.tilt = NUISANCE + 10 * self.joints
@@ -309,25 +309,35 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
 class Solver:
     """Linear fits of hypotheses to the recordings that fit, and their evidence on those that choose.
 
-    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis.
+    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis; ``aside`` are the joints (1-based)
+    whose own gain and functions of position are nuisance too, since they have a fault of their own.
     """
 
     def __init__(
-        self, fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits = LIMITS, origin: Array | None = None
+        self,
+        fit: Sums,
+        choose: Sums,
+        layout: Layout,
+        limits: BodyLimits = LIMITS,
+        origin: Array | None = None,
+        aside: Collection[int] = (),
     ) -> None:
         self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
-        whole = fit.whole
-        n = NUISANCE
-        self.eliminate = np.stack([-_solve(g[:n, :n], g[:n, n:]) for g in whole])  # nuisance = eliminate @ (x, 1)
-        self.rest = np.stack([g[n:, n:] + g[n:, :n] @ e for g, e in zip(whole, self.eliminate, strict=True)])
+        whole, n = fit.whole, NUISANCE
+        free, own = list(range(n)), list(range(layout.own, layout.width))
+        self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))  # (x, 1) with the best nuisance
+        self.complete[:, n:] = np.eye(layout.width + 1 - n)
+        for j, g in enumerate(whole):
+            out = free + own if j + 1 in aside else free
+            self.complete[j, out] -= _solve(g[np.ix_(out, out)], g[out, n:])
+        self.rest = np.einsum("jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True)
         self.counts = fit.counts.sum(axis=1)
 
     def _full(self, x: Array) -> Array:
         """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints, width + 1)."""
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
-        head = np.einsum("jab,jb->ja", self.eliminate, tail)
-        return np.concatenate([head, tail], axis=1)
+        return np.asarray(np.einsum("jab,jb->ja", self.complete, tail))
 
     def _left(self, x: Array) -> Array:
         """Sum of squares that the fit leaves, per joint."""
@@ -419,8 +429,9 @@ class Solver:
             return np.zeros(0)
         x, jac = self._linear(h, values)
         full, weight = self._full(x), self.counts / np.maximum(self._left(x), 1e-300)
-        sense = np.concatenate([np.einsum("jab,jbp->jap", self.eliminate[:, :, :-1], jac), jac], axis=1)
-        scores = np.einsum("j,jap,jkab,jb->kp", weight, sense, self.fit.grams[:, :, :-1], full)
+        sense = np.einsum("jab,jbp->jap", self.complete[:, :, :-1], jac)
+        force = np.einsum("jkab,jb->jka", self.fit.grams, full)
+        scores = np.einsum("j,jap,jka->kp", weight, sense, force)
         normal = np.einsum("j,jap,jab,jbq->pq", weight, jac, self.rest[:, :-1, :-1], jac)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         paired = scores[:-1].T @ scores[1:]
@@ -453,7 +464,7 @@ def _solve(a: Array, b: Array) -> Array:
 def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
     """All hypotheses after their linear fits, the best first.
 
-    Those that predict as well as the best one are ordered by what they cost; then all others by their gain.
+    Those that predict as well as the best one that is sure are ordered by what they cost; then all others by their gain.
     """
     nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
     none, before = solver.points(nothing), solver.squares(nothing)
@@ -470,7 +481,8 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
         out.append(
             Explained(h, values, solver.std(h, values), float(blocks.sum()), z_of(blocks), 0.0, gain.sum(axis=1), blocks, share)
         )
-    top = max(out, key=lambda e: e.gain)
+    sure = [e for e in out if e.z > solver.limits.sure]
+    top = max(sure or out, key=lambda e: e.gain)
     out = [replace(e, behind=z_of(top.blocks - e.blocks) if e is not top else 0.0) for e in out]
     ties = [e for e in out if tied(e, top, solver.limits)]
     ties.sort(key=lambda e: (_cost(e, solver), -e.gain))
@@ -508,6 +520,8 @@ class FoundBody:
         Explanations that predict as well.
     rejected : tuple of Explained
         Those that predict worse, the best first.
+    aside : frozenset of int
+        Joints (1-based) with a fault of their own that is larger.
     """
 
     term: Term
@@ -515,6 +529,7 @@ class FoundBody:
     explained: Explained
     indistinguishable: tuple[str, ...]
     rejected: tuple[Explained, ...]
+    aside: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -557,13 +572,12 @@ def find_bodies(
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
-        solver = Solver(Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits)
-        tried = explain(solver, hypotheses(model, links))
+        solver, tried, aside = _round(Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits)
         best = tried[0]
         taken = {(f.term.effect, f.term.joint) for f in found}
         if not counts(best, solver) or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken:
             break
-        best = refined(fit, model, layout, own_mass(best, tried, links, limits), limits, jobs)
+        best = refined(fit, model, layout, own_mass(best, tried, links, limits), limits, jobs, aside)
         if weight_of(choose, layout, best) < limits.least:
             break
         h = best.hypothesis
@@ -572,12 +586,27 @@ def find_bodies(
         others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
         term = stated(layout, best)
         tell(f"bodies: {best.hypothesis.name}")
-        found.append(FoundBody(term, best.hypothesis.body, best, same, others))
+        found.append(FoundBody(term, best.hypothesis.body, best, same, others, aside))
         if "calibration" in same:  # what the body explains is not to be calibrated away
             held = {key: tuple(replace(q, free=False) for q in items) for key, items in begun.mechanism.items()}
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found)))
     return BodySearch(model, tuple(found), tuple(tried))
+
+
+def _round(
+    fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
+) -> tuple[Solver, list[Explained], frozenset[int]]:
+    """All explanations, the best first, once joints with a larger fault of their own are set aside."""
+    everything = hypotheses(layout.model, layout.links)
+    aside: set[int] = set()
+    while True:
+        solver = Solver(fit, choose, layout, limits, aside=aside)
+        tried = explain(solver, [h for h in everything if h.of_bodies or h.joint not in aside])
+        best = tried[0]
+        if best.hypothesis.of_bodies or not best.hypothesis.joint or best.z < limits.sure:
+            return solver, tried, frozenset(aside)
+        aside.add(best.hypothesis.joint)
 
 
 def counts(best: Explained, solver: Solver) -> bool:
@@ -602,7 +631,13 @@ def own_mass(best: Explained, tried: Sequence[Explained], links: Links, limits: 
 
 
 def refined(
-    fit: Data, model: Model, layout: Layout, first: Explained, limits: BodyLimits = LIMITS, jobs: int = 1
+    fit: Data,
+    model: Model,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits = LIMITS,
+    jobs: int = 1,
+    aside: Collection[int] = (),
 ) -> Explained:
     """An explanation estimated again around itself, until its numbers stand; a mass with an inertia of its own where that shows."""
     h, values = first.hypothesis, first.values
@@ -611,7 +646,7 @@ def refined(
     for _ in range(limits.rounds):
         here = model.with_terms((*model.terms, layout.term(h, values)))
         sums = Sums(fit, here, limits, jobs)
-        solver = Solver(sums, sums, layout, limits, layout.place(h, values))
+        solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
         new = solver.estimate(h, values)
         std = solver.std(h, new)
         if len(wider.free) > len(h.free):
