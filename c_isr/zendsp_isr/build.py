@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.resources
+import importlib.util
 import json
 import os
 import shutil
@@ -22,6 +23,7 @@ from zendsp_isr.compiler import Compiler, Message, find_compiler, run_compiler
 from zendsp_protocol.errors import CompileFailed
 
 BASE_FLAGS = ("-std=gnu11", "-O2", "-g", "-ffp-contract=off", "-Wall", "-Wextra")
+_MODELS = (".xml", ".mjcf", ".urdf")  # what MuJoCo reads
 _KEPT = 1000  # compiled results of one kind
 _ABANDONED_S = 3600.0
 _SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now")
@@ -257,7 +259,7 @@ def build_machine(machine: str) -> Path:
     Parameters
     ----------
     machine : str
-        For example ``"imi_planar"`` or ``"/home/me/my_arm.c"``.
+        For example ``"imi_planar"``, ``"/home/me/my_arm.c"``, or ``"arm.xml"``: a model that MuJoCo reads.
 
     Returns
     -------
@@ -266,7 +268,7 @@ def build_machine(machine: str) -> Path:
     Raises
     ------
     CompileFailed
-        No such machine, or it does not compile.
+        No such machine, or it does not compile; or a model without MuJoCo.
 
     Examples
     --------
@@ -274,14 +276,73 @@ def build_machine(machine: str) -> Path:
     '.so'
     """
     root = source_root()
+    if is_model(machine):
+        return _build_mujoco(machine)
     path = Path(machine) if machine.endswith(".c") else root / "machines" / f"{machine}.c"
     if not path.is_file():
         names = ", ".join(machine_names())
-        raise CompileFailed(f"no machine {machine!r}: choose one of {names}, or give the path of a .c file")
+        raise CompileFailed(f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a MuJoCo model (.xml)")
     include = [root / "include", root / "machines"]
     if path.parent.resolve() != (root / "machines").resolve():
         include.append(path.parent.resolve())
     return _trusted(f"machine {path.name}", build("machine", {path.name: path.read_bytes()}, include))
+
+
+def is_model(machine: str) -> bool:
+    """Whether a machine is given as a file that MuJoCo reads.
+
+    Parameters
+    ----------
+    machine : str
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> is_model("arm.xml"), is_model("imi_planar")
+    (True, False)
+    """
+    return Path(machine).suffix.lower() in _MODELS
+
+
+def machine_title(machine: str) -> str:
+    """Name of a machine for people and for keys: a shipped one's own, else that of its file.
+
+    Parameters
+    ----------
+    machine : str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> machine_title("robots/my_arm.xml")
+    'my_arm'
+    """
+    return Path(machine).stem if machine.endswith(".c") or is_model(machine) else machine
+
+
+def _build_mujoco(machine: str) -> Path:
+    """The machine that runs any model, linked to MuJoCo's library of the installed package; Python loads nothing of it."""
+    if not Path(machine).is_file():
+        raise CompileFailed(f"{machine}: no such file: give the path of a MuJoCo model")
+    found = importlib.util.find_spec("mujoco")
+    folders = found.submodule_search_locations if found is not None else None
+    package = Path(next(iter(folders))) if folders else None
+    libraries = sorted(package.glob("libmujoco.so*")) if package is not None else []
+    if package is None or not libraries:
+        raise CompileFailed(f"{machine}: a MuJoCo model needs mujoco on the target: pip install 'zendsp[mujoco]'")
+    root = source_root()
+    source = root / "machines" / "mujoco" / "mujoco_machine.c"
+    include = [root / "include", root / "machines", package / "include", package]
+    link = (f"-L{package}", f"-l:{libraries[-1].name}", f"-Wl,-rpath,{package}", "-lm")
+    return _trusted(
+        "machine for MuJoCo models", build("machine", {source.name: source.read_bytes()}, include, libraries=link)
+    )
 
 
 def machine_names() -> tuple[str, ...]:

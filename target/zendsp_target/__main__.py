@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from zendsp_isr.build import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_target.admission import settle
 from zendsp_target.endpoints import Security
@@ -27,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
         description="Run C control code at a fixed rate against a machine, and serve it over Zenoh.",
         epilog="Example: python -m zendsp_target --machine imi_planar --name imi --rate 1000 --clock real",
     )
-    p.add_argument("--machine", default="imi_planar", help="machine to drive (default: imi_planar)")
+    p.add_argument("--machine", default="imi_planar", help="machine to drive: a shipped one, a .c file, or a MuJoCo model (.xml, .urdf); default: imi_planar")
     p.add_argument("--name", default="", help="name of the target (default: that of the machine)")
     p.add_argument(
         "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate in Hz (default: 1000)"
@@ -70,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users, args.roles)
     listen = args.listen or []
     try:
-        settle(args.name or args.machine, listen, args.connect, security)  # before the machine is touched
+        settle(args.name or machine_title(args.machine), listen, args.connect, security)  # before the machine is touched
         if os.getuid() == 0:
             print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)
@@ -85,6 +86,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     from zendsp_target.runtime import Runtime
 
     keep_large_buffers()
+    name = args.name or machine_title(args.machine)
     runtime = Runtime(
         machine=args.machine,
         rate_hz=args.rate,
@@ -100,16 +102,17 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     try:
         monitor = Monitor(
             runtime,
-            Options(args.name or args.machine, args.machine, listen, args.connect, security, args.managed),
+            Options(name, machine_title(args.machine), listen, args.connect, security, args.managed),
         )
     except BaseException:
         runtime.close()
         raise
-    name = args.name or args.machine
 
     def announce() -> None:
         where = ", ".join(monitor.endpoints)
         text = f"target {name} listens on {where}; Ctrl-C ends it"
+        if runtime.title and not args.json:
+            print(runtime.title, flush=True)
         print(json.dumps({"name": name, "endpoints": monitor.endpoints}) if args.json else text, flush=True)
 
     monitor.run(args.parent, announce)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from zendsp_isr.build import build_machine, build_runner
+from zendsp_isr.build import build_machine, build_runner, is_model
 from zendsp_protocol.errors import Refused
 from zendsp_target import safety
 from zendsp_target.api import CompileResult
@@ -14,6 +14,7 @@ from zendsp_target.change_log import ChangeLog
 from zendsp_target.compile_service import compile_program, program_path
 from zendsp_target.concealed import load_concealed
 from zendsp_target.layout import layout
+from zendsp_target.runner import look_at
 from zendsp_target.session import Session
 from zendsp_target.settings import Settings, split_options
 from zendsp_target.shm import SharedFolder
@@ -48,6 +49,11 @@ class Core:
         build_runner()
         build_machine(machine)  # what does not compile shall say so now, not at the first load
         self._folder = SharedFolder()
+        try:
+            self.title = look_at(self._settings, self._folder.path) if is_model(machine) else ""
+        except BaseException:
+            self._folder.close()
+            raise
         self._lock = threading.RLock()
         self._session: Session | None = None
         self._log = ChangeLog()

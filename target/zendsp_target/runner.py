@@ -13,7 +13,7 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-from zendsp_isr.build import build_machine, build_runner
+from zendsp_isr.build import build_machine, build_runner, is_model
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.layout import layout, set_text, text_of
 from zendsp_target.settings import Settings
@@ -42,7 +42,10 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
     control.priority, control.cpu = settings.priority, settings.cpu
     control.monitor = os.getpid()
     control.spin_us, control.speed = settings.spin_us, settings.speed
-    config = "".join(f"{key} = {value}\n" for key, value in settings.machine_config.items())
+    given = dict(settings.machine_config)
+    if is_model(settings.machine):
+        given |= {"model": os.path.abspath(settings.machine), "clock": settings.clock}
+    config = "".join(f"{key} = {value}\n" for key, value in given.items())
     for name, text in (
         ("data_path", str(data)),
         ("program_path", str(program)),
@@ -53,6 +56,41 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
             set_text(getattr(control, name), text)
         except ValueError as error:
             raise Refused(f"{name.replace('_', ' ')}: {error}") from None
+
+
+def look_at(settings: Settings, folder: Path) -> str:
+    """Open a machine in a process of its own and close it again: what is wrong with it is said before a program is loaded.
+
+    Parameters
+    ----------
+    settings : Settings
+    folder : Path
+        In shared memory.
+
+    Returns
+    -------
+    str
+        What the machine says of itself, one sentence.
+
+    Raises
+    ------
+    Refused
+        It does not open.
+    """
+    ffi, _ = layout()
+    file = SharedFile(folder / "control-look", ffi.sizeof("control"))
+    try:
+        control: Any = file.pointer("control")[0]
+        _fill(control, settings, Path("/dev/null"), file.path)
+        command = [str(build_runner()), "--look", str(file.path)]
+        status = subprocess.run(command, timeout=settings.load_s, check=False).returncode
+        if status != 0:
+            raise Refused(text_of(control.error) or f"the machine {settings.machine} ended the runner with status {status}")
+        return text_of(control.info.text)
+    except subprocess.TimeoutExpired:
+        raise Refused(f"the machine {settings.machine} did not open within {settings.load_s:g} s") from None
+    finally:
+        file.unlink()
 
 
 class RunnerProcess:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import socket
 import threading
 import time
 import weakref
@@ -49,6 +50,23 @@ def test_a_target_is_found_by_name_alone(target: Target) -> None:
         connect("other")
     with pytest.raises(LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"):
         connect("other", connect=target.link.endpoints[0])
+
+
+def test_silent_places_are_waited_for_together(monitor: Monitor) -> None:
+    """Each place that takes a connection and says nothing costs its timeout, once for all of them."""
+    silent = [socket.create_server(("127.0.0.1", 0)) for _ in range(6)]
+    places = [f"tcp/127.0.0.1:{s.getsockname()[1]}" for s in silent]
+    try:
+        times = []
+        for some in (places[:1], places):
+            began = time.monotonic()
+            assert [found.name for found in discover("*", some, timeout=0.7)] == ["fake"]
+            times.append(time.monotonic() - began)
+    finally:
+        for s in silent:
+            s.close()
+    assert times[0] > 0.6, "one is waited for"
+    assert times[1] < 2.5 * times[0], "in turn it were six times that"
 
 
 def test_write_and_read_asynchronously(running: Target) -> None:

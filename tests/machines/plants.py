@@ -13,7 +13,7 @@ import numpy as np
 from zendsp_isr.build import build_machine, source_root
 
 # The first members of `plant` (plant.h), which is the first member of every simulated machine.
-TRUTH = "typedef struct { int joints; double substep, t, q[8], qd[8], z[8]; } truth;"
+TRUTH = "typedef struct { int joints; double substep, t, q[8], qd[8], z[8], integral[8], command[8]; int mode; double current[8]; } truth;"
 OFF, TORQUE, VELOCITY = 0, 1, 2
 
 
@@ -59,6 +59,10 @@ class Plant:
     def qd(self) -> np.ndarray:  # type: ignore[type-arg]
         """True velocities, rad/s."""
         return np.array([self.truth.qd[j] for j in range(self.joints)])
+
+    def truth_current(self, joint: int) -> float:
+        """Torque that the drive of a joint gives, N m."""
+        return float(self.truth.current[joint])
 
     def sample(self, aout: Any, mode: int = TORQUE) -> np.ndarray:  # type: ignore[type-arg]
         """One sample: outputs in mV, conversion, time passes; the encoder positions, rad."""

@@ -33,6 +33,12 @@ void UserBackground(void); /* again and again beneath the loop, which interrupts
 /* An array parameter that keeps the values of its C initialiser. */
 #define PARAMETER_ARRAY(variable, unit, min, max, text) ZENDSP_DECLARE(variable, ZENDSP_PARAMETER, 0, 0.0, unit, min, max, text)
 
+/* The first `count` elements of an array, for programs that fit any machine: count is JOINTS. */
+#define PARAMETER_FIRST(variable, count, unit, min, max, text) \
+    ZENDSP_DECLARE_FIRST(variable, count, ZENDSP_PARAMETER, 0, 0.0, unit, min, max, text)
+#define SIGNAL_FIRST(variable, count, unit, text) \
+    ZENDSP_DECLARE_FIRST(variable, count, ZENDSP_SIGNAL, 0, 0.0, unit, NO_MIN, NO_MAX, text)
+
 /* The host may read, record and plot it. */
 #define SIGNAL(variable, unit, text) ZENDSP_DECLARE(variable, ZENDSP_SIGNAL, 0, 0.0, unit, NO_MIN, NO_MAX, text)
 
@@ -67,6 +73,10 @@ typedef struct table {
 #define READ_POSITION(ch) ((zendsp->enc[(ch)&7] - zendsp->zero_counts[(ch)&7]) / zendsp->counts_per_unit[(ch)&7])
 #define WRITE_TORQUE(ch, tau) (zendsp->aout[(ch)&7] = (tau)*zendsp->mv_per_torque[(ch)&7])
 
+/* What the machine says of a joint: its largest torque, N m (or N), and what it turns, kg m^2 (or kg; 0 where it does not say). */
+#define TORQUE_MAX(ch) (zendsp->torque_max[(ch)&7])
+#define JOINT_INERTIA(ch) (zendsp->inertia[(ch)&7])
+
 /* ---- Time, state, acquisition ---------------------------------------------------------------------------------------------- */
 
 #define SAMPLE_PERIOD (zendsp->period) /* s */
@@ -99,7 +109,7 @@ static inline double TableValue(const table *source, double row, int32_t column)
 
 /* ---- Beneath: how the macros reach the runtime ------------------------------------------------------------------------------ */
 
-enum { ZENDSP_ISR_ABI = 2 }; /* raised when anything below changes; checked at load */
+enum { ZENDSP_ISR_ABI = 3 }; /* raised when anything below changes; checked at load */
 enum { ZENDSP_PARAMETER = 1, ZENDSP_SIGNAL = 2, ZENDSP_TABLE = 3 };
 enum { ZENDSP_DOUBLE = 1, ZENDSP_FLOAT = 2, ZENDSP_INT32 = 3, ZENDSP_BOOL = 4 };
 
@@ -121,6 +131,7 @@ typedef struct zendsp_io {
     int32_t enc[8];
     double adc[8], aout[8];
     double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
+    double torque_max[8], inertia[8];
     int32_t first, reserved;
     void (*declare)(const zendsp_declaration *declaration);
     void (*acquire)(void);
@@ -137,7 +148,14 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
 #define ZENDSP_TYPE(variable)                                                                                                  \
     _Generic((variable), double: ZENDSP_DOUBLE, double *: ZENDSP_DOUBLE, float: ZENDSP_FLOAT, float *: ZENDSP_FLOAT,          \
         int32_t: ZENDSP_INT32, int32_t *: ZENDSP_INT32, bool: ZENDSP_BOOL, bool *: ZENDSP_BOOL)
-#define ZENDSP_DECLARE(variable, kind_, set_, initial_, unit_, min_, max_, text_)                                              \
+#define ZENDSP_DECLARE(variable, kind, set, initial, unit, min, max, text) \
+    ZENDSP_DECLARE_BYTES(variable, sizeof(variable), kind, set, initial, unit, min, max, text)
+#define ZENDSP_DECLARE_FIRST(variable, count, kind, set, initial, unit, min, max, text)                         \
+    ZENDSP_DECLARE_BYTES(variable, sizeof((variable)[0]) * ZENDSP_WITHIN(variable, count), kind, set, initial, unit, min, \
+                         max, text)
+#define ZENDSP_WITHIN(variable, count) \
+    ((size_t)(count) < sizeof(variable) / sizeof((variable)[0]) ? (size_t)(count) : sizeof(variable) / sizeof((variable)[0]))
+#define ZENDSP_DECLARE_BYTES(variable, bytes_, kind_, set_, initial_, unit_, min_, max_, text_)                                \
     zendsp->declare(&(const zendsp_declaration){.name = #variable,                                                             \
                                                 .unit = (unit_),                                                               \
                                                 .text = (text_),                                                               \
@@ -147,7 +165,7 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
                                                 .maximum = (max_),                                                             \
                                                 .kind = (kind_),                                                               \
                                                 .type = ZENDSP_TYPE(variable),                                                 \
-                                                .bytes = (int32_t)sizeof(variable),                                            \
+                                                .bytes = (int32_t)(bytes_),                                                    \
                                                 .set = (set_)})
 
 static inline void zendsp_declare_table(table *variable, const char *name, int32_t capacity, int32_t columns, const char *unit,

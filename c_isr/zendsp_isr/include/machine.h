@@ -18,7 +18,7 @@
 #include <stdint.h> /* fixed-width integers */
 
 enum {
-    MACHINE_ABI = 2,    /* raised when anything below changes */
+    MACHINE_ABI = 3,    /* raised when anything below changes */
     MACHINE_JOINTS = 8, /* most joints a machine may have */
     MACHINE_ADCS = 8,   /* most analog inputs */
     MACHINE_NAME = 32,  /* bytes of a name, with its final zero */
@@ -52,6 +52,7 @@ typedef struct machine_joint {
     double torque_max;          /* N m */
     double home;                /* position where homing ends, rad */
     double length;              /* link length, m; 0 where it has no meaning */
+    double inertia;             /* kg m^2 (or kg) that the joint turns, roughly: gains are begun from it; 0: unknown */
 } machine_joint;
 
 /* What a machine says of itself; open() fills it in. */

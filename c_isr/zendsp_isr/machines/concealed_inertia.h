@@ -53,6 +53,14 @@ static inline void concealed_acceleration(void *self, const double *q, const dou
     }
     for (int k = 0; k < n; k++)
         qdd[k] /= A[k][k];
+    if (c->plant->others) { /* what moves beside the joints feels the reaction: the same answer once more, with dM qdd as a load */
+        for (int i = 0; i < n; i++) {
+            push[i] = torque[i];
+            for (int m = 0; m < n; m++)
+                push[i] -= c->dM[i][m] * qdd[m];
+        }
+        c->acceleration(c->self, q, qd, push, moved);
+    }
 }
 
 #endif

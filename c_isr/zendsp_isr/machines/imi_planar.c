@@ -63,6 +63,7 @@ static void describe(machine_info *info) {
         joint->speed_max = speed_max[j];
         joint->torque_max = torque_max[j];
         joint->length = length[j];
+        joint->inertia = j == 0 ? p1 + 2.0 * p3 : p2;
     }
 }
 
@@ -116,7 +117,7 @@ static void imi_read(void *handle, machine_sensors *sensors) {
     double measured[PLANT_JOINTS];
     plant_measure(&m->plant, measured);
     for (int j = 0; j < 2; j++)
-        sensors->enc[j] = plant_counts(&m->info.joint[j], measured[j]);
+        sensors->enc[j] = plant_counts(&m->plant, &m->info, j, measured[j]);
     sensors->din = m->din;
     sensors->fault = 0;
 }

@@ -126,6 +126,7 @@ static void describe(machine_info *info, int by_voltage) {
     joint->speed_max = 100.0;
     joint->torque_max = torque_max;
     joint->length = 0.170;
+    joint->inertia = inertia;
 }
 
 static void make_plant(pendulum *m, double brake) {
@@ -180,7 +181,7 @@ static void pendulum_read(void *handle, machine_sensors *sensors) {
     double measured[PLANT_JOINTS];
     plant_measure(&m->plant, measured);
     m->current = measured_current(m);
-    sensors->enc[0] = plant_counts(&m->info.joint[0], measured[0]);
+    sensors->enc[0] = plant_counts(&m->plant, &m->info, 0, measured[0]);
     sensors->adc[0] = m->current;
     sensors->adc[1] = m->voltage;
     sensors->din = 0;

@@ -17,10 +17,11 @@
 #ifndef ZENDSP_PLANT_H
 #define ZENDSP_PLANT_H
 
-#include <math.h>   /* exp, ceil */
-#include <string.h> /* memset */
+#include <math.h>   /* exp, ceil, log */
+#include <string.h> /* memcpy */
 
 #include "machine.h"
+#include "machine_config.h"
 
 enum { PLANT_JOINTS = MACHINE_JOINTS };
 
@@ -39,6 +40,14 @@ typedef struct plant_drive {
     double speed_integral;/* N m/rad */
     double brake;         /* N m s/rad with power off (shorted windings) */
 } plant_drive;
+
+/* What stands between numbers and torque, and between motion and numbers. All zero: ideal. */
+typedef struct plant_electronics {
+    double dac_step;                    /* mV, resolution of the analog command */
+    double dac_noise;                   /* mV rms on the analog command, new in every sample */
+    double current_loop;                /* s, time constant of the drive's current loop */
+    double encoder_noise[PLANT_JOINTS]; /* counts rms, of a sensor that is interpolated */
+} plant_electronics;
 
 /* Where concealed effects enter; each may be NULL. All arrays have one entry per joint. */
 typedef struct plant_hooks {
@@ -62,6 +71,9 @@ typedef struct plant {
     double integral[PLANT_JOINTS]; /* rad, of the drive's speed loop */
     double command[PLANT_JOINTS];  /* N m in torque mode, rad/s in velocity mode */
     int mode;                      /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
+    double current[PLANT_JOINTS];  /* N m, torque behind the current loop */
+    uint64_t random;               /* state of the noise: the same seed gives the same noise */
+    plant_electronics electronics;
     plant_friction friction[PLANT_JOINTS];
     plant_drive drive[PLANT_JOINTS];
     double stop_min[PLANT_JOINTS], stop_max[PLANT_JOINTS];         /* rad, rubber stops beyond the position limits */
@@ -69,8 +81,49 @@ typedef struct plant {
     /* Rigid-body law: net joint torque → acceleration. */
     void (*acceleration)(void *self, const double *q, const double *qd, const double *torque, double *qdd);
     void *self;
+    /* What moves beside the joints (may be NULL): stage 0 after the first evaluation, to the middle of the step of h seconds;
+     * stage 1 after the second, to its end. */
+    void (*others)(void *self, int stage, double h);
+    void *others_self;
     plant_hooks hooks;
 } plant;
+
+/* ---- noise ---- */
+
+/* splitmix64 (Steele, Lea, Flood 2014): 2^64 different numbers from any seed; uniform in (0, 1). */
+static inline double plant_uniform(plant *p) {
+    uint64_t z = (p->random += 0x9e3779b97f4a7c15u);
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    z ^= z >> 31;
+    return ((double)(z >> 12) + 0.5) / 4503599627370496.0;
+}
+
+/* Normal with the given standard deviation (Box and Muller 1958). */
+static inline double plant_noise(plant *p, double std) {
+    if (std <= 0.0)
+        return 0.0;
+    const double radius = sqrt(-2.0 * log(plant_uniform(p)));
+    return std * radius * cos(6.283185307179586 * plant_uniform(p));
+}
+
+/* Config keys seed, ideal, dac_bits, dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`.
+ * `range` is the span of the analog output, mV. */
+static inline void plant_equip(plant *p, const char *config, const plant_electronics *usual, double range) {
+    plant_electronics *e = &p->electronics;
+    p->random = (uint64_t)machine_config_double(config, "seed", 1.0);
+    *e = (plant_electronics){0};
+    if (machine_config_double(config, "ideal", 0.0) != 0.0)
+        return;
+    const double bits = machine_config_double(config, "dac_bits", 0.0);
+    e->dac_step = bits > 0.0 ? range / pow(2.0, bits) : usual->dac_step;
+    e->dac_noise = machine_config_double(config, "dac_noise", usual->dac_noise);
+    e->current_loop = machine_config_double(config, "current_loop", usual->current_loop);
+    for (int j = 0; j < p->joints; j++)
+        e->encoder_noise[j] = machine_config_double(config, "encoder_noise", usual->encoder_noise[j]);
+}
+
+/* ---- friction ---- */
 
 /* Sliding level g(qd), N m. */
 static inline double plant_level(const plant_friction *f, double qd) {
@@ -134,10 +187,25 @@ static inline void plant_evaluate(plant *p, double t, const double *q, const dou
     p->acceleration(p->self, q, qd, net, qdd);
 }
 
+/* Torque of the drives behind their current loops, N m: the mean over a step of h seconds. */
+static inline void plant_current_loop(plant *p, double h, double *torque) {
+    const double time = p->electronics.current_loop;
+    for (int j = 0; j < p->joints; j++) {
+        if (time > 0.0) {
+            const double r = h / time, gone = exp(-r), wanted = torque[j];
+            torque[j] = wanted + (p->current[j] - wanted) * (1.0 - gone) / r;
+            p->current[j] = wanted + (p->current[j] - wanted) * gone;
+        } else {
+            p->current[j] = torque[j];
+        }
+    }
+}
+
 /* One integration step of h seconds. */
 static inline void plant_substep(plant *p, double h) {
     double torque[PLANT_JOINTS], qdd[PLANT_JOINTS], qm[PLANT_JOINTS], vm[PLANT_JOINTS], zm[PLANT_JOINTS];
     plant_drive_torque(p, p->qd, torque);
+    plant_current_loop(p, h, torque);
     if (p->hooks.actuator)
         p->hooks.actuator(p->hooks.self, p->t, h, torque);
     plant_evaluate(p, p->t, p->q, p->qd, p->z, torque, qdd);
@@ -146,7 +214,11 @@ static inline void plant_substep(plant *p, double h) {
         qm[j] = p->q[j] + 0.5 * h * p->qd[j];
         zm[j] = plant_bristle(&p->friction[j], vm[j], p->z[j], 0.5 * h);
     }
+    if (p->others)
+        p->others(p->others_self, 0, h);
     plant_evaluate(p, p->t + 0.5 * h, qm, vm, zm, torque, qdd);
+    if (p->others)
+        p->others(p->others_self, 1, h);
     for (int j = 0; j < p->joints; j++) {
         p->z[j] = plant_bristle(&p->friction[j], vm[j], p->z[j], h);
         p->q[j] += h * vm[j];
@@ -179,9 +251,18 @@ static inline void plant_measure(plant *p, double *measured) {
         p->hooks.sensor(p->hooks.self, p->t, measured);
 }
 
-/* Encoder counts of a position: a real encoder counts whole lines passed (floor), not the nearest. */
-static inline int32_t plant_counts(const machine_joint *joint, double position) {
-    return (int32_t)floor(position * joint->counts_per_unit + joint->zero_counts);
+/* Encoder counts of the position of joint j: a real encoder counts whole lines passed (floor), not the nearest. */
+static inline int32_t plant_counts(plant *p, const machine_info *info, int j, double position) {
+    const machine_joint *joint = &info->joint[j];
+    const double noise = plant_noise(p, p->electronics.encoder_noise[j]);
+    return (int32_t)floor(position * joint->counts_per_unit + joint->zero_counts + noise);
+}
+
+/* What the analog output makes of a number, mV. */
+static inline double plant_analog(plant *p, double mv) {
+    const plant_electronics *e = &p->electronics;
+    const double shown = e->dac_step > 0.0 ? e->dac_step * floor(mv / e->dac_step + 0.5) : mv;
+    return shown + plant_noise(p, e->dac_noise);
 }
 
 /* Take over the actuators: mV → N m or rad/s. A drive that changes into velocity mode starts its loop afresh. */
@@ -189,7 +270,7 @@ static inline void plant_command(plant *p, const machine_info *info, const machi
     for (int j = 0; j < p->joints; j++) {
         const machine_joint *joint = &info->joint[j];
         const double scale = a->mode == MACHINE_VELOCITY ? joint->mv_per_speed : joint->mv_per_torque;
-        p->command[j] = a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : a->aout[j] / scale;
+        p->command[j] = a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : plant_analog(p, a->aout[j]) / scale;
         if (a->mode != p->mode)
             p->integral[j] = 0.0;
     }

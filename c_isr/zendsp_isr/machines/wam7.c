@@ -69,6 +69,7 @@ static void describe(machine_info *info) {
         joint->speed_max = speed_max[j];
         joint->torque_max = torque_max[j];
         joint->home = home[j];
+        joint->inertia = about[j];
     }
 }
 
@@ -129,7 +130,7 @@ static void wam_read(void *handle, machine_sensors *sensors) {
     double measured[PLANT_JOINTS];
     plant_measure(&m->plant, measured);
     for (int j = 0; j < WAM7; j++)
-        sensors->enc[j] = plant_counts(&m->info.joint[j], measured[j]);
+        sensors->enc[j] = plant_counts(&m->plant, &m->info, j, measured[j]);
     sensors->din = 0;
     sensors->fault = 0;
 }

@@ -7,6 +7,9 @@
  *     void UserInit(void)     { MotionInit(); … }
  *     void UserISR_INT2(void) { MotionStep(); … q, qd; r, rd, rdd; tau_ff … }
  *
+ * A program for any machine says `#define N JOINTS` and `#define MOTION_MOST 8`: arrays then have eight elements, of which the
+ * host sees those of the machine.
+ *
  * The host downloads the table `ref`, one row a step, N columns of positions (the q of a reference file), and with it, if the
  * program wants a torque as well, `ref_tau`. Both in one synchronous update; the motion begins when they switch over, when `play`
  * changes, or when the drives come on: from where the machine stands, over `approach_time`, into the first row. Between rows the
@@ -19,6 +22,9 @@
 
 #ifndef N
 #error "define N, the number of joints, before #include \"motion.h\""
+#endif
+#ifndef MOTION_MOST
+#define MOTION_MOST N /* elements of the arrays */
 #endif
 #ifndef MOTION_CUTOFF
 #define MOTION_CUTOFF 80.0 /* Hz, initial value of the velocity filter */
@@ -38,15 +44,15 @@ static bool use_table, hold;
 static int32_t row_rate, play;
 static double approach_time, cutoff;
 
-static double q[N], qd[N];         /* measured, rad and rad/s */
-static double r[N], rd[N], rdd[N]; /* reference */
-static double e[N], tau_ff[N];     /* r - q; torque of the reference, N m */
-static double play_time;           /* s since the first row; negative while approaching */
+static double q[MOTION_MOST], qd[MOTION_MOST];                   /* measured, rad and rad/s */
+static double r[MOTION_MOST], rd[MOTION_MOST], rdd[MOTION_MOST]; /* reference */
+static double e[MOTION_MOST], tau_ff[MOTION_MOST];               /* r - q; torque of the reference, N m */
+static double play_time; /* s since the first row; negative while approaching */
 static bool playing;
 
 static struct motion {
     bool tabled;    /* use_table, as it was */
-    double last[N], start[N], t0; /* positions one sample ago and at the beginning, and when that was */
+    double last[MOTION_MOST], start[MOTION_MOST], t0; /* positions one sample ago and at the beginning, and when that was */
     double pace; /* of the reference's time: 1 runs, 0 stands */
     uint32_t seen;
     int32_t played;
@@ -60,13 +66,13 @@ static inline void MotionInit(void) {
     PARAMETER(cutoff, MOTION_CUTOFF, "Hz", 1.0, 1000.0, "velocity filter");
     TABLE(ref, MOTION_ROWS, N, "rad", "reference positions, one row a step");
     TABLE(ref_tau, MOTION_ROWS, N, "N m", "torque that goes with them");
-    SIGNAL(q, "rad", "positions");
-    SIGNAL(qd, "rad/s", "velocities, filtered");
-    SIGNAL(r, "rad", "reference");
-    SIGNAL(rd, "rad/s", "its velocity");
-    SIGNAL(rdd, "rad/s^2", "its acceleration");
-    SIGNAL(e, "rad", "errors r - q");
-    SIGNAL(tau_ff, "N m", "torque of the reference");
+    SIGNAL_FIRST(q, N, "rad", "positions");
+    SIGNAL_FIRST(qd, N, "rad/s", "velocities, filtered");
+    SIGNAL_FIRST(r, N, "rad", "reference");
+    SIGNAL_FIRST(rd, N, "rad/s", "its velocity");
+    SIGNAL_FIRST(rdd, N, "rad/s^2", "its acceleration");
+    SIGNAL_FIRST(e, N, "rad", "errors r - q");
+    SIGNAL_FIRST(tau_ff, N, "N m", "torque of the reference");
     SIGNAL(play_time, "s", "time in the reference");
     SIGNAL(playing, "", "true from the first row to the last");
 }

@@ -2,6 +2,7 @@
  *
  *     runner CONTROL          run
  *     runner --safe CONTROL   put the machine of a crashed runner into its safe state, and end
+ *     runner --look CONTROL   open the machine, leave what it says of itself in CONTROL, and end
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>    /* dlopen */
@@ -123,6 +124,8 @@ static void prepare_io(runner *r) {
         r->io.counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
         r->io.zero_counts[j] = joint->zero_counts;
         r->io.mv_per_torque[j] = joint->mv_per_torque;
+        r->io.torque_max[j] = joint->torque_max;
+        r->io.inertia[j] = joint->inertia;
     }
 }
 
@@ -181,12 +184,24 @@ static int make_safe(const char *path) {
     return 0;
 }
 
+static int look(const char *path) {
+    runner *r = &the_runner;
+    r->control = map_control(path);
+    if (!r->control || open_machine(r) != 0)
+        return 1;
+    if (r->machine->close)
+        r->machine->close(r->handle);
+    return 0;
+}
+
 int main(int count, char **arguments) {
     runner *r = &the_runner;
     if (count == 3 && strcmp(arguments[1], "--safe") == 0)
         return make_safe(arguments[2]);
+    if (count == 3 && strcmp(arguments[1], "--look") == 0)
+        return look(arguments[2]);
     if (count != 2) {
-        fprintf(stderr, "usage: runner [--safe] CONTROL\n");
+        fprintf(stderr, "usage: runner [--safe | --look] CONTROL\n");
         return 2;
     }
     r->control = map_control(arguments[1]);

@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "tui": ("zendsp.cli.tui:command", "Console, Execute and Reference in the terminal, or in a browser."),
     "rehearse": ("zendsp.cli.rehearse:command", "Try a planned motion on a simulated twin; nothing moves."),
     "simulate": ("zendsp.cli.simulate:command", "Run a control program against a model of the machine, here."),
+    "model": ("zendsp.cli.model:command", "Begin a model file from a recording; check one."),
     "model2c": ("zendsp.cli.codegen:command", "Turn a model into C for control programs."),
     "experiment": ("zendsp.cli.experiment:command", "Measure a machine: friction, motor, tracking; all results in one report."),
     "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),

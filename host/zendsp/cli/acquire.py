@@ -15,7 +15,7 @@ PICTURES = (".png", ".svg", ".pdf")
 @click.argument("channels", nargs=-1, required=True)
 @click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help=".mat, .npz, .parquet or .csv."
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help=".mat, .npz, .parquet, .csv, .mcap or .mf4."
 )
 @click.option("--decimation", type=int, default=1, show_default=True, help="Every how many samples a row.")
 @click.option("--trigger", metavar="SOURCE", help="Wait until this variable crosses --level.")

@@ -46,7 +46,7 @@ FALSE_DISCOVERIES = 0.05  # of what is claimed, at most so much is nothing: e-va
 LAW_ERROR = 0.03  # no law describes its own mechanism better than to so much of its size
 LEFT_BY_A_LAW = 0.2  # of a mechanism's size, as a function of its own variables: a law that leaves more is none
 OWN_SHARE = 0.1  # of the explainable mismatch: a second law of one mechanism below is a refinement
-MACHINE = 0.03  # of the RMS torque: slow random torques that every machine has
+MACHINE = 0.025  # of the RMS torque: below, slow random torques that every machine has
 OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physics, whatever its name
 TIED = 0.05  # probability above which a law is still in the race
 DRAWS = 400  # of the Bayesian bootstrap
@@ -135,8 +135,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     if new:
         pieces = [_piece(parts.test, given, final, joint, key, terms, jobs) for key, terms in _grouped(given, final.model, new).items()]
         pieces.sort(key=lambda p: -p.size)
-        after = discrepancy(parts.test, final.model, joint)
-        claimed, rest = _claimed(pieces, after, parts.test.joints)
+        claimed, rest = _claimed(parts, given, final, joint, pieces)
         if claimed:
             decision = _named(parts, given, search, final, claimed, rest, before, jobs, tell)
             if decision.claims:
@@ -170,9 +169,7 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
     """The model without some terms, with those of the given model that they had replaced, fitted again."""
     gone = {id(t) for t in terms}
     kept = tuple(t for t in final.model.terms if id(t) not in gone)
-    mechanisms = {mechanism_of(t.effect) for t in terms}
-    friction = {"dry_friction", "fluid_friction"}
-    wanted = mechanisms | (friction if mechanisms & friction else set())
+    wanted = {m for t in terms for m in _kind(mechanism_of(t.effect))}
     have = [t.effect for t in kept if t.joint == joint]
     back = []
     for term in given.at(joint):
@@ -231,17 +228,43 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
     return worst
 
 
-def _claimed(pieces: Sequence[Piece], after: Size, joints: int) -> tuple[list[Piece], list[Piece]]:
-    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of their size."""
-    needed = math.log(joints * len(LAWS_OF) / FALSE_DISCOVERIES)
+def _claimed(
+    parts: Parts, given: Model, final: Scored, joint: int, pieces: Sequence[Piece]
+) -> tuple[list[Piece], list[Piece]]:
+    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of their size.
+
+    What a mechanism gives must be more than what stays unexplained in its own variables, and more than the laws of
+    the larger ones of its kind, found or given, may be wrong by.
+    """
+    needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
+    learn = together(parts.fit, parts.choose)
+    after = discrepancy(parts.test, final.model, joint).value
     claimed: list[Piece] = []
     rest: list[Piece] = []
     for piece in pieces:
+        left = after
+        if piece.mechanism in STRUCTURED:
+            left = min(after, structure(learn, parts.test, final.model, joint, [piece.mechanism]).size)
         larger = max((p.size for p in claimed), default=0.0)
-        beyond = math.hypot(after.value, LAW_ERROR * larger)
+        kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
+        if kept_laws:
+            apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
+            larger = max(larger, difference(parts.test, apart, final.model, joint))
         sure = piece.log_e > needed and piece.evidence.z > 2.0
-        (claimed if sure and piece.size > beyond else rest).append(piece)
+        (claimed if sure and piece.size > math.hypot(left, LAW_ERROR * larger) else rest).append(piece)
     return claimed, rest
+
+
+def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
+    """Terms of the given model at a joint that are of a mechanism's kind and still stand in the final one."""
+    new = new_terms(given, final, joint)
+    return [t for t in final.at(joint) if not any(t is n for n in new) and mechanism_of(t.effect) in _kind(mechanism)]
+
+
+def _kind(mechanism: str) -> frozenset[str]:
+    """Mechanisms that are functions of the same variables."""
+    friction = frozenset({"dry_friction", "fluid_friction"})
+    return friction if mechanism in friction else frozenset({mechanism})
 
 
 # --- by which law
@@ -277,7 +300,8 @@ def _named(
                 own.append(other)
             else:
                 refinements.append(_plain(other))
-        poor = left is not None and left.z > SURE and left.size > LEFT_BY_A_LAW * piece.size and left.size > OF_STATE
+        kin = max(p.size for p in claimed if p.mechanism in _kind(piece.mechanism))  # a larger law's error is no lack of this one
+        poor = left is not None and left.z > SURE and left.size > LEFT_BY_A_LAW * kin and left.size > OF_STATE
         if poor or len(own) >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
             claims.append(replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0}))
@@ -402,12 +426,11 @@ def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
             have.remove(old.effect)
         else:
             gone.append(old.effect)
-    friction = {"dry_friction", "fluid_friction"}
     own = mechanism_of(term.effect)
-    kin = friction if own in friction else {own}
-    rubs = [t for t in new_terms(given, final, joint) if mechanism_of(t.effect) in friction]
-    mine = [e for e in gone if mechanism_of(e) in kin]
-    if own in friction and len(rubs) > 1:  # each stands for its own kind where both are new
+    kind = _kind(own)
+    rubs = [t for t in new_terms(given, final, joint) if mechanism_of(t.effect) in kind]
+    mine = [e for e in gone if mechanism_of(e) in kind]
+    if len(kind) > 1 and len(rubs) > 1:  # each stands for its own kind where both are new
         exact = [e for e in mine if mechanism_of(e) == own]
         others = {mechanism_of(t.effect) for t in rubs if t is not term}
         mine = exact + [e for e in mine if mechanism_of(e) not in others and e not in exact]
@@ -424,16 +447,16 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     state = structure(learn, parts.test, base.model, joint, STRUCTURED)
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
-    if before.low > OF_STATE:
+    of_state = state.size > OF_STATE and state.z > SURE
+    if before.low > OF_STATE and state.share < MOST:
         here = bursts(parts.held, base.model, joint)
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)
-    of_state = state.size > OF_STATE and state.z > SURE
     if of_state:
         claim = _without_law(parts, learn, search, state)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    if of_state or before.low > MACHINE:
+    if of_state or before.value > MACHINE:
         return replace(out, kind="unexplained")
     return out
 
@@ -453,12 +476,11 @@ def _without_law(parts: Parts, learn: Data, search: JointSearch, state: Structur
     """The one mechanism whose own variables predict most of what any function of state does; None where several do, or none."""
     joint, base = search.joint, search.base
     alone = {m: structure(learn, parts.test, base.model, joint, [m]) for m in STRUCTURED}
-    friction = {"dry_friction", "fluid_friction"}  # one variable, two mechanisms: the one that predicts more
     order = sorted(alone, key=lambda m: -alone[m].size)
     best = alone[order[0]]
     if best.z < SURE or best.size**2 < MOST * state.size**2 or best.share < MOST:
         return None
-    other = next(alone[m] for m in order[1:] if not {m, order[0]} <= friction)
+    other = next(alone[m] for m in order[1:] if m not in _kind(order[0]))
     if other.size**2 > RIVAL * best.size**2:
         return None
     evidence = Evidence(0.0, best.z, np.zeros(1))

@@ -75,7 +75,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
             continue
         key = effect.linear[0] if effect.linear else effect.parameters[0].name
         parameter = effect.parameter(key)
-        unit = unit_of(COUPLED[0] if name == "coupling" else parameter.size, given.joint_kind(joint), given.actuator.unit)
+        unit = unit_of(COUPLED[0] if name == "coupling" else parameter.size, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint))
         out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1]))
     return out
 

@@ -28,7 +28,7 @@ DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 CONCENTRATED = 0.8  # of the energy, in that time
-REVISITED = 0.7  # of that time, in states that the joint is in at other times too
+REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
 
@@ -75,7 +75,7 @@ def kept(record: JointRecord, band: float) -> slice:
     return slice(skip, max(skip + 1, record.n - lag))
 
 
-def _noise(record: JointRecord, model: Model, band: float) -> float:
+def noise(record: JointRecord, model: Model, band: float) -> float:
     """Mean square of the torque that the sensor's noise alone makes, (N m)² or N²."""
     here = band_of(record, band)
     draws = np.random.default_rng(0).standard_normal((DRAWS, record.n))
@@ -131,13 +131,13 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     best = Size(0.0, 0.0, float("inf"))
     for band in BANDS:
         found = lacking(data, model, joint, band)
-        noise = [_noise(rec[joint - 1], model, band) for rec in data.records]
-        excess = [d**2 - v for d, v in zip(found, noise, strict=True)]
+        of_sensor = [noise(rec[joint - 1], model, band) for rec in data.records]
+        excess = [d**2 - v for d, v in zip(found, of_sensor, strict=True)]
         sums, counts = energy_blocks(data, excess, joint, band)
         total, error = float(sums.sum()), deviation(sums)
         mean, spread = total / counts.sum() / scale, error / counts.sum() / scale
         # what the noise model itself may be wrong by
-        spread = float(np.hypot(spread, 0.1 * float(np.mean(noise)) / scale))
+        spread = float(np.hypot(spread, 0.1 * float(np.mean(of_sensor)) / scale))
         value, low, high = (float(np.sqrt(max(0.0, mean + k * spread))) for k in (-1.0, -2.0, 2.0))
         best = Size(max(best.value, value), max(best.low, low), min(best.high, max(high, best.low)))
     return Size(best.value, best.low, max(best.high, best.value))
@@ -279,7 +279,7 @@ def structure(learn: Data, test: Data, model: Model, joint: int, mechanisms: Seq
             guess = theta @ _columns(rec, model, joint, mechanisms, ranges, band)
             gains.append(lack**2 - (lack - guess) ** 2)
             use = kept(rec[joint - 1], band)
-            excess += float(np.sum(lack[use] ** 2 - _noise(rec[joint - 1], model, band)))
+            excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
         sums, counts = energy_blocks(test, gains, joint, band)
         total, error = float(sums.sum()), deviation(sums)
         z = total / error if error > 0 else 0.0
@@ -360,7 +360,9 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
-        cell = 40 * np.floor(20 * _unit(q, (float(q.min()), float(q.max())))) + 10 * (v > 0) + np.minimum(9, np.floor(3 * np.abs(v) / max(float(np.std(v)), 1e-300)))
+        place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
+        fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
+        cell = 6 * place + 3 * (v > 0) + fast  # 20 places, 2 directions, 3 speeds
         met += int(np.isin(cell[high], np.unique(cell[~high])).sum())
         energy = lack[use] ** 2
         inside += float(energy[high].sum())

@@ -57,7 +57,7 @@ def name_findings(
 def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float) -> Finding:
     joint, term = decision.joint, claim.term
     kind = given.joint_kind(joint)
-    unit = "N" if kind == "linear" else "N m"
+    unit = given.torque_unit(joint)
     scale = decision.scale
     share = min(1.0, share)
     sure = confidence(claim, decision)
@@ -70,7 +70,7 @@ def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, s
         )
         laws = claim.laws
         return Finding("unknown", joint, {"size": size}, sure, share, (), claim.replaces, text, {}, claim.mechanism, laws)
-    values = estimates(whole.fits[joint], term, kind, given.actuator.unit)
+    values = estimates(whole.fits[joint], term, kind, given.actuator.unit, unit)
     text = sentence(term, values)
     if term.effect == "inertia":
         weight = [t for t in new_terms(given, decision.final.model, joint) if weight_of_payload(given, decision.final.model, t)]
@@ -90,7 +90,7 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
     joint, found = decision.joint, decision.bursts
     assert found is not None
     spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
-    unit = "N" if given.joint_kind(joint) == "linear" else "N m"
+    unit = given.torque_unit(joint)
     text = f"A torque over time that no state explains acts on joint {joint} at {spans}, up to {found.peak:.3g} {unit}."
     values = {"rms": Estimate(found.rms, 0.0, unit), "peak": Estimate(found.peak, 0.0, unit)}
     numbers: dict[str, object] = {"intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals]}
@@ -101,7 +101,7 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
     """What nothing named explains, joint by joint, in words; empty where it is too little to matter."""
     words = []
     for d in decisions:
-        unit = "N" if given.joint_kind(d.joint) == "linear" else "N m"
+        unit = given.torque_unit(d.joint)
         if d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
                 f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS ({100 * d.state.size:.2g} % of the torque) "

@@ -16,6 +16,7 @@ from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
@@ -24,7 +25,6 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 # samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at least: the fastest observer has 10 Hz
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
-LITTLE = 0.05  # of the way: a last third with less is no test of a motion
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     for key in ("position",):
         if key not in columns:
             raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
-    name, get = _getter(source, columns)
+    name, get, done = _getter(source)
     joints = model.joints
     position = _matrix(name, "position", get, columns["position"], joints)
     n = len(position)
@@ -138,11 +138,12 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
-    signals = Signals(name, time, sample_time, position, command, reference, resolution, tuple(notes))
+    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes))
     return _decimate(signals)
 
 
-def _getter(source: Any, columns: Any) -> tuple[str, Any]:
+def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
+    """Its name, a function from a column's name to its numbers in SI, and what was done to get these."""
     if isinstance(source, Recording):
         names = set(source.names)
 
@@ -150,17 +151,16 @@ def _getter(source: Any, columns: Any) -> tuple[str, Any]:
             if column in ("t", "time") and column not in names:
                 return np.asarray(source.t, float)
             try:
-                return np.asarray(source[column], float)
+                known = to_si(source.units.get(column.partition("[")[0], ""))
+                return np.asarray(source[column], float) * (known[0] if known else 1.0)
             except (KeyError, RecordingError):
                 raise RecordingError(
                     f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
                 ) from None
 
-        return "recording", from_recording
-    if isinstance(source, Table):
-        return str(source.path), lambda column: source[column]
-    table = read_table(source)
-    return str(source), lambda column: table[column]
+        return "recording", from_recording, ()
+    table = source if isinstance(source, Table) else read_table(source)
+    return str(table.path), lambda column: table[column], table.notes
 
 
 def _has(get: Any, column: Any) -> bool:
@@ -339,7 +339,7 @@ def _decimate(signals: Signals) -> Signals:
 
 
 def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Hold out the last third of each recording: of its time, or of its motion where it has come to rest by then.
+    """Hold out the last third of each recording's motion.
 
     Returns
     -------
@@ -347,13 +347,10 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
     """
     train, test, notes = [], [], []
     for s in signals:
-        cut = 2 * len(s.time) // 3
-        way = _way(s)
-        if 1.0 - way[cut] < LITTLE:
-            cut = min(cut, max(MIN_SAMPLES, int(np.searchsorted(way, 2 / 3))))
-            notes.append(f"{s.name}: hardly moves in its last third; held out from {s.time[cut] - s.time[0]:.3g} s on, with the last third of its motion")
-        else:
-            notes.append(f"{s.name}: no other recording given to judge on; the last third is held out")
+        n = len(s.time)
+        cut = int(np.clip(np.searchsorted(_way(s), 2 / 3), min(MIN_SAMPLES, n // 2), n - min(MIN_SAMPLES, n // 3)))
+        from_time = f"{s.time[cut] - s.time[0]:.3g} s"
+        notes.append(f"{s.name}: no other recording given to judge on; held out from {from_time} on, the last third of its motion")
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     return train, test, notes
@@ -376,7 +373,6 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
         return [s], [s], [note]
     way = _way(s)
     cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
-    cut = cut if min(cut, n - cut) > n // 4 else n // 2
     return [s.part(0, cut, f"{s.name} (to choose by)")], [s.part(cut, n, f"{s.name} (to test on)")], []
 
 

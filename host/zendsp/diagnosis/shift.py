@@ -99,8 +99,8 @@ def _gravity_only(
         return []
     ratio, z, amount, std = moves["gravity"]
     values = {
-        "torque": Estimate(abs(amount), std, "N m"),
+        "torque": Estimate(abs(amount), std, given.torque_unit(joint)),
         "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
     }
-    text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} N m), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
+    text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
     return [(z, Finding("gravity", joint, values, 0.7, 0.0, ("stiffness",), (), text))]

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 
 from zendsp.errors import AcquisitionError, Refused, RunnerDied
-from zendsp.link.circumstances import describe
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S
-from zendsp.link.transfer import FloatArray, Transfers
-from zendsp.recording import Recording
+from zendsp.link.transfer import Transfers
 from zendsp_protocol import messages as m
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from zendsp.link.transfer import FloatArray
+    from zendsp.recording import Recording
+else:
+    np = Lazily("numpy")
 
 Trigger = m.Trigger
 POLL_S = 0.02
@@ -158,6 +165,8 @@ class Acquisition(ParameterSets, Transfers):
             time.sleep(POLL_S)
         self.request("acquire_stop")
         status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
+        from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
+
         return describe(self, status, 0, data, note, patience)
 
     def acquire_configure(
@@ -253,6 +262,8 @@ class Acquisition(ParameterSets, Transfers):
         data = self.load_rows(
             status.first, status.count - status.first, len(status.channels), progress, patience
         )
+        from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
+
         return describe(self, status, status.first, data, note, patience)
 
     def acquire_finish(

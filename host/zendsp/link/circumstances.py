@@ -13,10 +13,9 @@ import numpy as np
 
 from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
-from zendsp.link.transfer import FloatArray
 from zendsp.link.variables import plain
 from zendsp.recording import Channel, ParameterChange, Recording
-from zendsp.recording.names import split_element
+from zendsp.recording.names import FloatArray, split_element
 from zendsp_protocol import messages as m
 from zendsp_protocol.version import PROTOCOL
 

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import json
 import os
-import select
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
-from typing import IO
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.link.find import CONNECT, local_entries, reach, remote_endpoints
 from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
 from zendsp.link.target import Target
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import select
+    import subprocess
+    import tempfile
+else:  # only local() starts anything
+    select, subprocess, tempfile = map(Lazily, ("select", "subprocess", "tempfile"))
 
 START_S = 30.0  # for a target to come up, on a machine that is busy with everything else
 END_S = 5.0
@@ -115,7 +121,7 @@ def local(
     Parameters
     ----------
     machine : str
-        For example ``"imi_planar"``.
+        A shipped one, for example ``"imi_planar"``; a ``.c`` file, or a MuJoCo model (``.xml``).
     clock : str
         ``"real"``, or ``"fast"``: as fast as the CPU allows, with identical results.
     rate : float, Hz
@@ -141,12 +147,12 @@ def local(
     >>> with zendsp.local("imi_planar", clock="fast") as target:    # doctest: +SKIP
     ...     target.download("pd.c")
     """
-    name = name or f"{machine}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
+    name = name or f"{Path(machine).stem}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
     command = [
         sys.executable, "-m", "zendsp_target", "--machine", machine, "--name", name, "--rate", repr(float(rate)),
         "--clock", clock, "--parent", str(os.getpid()), "--json", *options,
     ]  # fmt: skip
-    said = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the target ends)
+    said = tempfile.TemporaryFile()
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
     try:
         _wait_ready(process, said, timeout)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import ctypes
 import getpass
 import itertools
 import os
@@ -219,6 +218,8 @@ class Link:
 
         Even freeing it would wait for these threads for ever, so it is never freed.
         """
+        import ctypes
+
         self.closed = True
         for held in (self._session, self._watch, self._token, self._queriers, self._ready):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))

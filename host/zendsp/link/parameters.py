@@ -6,12 +6,16 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import VariableError
 from zendsp.link.variables import Variables, plain
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    np = Lazily("numpy")
 
 FORM = 1
 LARGEST = 1024  # elements; longer arrays are data, not parameters

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
 from zendsp.link.requests import Requests
-from zendsp_isr.sources import Source, gather
 from zendsp_protocol import messages as m
+
+if TYPE_CHECKING:
+    from zendsp_isr.sources import Source
 
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
 STOPPED_S = 1.0  # for the loop to say that it stopped
@@ -47,6 +50,8 @@ class Programs(Requests):
         CompileFailed
             With file, line and column of each message; the attribute ``result`` holds them.
         """
+        from zendsp_isr.sources import gather  # with all that compiles: most commands have nothing to compile
+
         result: m.CompileResult = self.request("compile", sources=gather(source), flags=list(flags))
         if not result.ok:
             error = CompileFailed(

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import LinkError
 from zendsp.link.connect import local
 from zendsp.link.target import Target
 from zendsp.link.variables import plain
 from zendsp_protocol import messages as m
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+else:
+    np = Lazily("numpy")
 
 LONGEST_S = 120.0  # of real time, for the twin's run
 
@@ -76,6 +79,8 @@ def rehearse(
     Rehearsal
     """
     info, status, program = target.machine(), target.status(), target.program()
+    from importlib import resources
+
     if not resources.files("zendsp_isr").joinpath("machines", f"{info.name}.c").is_file():
         return Rehearsal(False, None, f"it could not be simulated: there is no simulation of {info.name} here")
     rate, ticks = status.rate_hz, max(1, round(seconds * status.rate_hz))

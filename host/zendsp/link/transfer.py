@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING
 
 from zendsp.errors import AcquisitionError, LinkError
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, folded_crc, gaps
+from zendsp_protocol.lazily import Lazily
 
-FloatArray = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    FloatArray = npt.NDArray[np.float64]
+else:
+    np = Lazily("numpy")
+
 REQUEST_BYTES = 128 << 20  # rows asked for at once: what is lost at most when the link breaks
 CHUNK_BYTES = CHUNK  # of one part: each has its own price at either end, and larger ones leave the caches
 MOST_IDLE = 3  # requests in a row without a single row, until it is given up

@@ -102,7 +102,8 @@ int host_size(void) {
 }
 
 /* Load a program and let it declare its variables. Returns the host, whose `problem` is empty when all is well. */
-host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque) {
+host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque,
+                const double *torque_max) {
     host *h = &the_host;
     memset(h, 0, sizeof *h);
     h->io.period = period;
@@ -113,6 +114,7 @@ host *host_open(const char *path, int joints, double period, const double *count
     for (int i = 0; i < joints; i++) {
         h->io.counts_per_unit[i] = counts_per_unit[i];
         h->io.mv_per_torque[i] = mv_per_torque[i];
+        h->io.torque_max[i] = torque_max[i];
     }
     for (int i = joints; i < 8; i++)
         h->io.counts_per_unit[i] = h->io.mv_per_torque[i] = 1.0;

@@ -52,7 +52,8 @@ typedef struct { char name[64], unit[32], text[192]; void *address; double minim
 typedef struct { const void *address; int32_t type, pad; } host_channel;
 typedef struct {
     struct { uint64_t tick; double t, period; int32_t joints, enabled; uint32_t din, dout; int32_t enc[8]; double adc[8], aout[8];
-             double counts_per_unit[8], zero_counts[8], mv_per_torque[8]; int32_t first, reserved;
+             double counts_per_unit[8], zero_counts[8], mv_per_torque[8];
+             double torque_max[8], inertia[8]; int32_t first, reserved;
              void *declare; void *acquire; } io;
     double measured[8], q[8], qd[8], torque[8];
     double tick, t, enc[8];
@@ -64,7 +65,8 @@ typedef struct {
 } host;
 typedef struct { const double *data; int32_t rows, columns; uint32_t version; } isr_table;
 int host_size(void);
-host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque);
+host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque,
+                const double *torque_max);
 int host_run(host *h, sim *S, int ticks, int decimation, int background, const host_channel *channel, int channels, double *out,
              volatile int32_t *progress);
 """

@@ -199,14 +199,19 @@ class _Session:
         model, n = plant.model, plant.joints
         counts = np.ones(8)
         scale = np.ones(8)
+        most = np.zeros(8)
         for j in range(n):
             step = plant.config.resolution[j]
             counts[j] = 1.0 / (step if step > 0 else _CONTINUOUS)
             full = abs(plant.config.gain[j]) * plant.config.limit[j]
             scale[j] = _FULL_SCALE / full if full > 0 else 1000.0
-        self.keep: list[Any] = [counts, scale]
+            most[j] = _FULL_SCALE / scale[j]
+        self.keep: list[Any] = [counts, scale, most]
         doubles = self.native.doubles
-        self.host = self.native.lib.host_open(str(build.path).encode(), n, plant.period, doubles(counts), doubles(scale))
+        program = str(build.path).encode()
+        self.host = self.native.lib.host_open(
+            program, n, plant.period, doubles(counts), doubles(scale), doubles(most)
+        )
         problem = self.native.ffi.string(self.host.problem).decode(errors="replace")
         if problem:
             raise CompileFailed(f"{next(iter(build.sources))}: {problem}")

@@ -1,0 +1,60 @@
+/* joint_pd.c: PID in every joint, for any machine whose command is a torque: holds where it stands, sways, or follows the table ref.
+ *
+ *     tau = J (w^2 e + 2 damping w ed) + integral of J w^2 e / reset        w = 2 pi bandwidth
+ *
+ * J is what the machine says that each joint turns; where it says nothing, what its torque accelerates by 100 rad/s^2.
+ */
+#include "isr.h"
+#define N JOINTS
+#define MOTION_MOST 8
+#define MOTION_APPROACH 3.0
+#include "motion.h"
+
+static double bandwidth, damping, reset, amplitude, period;
+static double J[8];   /* kg m^2 (or kg) */
+static double tau[8]; /* N m (or N) */
+static double sum[8]; /* N m, of the integrals */
+static double phase;  /* of the sway, turns */
+
+void UserInit(void) {
+    MotionInit();
+    MotionHolds();
+    for (int32_t j = 0; j < N; j++)
+        J[j] = JOINT_INERTIA(j) > 0.0 ? JOINT_INERTIA(j) : TORQUE_MAX(j) / 100.0;
+    PARAMETER(bandwidth, 3.0, "Hz", 0.1, 20.0, "of the position loop");
+    PARAMETER(damping, 1.0, "", 0.1, 3.0, "damping ratio");
+    PARAMETER(reset, 0.3, "s", 0.05, 1000.0, "time constant of the integral");
+    PARAMETER(amplitude, 0.0, "rad", 0.0, 1.0, "sway of every joint about the reference; 0: none");
+    PARAMETER(period, 4.0, "s", 0.5, 60.0, "of the sway of joint 1; each next joint sways a fifth faster");
+    PARAMETER_FIRST(J, N, "kg m^2", 1e-6, 1000.0, "inertia that each joint turns");
+    SIGNAL_FIRST(tau, N, "N m", "commands");
+}
+
+/* Sway: in and out with the drives, every joint at a frequency of its own, so that a recording tells the joints apart. */
+static void sway(void) {
+    double faster = 1.0;
+    phase = DRIVE_ENABLED && !FIRST_SAMPLE ? phase + motion.pace * SAMPLE_PERIOD / period : 0.0;
+    const double in = MotionSmooth(0.5 * phase);
+    for (int32_t j = 0; j < N; j++, faster *= 1.2) {
+        const double turn = 6.283185307179586 * faster;
+        r[j] += in * amplitude * sin(turn * phase);
+        rd[j] += in * amplitude * turn / period * cos(turn * phase);
+        e[j] = r[j] - q[j];
+    }
+}
+
+void UserISR_INT2(void) {
+    const double w = 6.283185307179586 * bandwidth;
+    MotionStep();
+    sway();
+    for (int32_t j = 0; j < N; j++) {
+        const double most = TORQUE_MAX(j), stiff = J[j] * w * w;
+        const double wanted = stiff * e[j] + 2.0 * damping * J[j] * w * (rd[j] - qd[j]) + sum[j] + tau_ff[j];
+        tau[j] = wanted > most ? most : wanted < -most ? -most : wanted;
+        if (!DRIVE_ENABLED || FIRST_SAMPLE)
+            sum[j] = 0.0;
+        else if (wanted == tau[j]) /* the integral rests while the torque is at its limit */
+            sum[j] += stiff * e[j] * SAMPLE_PERIOD / reset;
+        WRITE_TORQUE(j, tau[j]);
+    }
+}

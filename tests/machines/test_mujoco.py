@@ -1,0 +1,254 @@
+"""Any MuJoCo model as a machine: its motion against MuJoCo's own integrator, its limits, what it refuses, what it allocates."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plants import OFF, VELOCITY, Plant
+
+from zendsp_isr.build import build, build_machine, source_root
+from zendsp_protocol.errors import CompileFailed
+
+mujoco: Any = pytest.importorskip("mujoco")
+MODELS = Path(__file__).parent / "models"
+ARM, ACROBOT = MODELS / "bench_arm.xml", MODELS / "acrobot_and_ball.xml"
+
+
+def robot(model: Path, *lines: str, ideal: bool = True, clock: str = "fast") -> Plant:
+    """The machine of a model, opened as the runner opens it."""
+    config = [f"model = {model}", f"clock = {clock}", *(["ideal = 1"] if ideal else []), *lines]
+    return Plant(str(model), "\n".join(config) + "\n")
+
+
+def edited(tmp_path: Path, model: Path, *changes: tuple[str, str]) -> Path:
+    """A model with words replaced."""
+    text = model.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / model.name
+    path.write_text(text)
+    return path
+
+
+def own_motion(model: Path, torque: Sequence[float], seconds: float) -> Any:
+    """MuJoCo's own Runge-Kutta, with torques held on the actuators."""
+    m = mujoco.MjModel.from_xml_path(str(model))
+    m.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    m.opt.timestep = 1e-4
+    d = mujoco.MjData(m)
+    d.ctrl[:] = torque
+    for _ in range(round(seconds / m.opt.timestep)):
+        mujoco.mj_step(m, d)
+    return d
+
+
+def test_a_driven_arm_without_friction_moves_as_mujocos_own_integrator_moves_it(tmp_path: Path) -> None:
+    model = edited(tmp_path, ARM, ('damping="0.5" frictionloss="0.8"', ""), ("<position joint", "<motor joint"),
+                   ('kp="300"', 'ctrlrange="-30 30"'))  # fmt: skip
+    with robot(model) as plant:
+        for _ in range(300):
+            plant.torque([3.0, -6.0, 0.5])
+        truth = own_motion(model, [3.0, -6.0 / 50.0, 0.5], 0.3)
+        # both of second order or better at 0.1 ms: what is left is the step of the explicit midpoint
+        assert plant.q == pytest.approx(truth.qpos, abs=2e-5)
+        assert plant.qd == pytest.approx(truth.qvel, abs=2e-4)
+        assert np.abs(plant.q).min() > 0.05, "every joint has moved"
+
+
+def test_what_no_drive_moves_goes_its_way_beside_the_joints() -> None:
+    """The passive joint of an acrobot and a ball that falls: neither is a joint of the machine."""
+    with robot(ACROBOT) as plant:
+        assert plant.joints == 1
+        for _ in range(250):
+            plant.torque([4.0])
+        truth = own_motion(ACROBOT, [4.0], 0.25)
+        assert plant.q[0] == pytest.approx(truth.qpos[1], abs=2e-5)
+        plant.torque([4.0])
+        ball, top = plant.sensors.adc[2], plant.sensors.adc[3]
+        assert ball == pytest.approx(truth.xpos[3][2], abs=2e-4) and ball < 0.3
+        assert top == pytest.approx(truth.qpos[0], abs=2e-5) and abs(top) > 0.05
+        for _ in range(1500):
+            plant.torque([0.0])
+        assert plant.sensors.adc[2] == pytest.approx(0.1, abs=0.01), "it lies on the plane"
+
+
+def test_the_reaction_of_concealed_inertia_reaches_what_is_not_driven(tmp_path: Path) -> None:
+    """More inertia at the elbow is a rotor there: the same as an armature in the model."""
+    heavier = edited(tmp_path, ACROBOT, ('name="elbow" axis', 'name="elbow" armature="0.05" axis'))
+    with robot(ACROBOT, "effect1 = inertia joint=1 amount=0.05") as plant:
+        for _ in range(250):
+            plant.torque([4.0])
+        truth = own_motion(heavier, [4.0], 0.25)
+        assert plant.q[0] == pytest.approx(truth.qpos[1], abs=2e-5)
+        plant.torque([4.0])
+        assert plant.sensors.adc[3] == pytest.approx(truth.qpos[0], abs=2e-5)
+
+
+def test_dry_friction_of_the_model_holds_a_joint_against_its_weight_without_creeping(tmp_path: Path) -> None:
+    model = edited(tmp_path, ARM, ('frictionloss="0.8"', 'frictionloss="40"'))
+    with robot(model, "q2 = 0.6") as plant:
+        for _ in range(300):
+            plant.torque([0.0, 0.0, 0.0])
+        rest = plant.q
+        for _ in range(3000):
+            plant.torque([0.0, 0.0, 0.0])
+        assert plant.q == pytest.approx(rest, abs=1e-6)
+        assert plant.q[1] == pytest.approx(0.6, abs=0.003), "bristles give way by 2 mrad at most"
+
+
+def test_sliding_friction_is_the_models_loss_and_damping() -> None:
+    with robot(ARM) as plant:
+        for _ in range(3000):
+            plant.sample(np.array([0.3 * plant.info.joint[0].mv_per_speed, 0.0, 0.0]), VELOCITY)
+        assert plant.qd[0] == pytest.approx(0.3, abs=1e-3)
+        steady = plant.truth_current(0)
+        assert steady == pytest.approx(0.8 + 0.5 * 0.3, rel=0.01)
+
+
+def test_names_units_and_limits_come_from_the_model() -> None:
+    with robot(ARM) as plant:
+        joint = [plant.info.joint[j] for j in range(3)]
+        assert [plant.ffi.string(j.name).decode() for j in joint] == ["turn", "shoulder", "elbow"]
+        assert [j.torque_max for j in joint] == [40.0, 80.0, 30.0]  # ctrlrange; ctrlrange x gear; forcerange
+        assert [(j.position_min, j.position_max) for j in joint] == [(-2.5, 2.5), (-1.8, 1.8), (-2.4, 2.4)]
+        assert plant.ffi.string(plant.info.name) == b"bench_arm"
+        assert [plant.ffi.string(plant.info.adc_name[i]) for i in range(2)] == [b"elbow speed", b"elbow torque"]
+
+
+def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named(tmp_path: Path) -> None:
+    cart = tmp_path / "cart.xml"
+    cart.write_text("""<mujoco model="cart"><worldbody><body><joint name="slider" type="slide" axis="1 0 0" range="-1 1"/>
+        <geom type="box" size=".1 .1 .1" mass="1"/><body><joint name="pole" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 .6" size=".02" mass=".2"/></body></body></worldbody>
+        <actuator><motor joint="slider" ctrlrange="-20 20"/></actuator></mujoco>""")
+    with robot(cart, "joints = slider,pole", "q2 = 0.1") as plant:
+        assert [plant.ffi.string(plant.info.joint[j].unit) for j in range(2)] == [b"m", b"rad"]
+        assert [plant.ffi.string(plant.info.joint[j].command) for j in range(2)] == [b"force", b"none"]
+        for _ in range(300):
+            measured = plant.sample([5000.0, 5000.0])
+        assert measured[0] > 0.2, "10 N push the cart"
+        assert measured[1] < 0.0 or measured[1] > 0.2, "and the pole falls"
+
+
+def test_the_encoder_is_noisy_unless_ideal_and_the_seed_repeats_it() -> None:
+    def still(*lines: str, ideal: bool) -> list[int]:
+        with robot(ARM, *lines, ideal=ideal) as plant:
+            counts = []
+            for _ in range(200):
+                plant.sample(np.zeros(3), VELOCITY)
+                counts.append(plant.sensors.enc[0])
+            return counts[100:]
+
+    assert np.ptp(still(ideal=True)) == 0
+    noisy = still(ideal=False)
+    assert 1 <= np.ptp(noisy) <= 6
+    assert noisy == still("seed = 1", ideal=False) and noisy != still("seed = 2", ideal=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "lines", "says"),
+    [
+        (("<worldbody>", "<worldbdy>"), (), "XML"),
+        (('type="capsule" fromto="0 0 0 0.3 0 0"', 'type="capsle" fromto="0 0 0 0.3 0 0"'), (), "capsle"),
+        (("bench_arm", "bench_arm"), ("joints = turn,elbw",), "no joint 'elbw'; there are turn, shoulder, elbow"),
+        (("bench_arm", "bench_arm"), ("keyframe = upright",), "no keyframe 'upright'"),
+        (('<joint name="turn" axis="0 0 1" range="-2.5 2.5"/>', '<joint name="turn" type="ball"/>'), (), "ball joint"),
+        (("bench_arm", "bench_arm"), ("effect1 = coulomb joint=4 level=1.0",), "joint out of range, the machine has 3"),
+    ],
+)
+def test_what_cannot_be_a_machine_is_refused_in_a_sentence(
+    tmp_path: Path, change: tuple[str, str], lines: tuple[str, ...], says: str
+) -> None:
+    model = edited(tmp_path, ARM, change)
+    with pytest.raises(ValueError, match=says):
+        robot(model, *lines)
+
+
+def test_more_joints_than_a_machine_has_are_counted_and_a_choice_is_asked_for(tmp_path: Path) -> None:
+    chain, close = "", ""
+    for k in range(9):
+        chain += f'<body pos="0 0 0.1"><joint name="j{k}" axis="0 1 0"/><geom size="0.02" mass="0.1"/>'
+        close += "</body>"
+    snake = tmp_path / "snake.xml"
+    snake.write_text(f"<mujoco><worldbody>{chain}{close}</worldbody></mujoco>")
+    with pytest.raises(ValueError, match=r"9 joints with a drive, a machine has 8 at most.*joints=NAME"):
+        robot(snake)
+    with robot(snake, "joints = j0,j8") as plant:
+        assert plant.joints == 2
+
+
+def test_a_model_that_is_too_slow_for_the_real_clock_says_how_slow(tmp_path: Path) -> None:
+    stiff = edited(tmp_path, ARM, ('damping="0.5"', 'damping="20000"'))  # time constants of microseconds
+    with pytest.raises(ValueError, match=r"simulating 1 ms takes .* ms here, in steps of .* us"):
+        robot(stiff, clock="real")
+    with robot(stiff):
+        pass  # the fast clock waits for nobody
+
+
+def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == "mujoco" else find(name, *more))
+    with pytest.raises(CompileFailed, match=r"pip install 'zendsp\[mujoco\]'"):
+        build_machine(str(ARM))
+
+
+HARNESS = rb"""
+#include <dlfcn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include "machine.h"
+extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t), __libc_free(void *);
+extern void *__libc_memalign(size_t, size_t);
+static int armed; static long calls;
+void *malloc(size_t n) { calls += armed; return __libc_malloc(n); }
+void *calloc(size_t n, size_t m) { calls += armed; return __libc_calloc(n, m); }
+void *realloc(void *p, size_t n) { calls += armed; return __libc_realloc(p, n); }
+void *aligned_alloc(size_t a, size_t n) { calls += armed; return __libc_memalign(a, n); }
+int posix_memalign(void **p, size_t a, size_t n) { calls += armed; *p = __libc_memalign(a, n); return *p ? 0 : 12; }
+void free(void *p) { calls += armed; __libc_free(p); }
+int main(int count, char **word) {
+    void *library = dlopen(word[1], RTLD_NOW), *handle;
+    const machine_ops *m = library ? dlsym(library, "zendsp_machine") : NULL;
+    static machine_info info; static machine_sensors s; static machine_actuators a;
+    char error[512];
+    armed = 1;
+    if (!m || m->open(&handle, word[2], 1e-3, &info, error, sizeof error)) { printf("%s\n", m ? error : dlerror()); return 1; }
+    const long works = calls; calls = 0; /* opening allocates, in MuJoCo's library too */
+    for (int k = 0; k < 3000; k++) {
+        a.mode = k < 2000 ? MACHINE_TORQUE : k < 2500 ? MACHINE_VELOCITY : MACHINE_OFF;
+        for (int j = 0; j < info.joints; j++) a.aout[j] = 3000.0 * ((k / 150) % 3 - 1);
+        m->write(handle, &a); m->read(handle, &s); m->step(handle, 1e-3);
+    }
+    armed = 0;
+    printf("%ld %ld\n", works, calls);
+    return count == 0;
+}
+"""
+
+
+@pytest.mark.parametrize("model", [ARM, ACROBOT], ids=["arm", "ball"])
+def test_the_loop_of_a_mujoco_machine_allocates_nothing(model: Path) -> None:
+    """With contacts (arm and ball meet the plane), stops, all drive modes and sensors; the counter is seen to count."""
+    built = build("test", {"count.c": HARNESS}, [source_root() / "include"], shared=False, libraries=("-ldl",))
+    assert built.path is not None, built.messages
+    config = f"model = {model}\nclock = fast\neffect1 = delay joint=1 time=0.003\n"
+    done = subprocess.run([built.path, build_machine(str(model)), config], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    works, calls = map(int, done.stdout.split())
+    assert works > 100
+    assert calls == 0
+
+
+def test_power_off_lets_the_arm_sink_and_the_models_stops_hold_it() -> None:
+    with robot(ARM, "q2 = 0.8") as plant:
+        for _ in range(6000):
+            plant.sample(np.zeros(3), OFF)
+        assert 1.75 < plant.q[1] < 1.85
+        assert np.abs(plant.qd).max() < 1e-3
