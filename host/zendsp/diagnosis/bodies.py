@@ -44,6 +44,7 @@ class BodyLimits:
     least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
     bodies: int = 3  # at most so many wrong bodies
     same: float = 0.02  # m from a link's centre of mass: what it carries there is its own
+    spread: float = 0.3  # m: no payload's radius of gyration is larger
     reach: float = 1.0  # m: farther from its link's origin nothing is carried
     gain: float = 0.5  # no actuator gives half as much again, or half
     step: float = 1e-6  # relative, of numerical derivatives
@@ -414,11 +415,13 @@ class Solver:
         if h.effect == "payload":
             robot = sum(b.mass for b in bodies) or np.inf
             far = max(abs(known.get(key, 0.0)) for key in COM)
-            wide = abs(known.get("inertia", 0.0)) < known["mass"] * self.limits.reach**2
+            wide = 0.0 <= known.get("inertia", 0.0) < known["mass"] * self.limits.spread**2
             return bool(0.0 < known["mass"] < robot and far < self.limits.reach and wide)
         if h.effect == "body":
             far = max(abs(known.get(key, 0.0)) for key in COM)
-            return bool(abs(known.get("mass", 0.0)) < bodies[h.joint - 1].mass and far < self.limits.reach)
+            link, mass = bodies[h.joint - 1], abs(known.get("mass", 0.0))
+            most = 3.0 * float(np.max(link.inertia)) * mass / link.mass  # as a link of another density has, and thrice that
+            return bool(mass < link.mass and far < self.limits.reach and abs(known.get("inertia", 0.0)) <= most)
         if h.effect in ("torque_gain", "gravity_scale"):
             return bool(abs(known["ratio"]) < self.limits.gain)
         return True
@@ -577,7 +580,7 @@ def find_bodies(
         taken = {(f.term.effect, f.term.joint) for f in found}
         if not counts(best, solver) or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken:
             break
-        best = refined(fit, model, layout, own_mass(best, tried, links, limits), limits, jobs, aside)
+        best = refined(fit, choose, model, layout, own_mass(best, tried, links, limits), limits, jobs, aside)
         if weight_of(choose, layout, best) < limits.least:
             break
         h = best.hypothesis
@@ -632,6 +635,7 @@ def own_mass(best: Explained, tried: Sequence[Explained], links: Links, limits: 
 
 def refined(
     fit: Data,
+    choose: Data,
     model: Model,
     layout: Layout,
     first: Explained,
@@ -639,7 +643,11 @@ def refined(
     jobs: int = 1,
     aside: Collection[int] = (),
 ) -> Explained:
-    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia of its own where that shows."""
+    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia of its own where that shows.
+
+    What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it comes back with the poses. Another
+    recording has other poses: standard deviations grow to what the two estimates differ by.
+    """
     h, values = first.hypothesis, first.values
     wider = replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
     last = first
@@ -660,7 +668,12 @@ def refined(
         last, values = replace(first, hypothesis=h, values=new, std=std), new
         if stands:
             break
-    return last
+    here = model.with_terms((*model.terms, layout.term(h, values)))
+    sums = Sums(choose, here, limits, jobs)
+    solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
+    other = solver.estimate(h, values)
+    apart = (other - values) ** 2 / np.maximum(last.std**2 + solver.std(h, other) ** 2, 1e-300)
+    return replace(last, std=last.std * max(1.0, float(np.sqrt(np.mean(apart)))))
 
 
 def stated(layout: Layout, e: Explained) -> Term:

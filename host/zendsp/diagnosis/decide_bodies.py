@@ -121,7 +121,7 @@ def settled(parts: Parts, claims: Sequence[BodyClaim], improved: Model, jobs: in
         term = claim.found.term
         rest = improved.with_terms(tuple(t for t in improved.terms if t != term))
         layout = Layout(rest, links)
-        again = refined(parts.fit, rest, layout, claim.found.explained, replace(LIMITS, rounds=2), jobs, claim.found.aside)
+        again = refined(parts.fit, parts.choose, rest, layout, claim.found.explained, replace(LIMITS, rounds=2), jobs, claim.found.aside)
         new = stated(layout, again)
         improved = improved.with_terms(tuple(new if t == term else t for t in improved.terms))
         out.append(replace(claim, found=replace(claim.found, term=new, explained=again)))
