@@ -72,6 +72,16 @@ def merge(given: Model, parts: Sequence[Scored]) -> Model:
     )
 
 
+def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs: int) -> Model:
+    """The calibrated model of the whole machine from those of its joints, in their order; what joints share is fitted to all of them."""
+    start = merge(given, bases)
+    if not shared_mechanism(given):
+        return start
+    data = replace(train, bandwidth=tuple(b.data.bandwidth[j] for j, b in enumerate(bases)))
+    everything = tuple(range(1, given.joints + 1))
+    return fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
+
+
 def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
     """Put the joints together; parameters that joints share are refitted on all of them at once."""
     bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
@@ -88,9 +98,7 @@ def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int)
             False,
         )
     everything = tuple(range(1, given.joints + 1))
-    base_data = replace(train, bandwidth=tuple(s.base.data.bandwidth[s.joint - 1] for s in searches))
-    start = merge(given, [s.base for s in searches])
-    calibrated = fit(base_data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
+    calibrated = calibrated_machine(train, given, [s.base for s in searches], jobs)
     start = merge(given, [s.final for s in searches])
     whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
     whole = with_step_error(data, whole, everything)

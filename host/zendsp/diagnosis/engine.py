@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.assemble import Assembled, assemble, merge
+from zendsp.diagnosis.assemble import Assembled, assemble, calibrated_machine
 from zendsp.diagnosis.bodies import find_bodies
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.decide import Decision, decide
@@ -153,7 +153,8 @@ def _diagnose(
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
         bases = [calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)]
-        whole = replace(whole, improved=improved, calibrated=merge(given, bases))
+        calibrated = calibrated_machine(bare.fit, given, bases, jobs)
+        whole = replace(whole, improved=improved, calibrated=calibrated)
     findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
     rejected = (*rejected_bodies(bodies.tried, claims), *rejected)
     findings += tuple(ripple.finding for ripple in fine)
