@@ -187,7 +187,10 @@ def _columns(record: JointRecord, model: Model, limits: BodyLimits) -> tuple[Arr
     torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
     damping = sum(t.value("coefficient") for t in model.at(record.joint) if t.effect == "viscous")
     inertia = effective_inertia(record, model)
-    seen = response(record, bandwidth, inertia, np.full(record.n, damping), np.stack(torques))
+    all_torques = np.stack(torques)
+    acts = np.any(all_torques != 0.0, axis=1)  # of the links, only those that the joint moves
+    seen = np.zeros_like(all_torques)
+    seen[acts] = response(record, bandwidth, inertia, np.full(record.n, damping), all_torques[acts])
     left = run(record, model, bandwidth).innovations
     still = max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), slow)
     sticks = np.flatnonzero(np.abs(qd) < still)
@@ -567,7 +570,7 @@ def find_bodies(
         Proposals: whether they are claimed is decided on recordings that were not touched here.
     """
     links = fit.records[0][0].links
-    if links is None or len(links.bodies) < 2:  # a single joint's payload is its inertia and its gravity
+    if links is None or all(b.parent < 0 for b in links.bodies):  # a single joint's payload is its inertia and its gravity
         return BodySearch(model)
     begun = model
     found: list[FoundBody] = []
