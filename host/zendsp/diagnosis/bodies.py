@@ -47,6 +47,7 @@ class BodyLimits:
     spread: float = 0.3  # m: no payload's radius of gyration is larger
     reach: float = 1.0  # m: farther from its link's origin nothing is carried
     gain: float = 0.5  # no actuator gives half as much again, or half
+    constant: float = 0.05  # relative standard deviation of the torque constants that makers state
     step: float = 1e-6  # relative, of numerical derivatives
     calibrated: float = 0.15  # a free parameter of the mechanism farther off than so much of itself is no calibration
     rounds: int = 3  # estimates around the one before
@@ -257,7 +258,11 @@ class Layout:
         )
 
     def place(self, h: Hypothesis, values: Array) -> Array:
-        """Coefficients of the columns, (joints, width)."""
+        """Coefficients of the columns, (joints, width); a last number ``gain`` is the error of all joints' actuators beside it."""
+        if h.free and h.free[-1] == "gain":
+            x = self.place(replace(h, free=h.free[:-1]), values[:-1])
+            x[:, self.own] += values[-1]
+            return x
         x = np.zeros((self.joints, self.width))
         if h.effect in ("payload", "body"):
             k = h.joint - 1
@@ -649,11 +654,12 @@ def refined(
     """An explanation estimated again around itself, until its numbers stand; a mass with an inertia of its own where that shows.
 
     What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it comes back with the poses. Another
-    recording has other poses: standard deviations grow to what the two estimates differ by.
+    recording has other poses: standard deviations grow to what the two estimates differ by. They hold also where all actuators give a
+    little more or less than stated, which looks much like mass.
     """
     h, values = first.hypothesis, first.values
     wider = replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
-    last = first
+    last, by_gain = first, np.zeros(len(values))
     for _ in range(limits.rounds):
         here = model.with_terms((*model.terms, layout.term(h, values)))
         sums = Sums(fit, here, limits, jobs)
@@ -669,6 +675,8 @@ def refined(
         known = len(values)
         stands = len(new) == known and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3
         last, values = replace(first, hypothesis=h, values=new, std=std), new
+        *beside, gain = solver.estimate(replace(h, free=(*h.free, "gain")), np.append(values, 0.0))
+        by_gain = (np.array(beside) - values) * min(1.0, limits.constant / max(abs(gain), 1e-12))
         if stands:
             break
     here = model.with_terms((*model.terms, layout.term(h, values)))
@@ -676,7 +684,8 @@ def refined(
     solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
     other = solver.estimate(h, values)
     apart = (other - values) ** 2 / np.maximum(last.std**2 + solver.std(h, other) ** 2, 1e-300)
-    return replace(last, std=last.std * max(1.0, float(np.sqrt(np.mean(apart)))))
+    std = last.std * max(1.0, float(np.sqrt(np.mean(apart))))
+    return replace(last, std=np.hypot(std, by_gain))
 
 
 def stated(layout: Layout, e: Explained) -> Term:
