@@ -545,11 +545,16 @@ class FoundBody:
 
 @dataclass(frozen=True)
 class BodySearch:
-    """What is wrong with the bodies of a machine: ``model`` is the given one with it; ``tried`` are all explanations of the last round."""
+    """What is wrong with the bodies of a machine.
+
+    ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside`` the joints that had been set aside by
+    then for a fault of their own.
+    """
 
     model: Model
     found: tuple[FoundBody, ...] = ()
     tried: tuple[Explained, ...] = ()
+    aside: frozenset[int] = frozenset()
 
 
 def find_bodies(
@@ -580,6 +585,7 @@ def find_bodies(
     begun = model
     found: list[FoundBody] = []
     tried: list[Explained] = []
+    aside: frozenset[int] = frozenset()
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
@@ -602,7 +608,7 @@ def find_bodies(
             held = {key: tuple(replace(q, free=False) for q in items) for key, items in begun.mechanism.items()}
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found)))
-    return BodySearch(model, tuple(found), tuple(tried))
+    return BodySearch(model, tuple(found), tuple(tried), aside)
 
 
 def _round(

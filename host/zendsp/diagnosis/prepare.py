@@ -61,6 +61,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind = 'urdf' or"
             f" 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
         )
+    weights = _weights(model, within)
     out = []
     for j in range(joints):
         q, qd, qdd = motions[j].states
@@ -72,7 +73,10 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
         inertia = float(np.mean(inertia_series)) + sum(
             t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
         )
-        effort = float(np.sqrt(np.mean(torque**2))) or inertia * float(np.sqrt(np.mean(qdd**2)))
+        # a joint that is hardly driven itself moves all the same: its weight is the torque that moves it then
+        weight = mechanism_value(model, "gravity", j + 1) * np.sin(q) if model.kind == "rotary" else weights[j]
+        effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
+        effort = effort or inertia * float(np.sqrt(np.mean(qdd**2)))
         scale = Scale(
             torque=max(effort, 1e-12),
             speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
@@ -99,6 +103,14 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             )
         )
     return tuple(out)
+
+
+def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
+    """Torque of the weight along a motion as the mechanism knows it, one array (n,) a joint."""
+    if model.kind != "urdf":
+        return [np.zeros(s.shape[1]) for s in states]
+    at_rest = [np.stack([s[0], 0 * s[0], 0 * s[0]]) for s in states]
+    return [sum((np.asarray(b.bias) for b in basis.values()), np.zeros(1)) for basis in bases(model, at_rest)]
 
 
 def _within_samples(states: Array, sample_time: float) -> Array:

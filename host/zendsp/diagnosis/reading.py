@@ -97,6 +97,7 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
             raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
     name, get, done = _getter(source)
     joints = model.joints
+    get, repeated = _without_repeats(get, columns)
     position = _matrix(name, "position", get, columns["position"], joints)
     n = len(position)
     if "command" in columns:
@@ -120,6 +121,8 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         else None
     )
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
+    if repeated:
+        notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(
         [_resolution(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
@@ -161,6 +164,24 @@ def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
         return "recording", from_recording, ()
     table = source if isinstance(source, Table) else read_table(source)
     return str(table.path), lambda column: table[column], table.notes
+
+
+def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
+    """A getter without the rows whose time and positions are those of the row before, and how many there are."""
+    if "time" not in columns or not _has(get, columns["time"]):
+        return get, 0
+    time = np.asarray(get(str(columns["time"])))
+    spec = columns["position"]
+    parts = [np.asarray(get(str(item))) for item in (spec if isinstance(spec, list) else [spec])]
+    if time.ndim != 1 or any(len(p) != len(time) for p in parts):
+        return get, 0
+    again = np.r_[False, np.diff(time) == 0]
+    for p in parts:
+        again[1:] &= (p[1:] == p[:-1]).reshape(len(time) - 1, -1).all(axis=1)
+    if not again.any():
+        return get, 0
+    keep = ~again
+    return lambda column: np.asarray(get(column))[keep], int(again.sum())
 
 
 def _has(get: Any, column: Any) -> bool:

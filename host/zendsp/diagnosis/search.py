@@ -350,11 +350,12 @@ def _gain(before: Scored, rival: Rival) -> float:
 
 
 def _freedom(rival: Rival) -> float:
-    """Fitted parameters, with one more for a hidden state."""
+    """Fitted parameters, with one more for a hidden state, and for another joint that was chosen among several."""
     count = 0.0
     for term in rival.terms:
         effect = get_effect(term.effect)
         count += sum(p.fitted for p in effect.parameters) + (1 if effect.starts else 0)
+        count += "from_joint" in term.parameters
     return count - len(rival.replaces)
 
 
