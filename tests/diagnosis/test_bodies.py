@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +165,21 @@ def test_a_larger_fault_of_one_joint_does_not_hide_a_body(record) -> None:  # ty
     (found,) = searched(record("both", Arm(tilt=np.deg2rad(0.5), gain=0.7))).found
     assert (found.term.effect, found.aside) == ("base_tilt", {2})
     assert found.term.value("angle_x") == pytest.approx(np.deg2rad(0.5), rel=0.1)
+
+
+def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    from zendsp.diagnosis import engine
+
+    def wrong(fit, choose, model, jobs, tell):  # type: ignore[no-untyped-def]
+        carried = searched(record("payload", Arm(mass=1.5)))
+        return replace(carried, model=model.with_terms((*model.terms, carried.found[0].term)))
+
+    monkeypatch.setattr(engine, "find_bodies", wrong)
+    model, paths = record("none", Arm(), True)
+    d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
+    assert d.verdict == "complete" and d.findings == ()
+    assert not any(t.effect == "payload" for t in (*d.improved.terms, *d.calibrated.terms))
+    assert ("payload", 3) in {(r.effect, r.joint) for r in d.rejected}
 
 
 def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.bodies import COM, LIMITS, BodySearch, Explained, FoundBody, Layout, refined, stated
+from zendsp.diagnosis.bodies import COM, LIMITS, BodySearch, FoundBody, Layout, refined, stated
 from zendsp.diagnosis.decide import FALSE_DISCOVERIES, Decision, dependence
 from zendsp.diagnosis.discrepancy import difference
 from zendsp.diagnosis.evidence import compare
@@ -166,17 +166,19 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
     return f"{link} has its centre of mass elsewhere than the model says: the difference is ({centre}) m."
 
 
-def rejected_bodies(tried: Sequence[Explained], claims: Sequence[BodyClaim]) -> list[Rejected]:
-    """Rivals that were held against the bodies that are claimed, or the best of those that none is claimed of."""
-    if not claims:
-        of_bodies = [e for e in tried if e.hypothesis.of_bodies and e.gain > 0][:REJECTED]
-        why = "is not what is missing, on the recordings held out"
-        return [Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, -abs(e.gain)) for e in of_bodies]
-    out = []
+def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rejected]:
+    """Bodies that were proposed and not claimed, and rivals of those that are; where none was proposed, the best of what was tried."""
+    claimed = {(c.found.term.effect, c.found.term.joint) for c in claims}
+    refused = [f.explained for f in search.found if (f.term.effect, f.term.joint) not in claimed]
+    if not search.found:
+        refused = [e for e in search.tried if e.hypothesis.of_bodies and e.gain > 0][:REJECTED]
+    why = "is not what is missing, on the recordings held out"
+    out = [Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, -abs(e.gain)) for e in refused]
     for claim in claims:
         best = claim.found.explained.gain
         for e in claim.found.rejected[:REJECTED]:
-            why = f"explains {100 * min(0.99, max(0.0, float(np.clip(e.share, 0, 1).mean()))):.0f} % of it ({e.hypothesis.name})"
+            part = 100 * min(0.99, float(np.clip(e.share, 0, 1).mean()))
             if e.hypothesis.effect != "unknown":
+                why = f"explains {part:.0f} % of it ({e.hypothesis.name})"
                 out.append(Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, 0.5 * (e.gain - best)))
     return out

@@ -156,7 +156,7 @@ def _diagnose(
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
     findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
-    rejected = (*rejected_bodies(bodies.tried, claims), *rejected)
+    rejected = (*rejected_bodies(bodies, claims), *rejected)
     findings += tuple(ripple.finding for ripple in fine)
     kinds = {d.kind for d in decisions}
     verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
