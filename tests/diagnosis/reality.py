@@ -30,6 +30,8 @@ class Machine:
     spring: float = 0.0
     wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
+    sticky: float = 0.0  # a look-alike of friction that varies with position: sticky * tanh(2 sin(3 q)) * tanh(q̇ / 0.1)
+    push: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N m, from s, to s
     gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
     load: float = 0.0
     unrest: float = 0.0  # N m RMS: a random torque below 2 Hz, another one in every run
@@ -79,9 +81,11 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
             else:
                 torque = u
             torque = max(-m.weak, min(m.weak, torque)) + unrest
+            torque += m.push[0] if m.push[1] <= k * T < m.push[2] else 0.0
             level = m.coulomb + ((m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2)) if m.breakaway else 0.0)
             f = m.viscous * v + m.drag * v * abs(v) + m.gravity * math.sin(q) + m.ripple * math.sin(m.order * q + 0.4) + m.spring * q
             f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (1 + v * v)
+            f += m.sticky * math.tanh(2 * math.sin(3 * q)) * math.tanh(v / 0.1)
             # dry friction implicitly in its slope: stable at any step
             s = math.tanh(v / 1e-3)
             slope = level / 1e-3 * (1 - s * s)

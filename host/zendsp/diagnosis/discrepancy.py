@@ -361,7 +361,7 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         record = rec[joint - 1]
         use = kept(record, band)
         high = level > max(10.0 * quiet, 0.05 * float(level.max()))
-        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
+        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
         place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))

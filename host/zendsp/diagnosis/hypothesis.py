@@ -119,7 +119,7 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
     """The same term in another fit of the model, where its fitted numbers have moved.
 
     A joint may have several terms of one effect: they are told apart by what no fit moves (a coupling's law and its joint), then by
-    how often they repeat (a ripple's order).
+    how often they repeat (a ripple's order, the period of a friction that varies with position).
 
     Raises
     ------
@@ -129,7 +129,8 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
     settings = [p.name for p in get_effect(term.effect).parameters if not p.fitted]
 
     def unlike(t: Term) -> tuple[bool, int, float]:
-        return t is not term, sum(t.value(n) != term.value(n) for n in settings), abs(t.value("order") - term.value("order"))
+        repeats = sum(abs(t.value(n) - term.value(n)) for n in ("order", "period"))
+        return t is not term, sum(t.value(n) != term.value(n) for n in settings), repeats
 
     alike = [t for t in terms if (t.effect, t.joint) == (term.effect, term.joint)]
     if not alike:

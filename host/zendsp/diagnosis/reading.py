@@ -173,7 +173,7 @@ def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
     time = np.asarray(get(str(columns["time"])))
     spec = columns["position"]
     parts = [np.asarray(get(str(item))) for item in (spec if isinstance(spec, list) else [spec])]
-    if time.ndim != 1 or any(len(p) != len(time) for p in parts):
+    if time.ndim != 1 or len(time) < 2 or any(len(p) != len(time) for p in parts):
         return get, 0
     again = np.r_[False, np.diff(time) == 0]
     for p in parts:
