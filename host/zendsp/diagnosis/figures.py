@@ -33,6 +33,9 @@ AXIS = {
     "position": (
         "position_friction",
         "gravity",
+        "payload",
+        "body",
+        "base_tilt",
         "stiffness",
         "cubic_stiffness",
         "ripple",
