@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.inertia import inertia_ranges
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.reading import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.bodies import Links, body_terms, machine_tree
+from zendsp.physics.effects.base import Scale
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, Scale, mechanism_value
+from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.rigid import bases
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
@@ -100,6 +101,8 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
                 base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
                 position=np.ascontiguousarray(s.position[:, j]),
                 links=links,
+                slides=model.joint_kind(j + 1) == "linear",
+                columns=joint_columns(s, j),
             )
         )
     return tuple(out)

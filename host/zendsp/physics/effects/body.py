@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="body",
     site="body",
+    mechanism="inertia",
     parameters=(
         Parameter("mass", "mass", default=0.0, meaning="difference from the file"),
         Parameter("com_x", "length", lower=-3, upper=3, default=0, meaning="difference, in the link's frame"),
@@ -26,5 +27,7 @@ EFFECT = Effect(
         "Weigh the link and find its balance, or look up its maker's figures."
     ),
     equation="m, c, J of a link: Y(q, q̇, q̈) Δφ at every joint that moves it",
+    over="position",
+    why_not="it acts on all joints: the improved model in C has it (zendsp model2c)",
     rivals=("payload", "torque_gain"),
 )  # fmt: skip

@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="payload",
     site="body",
+    mechanism="inertia",
     parameters=(
         Parameter("mass", "mass", lower=0.0),
         Parameter("com_x", "length", lower=-3, upper=3, default=0, meaning="centre of mass, link's frame"),
@@ -26,5 +27,7 @@ EFFECT = Effect(
         "Weigh the tool, or repeat the motion without it: all joints change together."
     ),
     equation="m, c, J fixed to a link: Y(q, q̇, q̈) φ(m, c, J) at every joint that moves it",
+    over="position",
+    why_not="it acts on all joints: the improved model in C has it (zendsp model2c)",
     rivals=("body", "torque_gain"),
 )  # fmt: skip
