@@ -15,15 +15,15 @@ import zenoh
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.admission import check_role
-from zendsp_target.api import RuntimeApi
+from zendsp_target.admission import Doors, check_role
+from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
 from zendsp_target.once import Ticket
 from zendsp_target.repeats import Repeats
-from zendsp_target.service import RECORDER, Identity, Service
+from zendsp_target.service import Identity, Service
 
 log = logging.getLogger(__name__)
 
@@ -45,10 +45,10 @@ class Server:
         identity: Identity,
         session: zenoh.Session,
         managed: bool = False,
-        role_of: Callable[[str], str] = lambda _user: verbs.ROLES[-1],
+        doors: Doors | None = None,
     ) -> None:
         self.name = identity.name
-        self._role_of = role_of
+        self._doors = doors or Doors(())
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[int, zenoh.Publisher] = {}
@@ -128,8 +128,10 @@ class Server:
             else:
                 verb, args, by = codec.decode_request(request, lane)
                 if user:  # known by name: its role decides, and its name is what the log says
-                    check_role(user, self._role_of(user), verb)
+                    check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
+                if verb.name == "compile":
+                    self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
                 result = self._special(verb, args, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)

@@ -36,10 +36,10 @@ def test_a_look_alike_of_a_law_is_a_mechanism_without_one_or_unexplained(tmp_pat
 
 
 def test_a_push_is_a_disturbance_with_its_times(tmp_path: Path) -> None:
-    d = decided(tmp_path, reality.Machine(push=(0.06, 2.0, 4.0)), reality.Machine(push=(0.06, 5.0, 7.0)))
+    d = decided(tmp_path, reality.Machine(push=(0.06, 2.0, 4.0)), reality.Machine(push=(0.06, 8.0, 10.0)))
     assert [f.effect for f in d.findings] == ["disturbance"]
     spans = d.findings[0].numbers["intervals"]
-    assert spans[0][0] == pytest.approx(5.0, abs=0.2) and spans[-1][1] == pytest.approx(7.0, abs=0.2)
+    assert spans[0][0] == pytest.approx(8.0, abs=0.2) and spans[-1][1] == pytest.approx(10.0, abs=0.2)
     assert d.findings[0].parameters["peak"].value == pytest.approx(0.06, rel=0.3)
 
 

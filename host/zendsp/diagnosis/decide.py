@@ -387,7 +387,7 @@ def _law(
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = behind < 0.5 * first.evidence.gain and difference(parts.choose, rival.scored.model, final.model, joint) < after
-        if weight > TIED or near:
+        if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
             share = 1.0 - behind / max(rival_gain(first, final), 1e-9)

@@ -379,7 +379,10 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
             (start + a * record.sample_time, start + (b - 1) * record.sample_time)
             for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
         ]
-        peak = max(peak, float(np.max(np.abs(lack[use][high]), initial=0.0)))
+        if high.any():  # a smooth peak: single samples are noise, and the observer's own ringing at the edges
+            width = max(3, round(3.0 / band / record.sample_time))
+            smooth = np.convolve(lack[use], np.ones(width) / width, mode="same")
+            peak = max(peak, float(np.quantile(np.abs(smooth[high]), 0.95)))
     share = inside / max(inside + outside, 1e-300)
     if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
         return None
