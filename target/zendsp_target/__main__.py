@@ -77,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users, args.roles)
     listen = args.listen or []
     try:
-        settle(args.name or machine_title(args.machine), listen, args.connect, security)  # before the machine is touched
+        doors = settle(args.name or machine_title(args.machine), listen, args.connect, security)  # before the machine is touched
+        if doors.sentence:
+            print(f"zendsp target: {doors.sentence}", file=sys.stderr, flush=True)
         if os.getuid() == 0:
             print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)

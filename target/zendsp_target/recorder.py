@@ -11,6 +11,8 @@ import numpy.typing as npt
 from zendsp_protocol import kept
 from zendsp_protocol.errors import AcquisitionError
 from zendsp_protocol.kept import About
+from zendsp_protocol.messages import Held
+from zendsp_protocol.states import RecorderState
 from zendsp_target import acquisition
 from zendsp_target.api import RECORDER, AcquireConfig, AcquireStatus
 from zendsp_target.layout import layout
@@ -61,7 +63,7 @@ class Recorder:
         found, session = self._stream(number)
         if not self._fed(session):
             raise AcquisitionError(f"stream {number} belongs to a program that is no longer loaded: configure it again")
-        if not (force and acquisition.status(found, True).state == "armed"):
+        if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
             acquisition.request(found, "arm", session.alive)
         if force:
             acquisition.request(found, "force", session.alive)
@@ -87,9 +89,16 @@ class Recorder:
     def status(self, number: int) -> AcquireStatus:
         """Where a stream stands."""
         if number not in self._streams:
-            return AcquireStatus("idle", (), (), 1, 0, 0, 0, 0, 0, -1)
+            return AcquireStatus(RecorderState.IDLE, (), (), 1, 0, 0, 0, 0, 0, -1)
         found, session = self._streams[number]
         return acquisition.status(found, self._fed(session))
+
+    def held(self, number: int) -> Held:
+        """Where the rows of a stream stand; an empty path where it is not configured."""
+        if number not in self._streams:
+            return Held()
+        found, session = self._streams[number]
+        return acquisition.held(found, self._fed(session))
 
     def read(
         self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None

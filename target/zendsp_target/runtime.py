@@ -22,6 +22,7 @@ import numpy.typing as npt
 from zendsp_isr.build import source_root
 from zendsp_protocol.errors import RunnerDied
 from zendsp_protocol.kept import About, Kept
+from zendsp_protocol.messages import Held
 from zendsp_target.api import AcquireConfig, AcquireStatus, Blank, Change, Status, Value, VariableInfo
 from zendsp_target.motion import Motion
 from zendsp_target.recorder import Recorder
@@ -232,6 +233,10 @@ class Runtime(Motion):
     def acquire_status(self, stream: int) -> AcquireStatus:
         """Where a stream stands."""
         return self._recorder.status(stream)
+
+    def acquire_held(self, stream: int) -> Held:
+        """Where the rows of a stream stand, for a reader of the same user; see `acquisition.held`."""
+        return self._recorder.held(stream)
 
     def acquire_read(
         self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None

@@ -11,6 +11,7 @@ import mmap
 import os
 import shutil
 import uuid
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,12 @@ class SharedFile:
         """Address within the file as a cffi pointer; keep this object alive while it is used."""
         ffi, _ = layout()
         return ffi.cast(f"{type_name} *", self._buffer + offset)
+
+    def reader(self) -> Path:
+        """A path by which other processes of this user can read the file, also without its name."""
+        file = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
+        weakref.finalize(self, os.close, file)
+        return Path(f"/proc/{os.getpid()}/fd/{file}")
 
     def unlink(self) -> None:
         """Remove the name; the memory stays until it is dropped."""

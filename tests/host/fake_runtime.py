@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import AcquisitionError, CompileFailed, Refused, VariableError
+from zendsp_protocol.errors import AcquisitionError, CompileFailed, NotYet, Refused, VariableError
 from zendsp_protocol.kept import About
+from zendsp_protocol.messages import Held
 from zendsp_target.api import (
     AcquireConfig,
     AcquireStatus,
@@ -189,7 +190,7 @@ class FakeRuntime:
     def wait_applied(self, sequence: int, timeout: float) -> int:
         with self.lock:
             if not self.lock.wait_for(lambda: self.applied >= sequence, timeout):
-                raise Refused("not applied in time")
+                raise NotYet("not applied in time")
             return self.applied_tick
 
     def log(self, since: int = 0) -> tuple[Change, ...]:
@@ -236,6 +237,9 @@ class FakeRuntime:
             s["start"],
             -1,
         )
+
+    def acquire_held(self, stream: int) -> Held:
+        return Held()
 
     def acquire_read(
         self,

@@ -327,6 +327,10 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
     until(lambda: not target.alive, "the end is noticed")
     with pytest.raises(LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"):
         target.status()
+    begin = time.monotonic()
+    with pytest.raises(LinkError, match=r"is gone: 'write' was not answered.*Whether it was applied cannot be known"):
+        target.write(Kp1=1.0)
+    assert time.monotonic() < begin + 2.0  # nobody is left to send it to: of five seconds that it may take
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
     with pytest.raises(LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"):
@@ -370,3 +374,35 @@ def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_ru
 def test_credentials_that_cannot_work_are_named_before_anything_is_sent(credentials: Credentials, said: str) -> None:
     with pytest.raises(LinkError, match=said):
         zenoh_config(["tls/localhost:1"], credentials, 1.0)
+
+
+def test_a_second_link_of_the_same_program_need_not_stand_among_the_hosts(running: Target) -> None:
+    with connect("fake") as other, connect("fake", shown=False) as stopper:
+        until(lambda: len(running.status().hosts) == 2, "the other host is shown")
+        assert set(running.status().hosts) == {running.link.author, other.link.author}
+        stopper.stop()
+        assert running.status().state == "stopped"
+
+
+def ask_on(other: Target, said: list[BaseException], verb: str, arguments: dict[str, object]) -> None:
+    try:
+        while True:
+            other.request(verb, **arguments)
+    except BaseException as error:
+        said.append(error)
+
+
+def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -> None:
+    for _ in range(10):
+        other, said = connect("fake"), list[BaseException]()
+        threads = [
+            threading.Thread(target=ask_on, args=(other, said, "read", {"names": ["Kp1"]})),
+            threading.Thread(target=ask_on, args=(other, said, "write", {"values": {"Kp1": 1.0}})),
+        ]
+        for thread in threads:
+            thread.start()
+        time.sleep(0.01)  # any moment will do
+        other.close()
+        for thread in threads:
+            thread.join(DEADLINE_S)
+        assert [type(error) for error in said] == [LinkError, LinkError], said

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
-import re
 import signal
-import struct
-import termios
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from journey import Installed, until
+from screen import Screen
 
-pyte = pytest.importorskip("pyte")
 F9 = b"\x1b[20~"
 PREPARE = """
 import zendsp
@@ -30,51 +23,6 @@ import zendsp
 with zendsp.connect('imi') as t:
     print('nothing happened' if t.status().trip is None else t.status().trip)
 """
-
-
-class Screen:
-    """`zendsp tui` in a pseudo-terminal, and what it shows."""
-
-    def __init__(self, installed: Installed, size: tuple[int, int], screen: str) -> None:
-        self.shown = pyte.Screen(*size)
-        stream = pyte.ByteStream(self.shown)
-        self.pid, self.fd = pty.fork()
-        if self.pid == 0:
-            os.chdir(installed.folder)
-            command = [str(installed.zendsp), "tui", "imi", "--screen", screen, "--frames", "8"]
-            os.execve(command[0], command, installed.env)
-        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
-
-        def read() -> None:
-            try:
-                while data := os.read(self.fd, 1 << 16):
-                    stream.feed(data.replace(b"\x1b[>", b"\x1b["))  # pyte knows no private queries of this kind
-            except OSError:
-                return
-
-        threading.Thread(target=read, daemon=True).start()
-
-    def text(self) -> str:
-        return "\n".join(self.shown.display)
-
-    def clock(self) -> str:
-        found = re.search(r"\d\d:\d\d:\d\d", self.text())
-        return found.group() if found else ""
-
-    def keys(self, data: bytes) -> None:
-        os.write(self.fd, data)
-
-    def until(self, what: str, timeout: float = 30.0) -> None:
-        deadline = time.monotonic() + timeout
-        while what not in self.text():
-            if time.monotonic() > deadline:
-                pytest.fail(f"not on the screen within {timeout:g} s: {what}\n{self.text()}")
-            time.sleep(0.02)
-
-    def end(self) -> None:
-        os.kill(self.pid, signal.SIGKILL)
-        os.waitpid(self.pid, 0)
-        os.close(self.fd)
 
 
 @pytest.fixture
@@ -93,7 +41,7 @@ def test_stop_ends_in_the_right_banner(
     process = installed.target("imi")
     done = installed.script(PREPARE)
     assert done.returncode == 0, done.stderr
-    screen = Screen(installed, size, name)
+    screen = Screen(installed, size, "imi", "--screen", name)
     screens.append(screen)
     screen.until("● running")
 
@@ -127,7 +75,7 @@ def runner_of(target: int) -> int:
 def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Installed, screens: list[Screen]) -> None:
     process = installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "console")
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.until("● running")
     os.kill(process.pid, signal.SIGSTOP)
@@ -141,7 +89,7 @@ def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Ins
 def test_a_key_that_is_pressed_before_the_screen_is_there_stops(installed: Installed, screens: list[Screen]) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "console")
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.keys(F9)
     screen.until("stopped, at sample")
@@ -150,7 +98,7 @@ def test_a_key_that_is_pressed_before_the_screen_is_there_stops(installed: Insta
 def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Installed, screens: list[Screen]) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "console")
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.until("● running")
     first = screen.clock()
@@ -165,7 +113,7 @@ def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Instal
 def test_f9_works_where_the_process_of_the_keys_was_killed(installed: Installed, screens: list[Screen]) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "console")
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.until("● running")
     stopper = stopper_of(screen.pid)
@@ -189,7 +137,7 @@ def stopper_of(terminal: int) -> int:
 def test_a_pasted_key_does_not_stop(installed: Installed, screens: list[Screen]) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "console")
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.until("● running")
     screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")

@@ -52,7 +52,7 @@ def command(
 
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
-    from zendsp.errors import AcquisitionError, RunnerDied
+    from zendsp.errors import AcquisitionError, Incomplete, RunnerDied
     from zendsp.link import Trigger
     from zendsp.recording.files import check_suffix
 
@@ -74,11 +74,12 @@ def command(
                     note=note,
                     progress=set_fraction,
                 )
-        except (RunnerDied, AcquisitionError) as error:
-            if "acquire_load()" not in str(error):  # nothing was recorded
-                raise
-            ended = str(error).split("What was recorded")[0].split("; acquire_load()")[0].rstrip(". ")
-            recording = t.acquire_load(note or ended)
+        except (RunnerDied, Incomplete) as error:
+            ended = str(error)
+            try:
+                recording = t.acquire_load(note or ended)
+            except AcquisitionError:  # nothing was recorded
+                raise error from None
     recording.save(out)
     if plot is not None:
         recording.plot(path=plot)

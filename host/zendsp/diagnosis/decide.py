@@ -304,7 +304,8 @@ def _named(
                 refinements.append(_plain(other))
         kind = [p for p in claimed if p.mechanism in _kind(piece.mechanism)]
         allowed = max(_may_leave(p) for p in kind)  # a larger law's error is no lack of this one
-        poor = left is not None and left.z > SURE and left.size > max(allowed, NUMERIC)
+        again = [p.size for p in ranked[1:] if _repeats(p, first)]  # what the law by itself leaves to itself
+        poor = math.hypot(*again) > allowed or (left is not None and left.z > SURE and left.size > max(allowed, NUMERIC))
         if poor or len(own) >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
             claims.append(replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0}))
@@ -319,6 +320,13 @@ def _named(
     return Decision(
         joint, "missing", tuple(claims), tuple(refinements), search.base, final, before, after, state, rms_torque(parts.test, joint)
     )
+
+
+def _repeats(other: Piece, first: Piece) -> bool:
+    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not a sum of such shapes by itself."""
+    effect = get_effect(first.terms[0].effect)
+    of_orders = "order" in effect.names  # a sum of harmonics is one law
+    return other.effects == first.effects and not of_orders and other.log_e > 0 and other.evidence.z > PLAIN
 
 
 def _may_leave(piece: Piece) -> float:
@@ -379,7 +387,7 @@ def _law(
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = behind < 0.5 * first.evidence.gain and difference(parts.choose, rival.scored.model, final.model, joint) < after
-        if weight > TIED or near:
+        if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
             share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
@@ -461,7 +469,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
     of_state = state.size > OF_STATE and state.z > SURE
-    if before.low > OF_STATE and state.share < MOST:
+    if before.value > OF_STATE and state.share < MOST:
         here = bursts(parts.held, base.model, joint)
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)

@@ -33,6 +33,7 @@ def connect(
     connect: str | Sequence[str] | None = None,
     credentials: Credentials | None = None,
     timeout: float = 3.0,
+    shown: bool = True,
 ) -> Target:
     """Connect to a running target.
 
@@ -46,6 +47,8 @@ def connect(
     credentials : Credentials, optional
         Default: from the environment (``ZENDSP_TLS_CA``, ``ZENDSP_USER``, …).
     timeout : float, s
+    shown : bool
+        Stand among the hosts of the target's status; a second link of the same program need not.
 
     Raises
     ------
@@ -67,9 +70,9 @@ def connect(
 
     def reopen() -> Link:
         _, endpoints, own = locate(name, connect)
-        return Link(name, endpoints, given(own), timeout)
+        return Link(name, endpoints, given(own), timeout, shown)
 
-    return Target(Link(name, endpoints, given(own), timeout), reopen=reopen)
+    return Target(Link(name, endpoints, given(own), timeout, shown), reopen=reopen)
 
 
 def locate(

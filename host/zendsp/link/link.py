@@ -27,9 +27,10 @@ from zendsp_protocol.verbs import VERBS, Verb
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 _background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-_Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
+_Ready = tuple[Verb, zenoh.Querier | None]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
+AGAIN_S = 0.002  # before a request that was dropped is sent again
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
 END_S = 1.0  # for saying goodbye when the process ends
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
@@ -46,6 +47,8 @@ class Link:
         Where to reach it.
     timeout : float, s
         For connecting.
+    shown : bool
+        Stand among the hosts of the target; a second link of the same program need not.
 
     Raises
     ------
@@ -54,11 +57,17 @@ class Link:
     """
 
     def __init__(
-        self, target: str, endpoints: Sequence[str], credentials: Credentials, timeout: float = 3.0
+        self,
+        target: str,
+        endpoints: Sequence[str],
+        credentials: Credentials,
+        timeout: float = 3.0,
+        shown: bool = True,
     ) -> None:
         self.target = target
         self.endpoints = tuple(endpoints)
         self.identity = credentials.identity
+        self.own = credentials.own  # of the same user on the same computer, by the target's entry
         self.author = _author(self.identity)
         self._alive = threading.Event()
         self._lost = threading.Event()
@@ -77,7 +86,8 @@ class Link:
             self._watch = Listener(tokens, self._liveliness, "alive")
             if not self._alive.wait(timeout):
                 raise LinkError(_not_there(self._session, target, endpoints))
-            self._token = self._session.liveliness().declare_token(keys.host(target, self.author))
+            liveliness = self._session.liveliness()
+            self._token = liveliness.declare_token(keys.host(target, self.author)) if shown else None
             self._queriers = {lane: self._querier(lane) for lane in ("quick", "sync", "stop")}
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -125,20 +135,29 @@ class Link:
         ZendspError
             Whatever the target says.
         """
-        row, querier, reader = self._ready.get(verb) or self._make_ready(verb)
+        row, querier = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
         if verb in ONCE:
             reply = self._once(row, querier, payload, timeout)
         else:
-            try:
-                if querier is not None and timeout is None:
-                    reply = querier.get(payload=payload).recv()
-                else:
-                    reply = self._patient(row, payload, timeout or row.timeout)
-            except zenoh.ZError as error:
-                raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
+            if querier is not None and timeout is None:
+                reply = self._quick(row, querier, payload)
+            else:
+                reply = self._patient(row, payload, timeout or row.timeout)
         sample = reply.ok
-        return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
+        return self._refused(reply, row) if sample is None else codec.decode_reply(sample.payload.to_bytes(), row.result)
+
+    def _quick(self, row: Verb, querier: zenoh.Querier, payload: bytes) -> zenoh.Reply:
+        """Ask until an answer comes: a target that others flood with requests drops some of them, unanswered."""
+        limit = STOP_S if row.lane == "stop" else row.timeout
+        begin = time.monotonic()
+        while True:
+            try:
+                return _ask(querier, payload)
+            except zenoh.ZError as error:
+                if self.closed or not self._alive.is_set() or time.monotonic() > begin + limit:
+                    raise self.silence(row.name, limit) from error
+                time.sleep(AGAIN_S)
 
     def _once(self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None) -> zenoh.Reply:
         """Have a change carried out once: where the link breaks, the request is sent again, and the target knows it by its stamp."""
@@ -147,12 +166,12 @@ class Link:
         deadline = time.monotonic() + (timeout or row.timeout)
         try:
             if querier is not None and timeout is None:
-                return querier.get(payload=payload, attachment=first).recv()
+                return _ask(querier, payload, first)
             return self._patient(row, payload, timeout or row.timeout, first)
         except (zenoh.ZError, LinkError):
             pass  # its request or its reply is lost
         again = stamp(self._name, number, instance, AGAIN)
-        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._alive.wait(left):
+        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._comes_back(left):
             # it may be that the news of a death, or of the lanes of one that is back, is a moment behind
             with contextlib.suppress(LinkError):
                 return self._patient(row, payload, max(left, STEP_S), again)
@@ -210,7 +229,7 @@ class Link:
             for querier in self._queriers.values():
                 # Zenoh keeps 16 kB of a session that closes with one declared.
                 with contextlib.suppress(zenoh.ZError):
-                    querier.undeclare()  # type: ignore[no-untyped-call]
+                    _undeclare(querier)
             self._session.close()  # type: ignore[no-untyped-call]
 
     def disown(self) -> None:
@@ -233,9 +252,9 @@ class Link:
         return row
 
     def _make_ready(self, verb: str) -> _Ready:
-        """Look up once what each request of a verb needs: its row, its lane, and the reader of its replies."""
+        """Look up once what each request of a verb needs: its row and its lane."""
         row = self._row(verb)
-        ready = row, self._queriers.get(row.lane), codec.reply_reader(row.result)
+        ready = row, self._queriers.get(row.lane)
         self._ready[verb] = ready
         return ready
 
@@ -288,6 +307,18 @@ class Link:
         self._lost.wait(STEP_S)
         return self._alive.is_set()
 
+    def _comes_back(self, timeout: float) -> bool:
+        """Wait until the target is reachable; False also as soon as it is known that its process has ended."""
+        from zendsp.link.find import local_entries
+
+        deadline = time.monotonic() + timeout
+        while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
+            if time.monotonic() >= deadline:
+                return False
+            if self.own and self.target not in {entry.name for entry in local_entries()}:
+                return False
+        return True
+
     def _meet(self) -> None:
         """Learn which run of the target has come back; with a timeout, so that no querier is in use when the link is closed."""
         with contextlib.suppress(ZendspError):
@@ -309,6 +340,33 @@ class Link:
             background("returned", self._meet)
             for callback in list(self._returned):
                 background("returned", callback)
+
+
+def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None) -> zenoh.Reply:
+    """Send a request and wait for its reply.
+
+    Raises
+    ------
+    zenoh.ZError
+        There is none, or another thread closes the link now.
+    """
+    try:
+        return querier.get(payload=payload, attachment=attachment).recv()
+    except RuntimeError as error:  # it is being undeclared: "Already mutably borrowed"
+        raise zenoh.ZError(str(error)) from error
+
+
+def _undeclare(querier: zenoh.Querier) -> None:
+    """Undeclare a querier, as soon as no other thread is just sending a request with it."""
+    end = time.monotonic() + END_S
+    while True:
+        try:
+            querier.undeclare()  # type: ignore[no-untyped-call]
+            return
+        except RuntimeError:  # "Already borrowed"
+            if time.monotonic() > end:
+                return
+            time.sleep(AGAIN_S)
 
 
 def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:

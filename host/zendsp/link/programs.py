@@ -12,6 +12,7 @@ from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, Zend
 from zendsp.link.requests import Requests
 from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveState, ProgramState
 
 if TYPE_CHECKING:
     from zendsp_isr.sources import Source
@@ -25,7 +26,7 @@ WATCHED_S = 0.25  # of the target's time: a program that runs for so long has be
 def stopped(status: m.Status) -> str:
     """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
     if status.trip is None:
-        what = "no program is loaded" if status.state == "empty" else "the program crashed"
+        what = "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
         return f"stopped: {what}, nothing moves"
     why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
     return f"stopped, at sample {status.trip.tick}{why}"
@@ -34,7 +35,7 @@ def stopped(status: m.Status) -> str:
 def stopped_at(sample: int) -> m.Status:
     """What is known once the loop has taken a STOP, where the target itself does not answer."""
     trip = m.Trip(reason="stop", joint=0, tick=sample, value=0.0, limit=0.0, text=f"STOP was requested (sample {sample})")
-    return m.Status(state="stopped", drive="stopped", tick=sample, trip=trip)
+    return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
 
 
 class Programs(Requests):
@@ -131,8 +132,8 @@ class Programs(Requests):
         try:
             self.request("stop")
             while True:
-                status = self.request("status", timeout=max(0.1, begin + STOPPED_S - time.monotonic()))
-                if status.trip is not None or status.state in ("empty", "crashed"):
+                status = self.request("stopped")  # on the lane of STOP: others may flood that of `status`
+                if status.trip is not None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
                     return status  # type: ignore[no-any-return]
                 if time.monotonic() > begin + STOPPED_S:
                     raise LinkError(f"asked, but the loop of {self.link.target!r} goes on or hangs: it is {status.state}")
@@ -218,7 +219,7 @@ class Programs(Requests):
         while True:
             status = self.status()
             first = status.t if first is None else first
-            if status.state != "running" or status.t - first >= seconds or time.monotonic() > deadline:
+            if status.state != ProgramState.RUNNING or status.t - first >= seconds or time.monotonic() > deadline:
                 return status
             time.sleep(0.01)
 
@@ -243,11 +244,11 @@ class Programs(Requests):
         pause = POLL_FIRST_S
         while True:
             status = self.status()
-            if status.state == "crashed":
+            if status.state == ProgramState.CRASHED:
                 raise RunnerDied(status.crash)
             if on_status is not None:
                 on_status(status)
-            if status.state != "running":
+            if status.state != ProgramState.RUNNING:
                 return status
             if time.monotonic() > deadline:
                 raise LinkError(
@@ -259,10 +260,10 @@ class Programs(Requests):
 
 def trouble(status: m.Status) -> str:
     """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do next; else ``""``."""
-    if status.state == "crashed":
+    if status.state == ProgramState.CRASHED:
         return f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or download()"
     if status.trip is not None:
-        what = "stopped" if status.drive == "stopped" else "tripped"
+        what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         cause = (status.trip.text or status.trip.reason).removesuffix("; outputs are safe until acknowledged")
         return f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then start again"
     return ""

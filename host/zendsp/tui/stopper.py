@@ -104,7 +104,7 @@ class Links:
                 old.close()
             while name and self.target is None and not self._wanted.is_set():
                 try:
-                    self.target = connect(name)
+                    self.target = connect(name, shown=False)  # the terminal itself stands there already
                 except ZendspError:
                     self._wanted.wait(RETRY_S)
 
