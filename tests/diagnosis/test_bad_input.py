@@ -286,3 +286,20 @@ def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Pat
     assert "hanging down" in refuse(upright, "--model", model)
     degrees = reality.save(tmp_path / "degrees.csv", {"t": swing["t"], "q": np.degrees(swing["q"])})
     assert "degrees" in refuse(degrees, "--model", model)
+
+
+def test_rows_that_repeat_the_row_before_are_left_out_and_said(good: Columns, model: Path, tmp_path: Path) -> None:
+    rows = np.sort(np.r_[np.arange(len(good["t"])), [100, 101, 900]])
+    again = reality.save(tmp_path / "again.csv", {k: v[rows] for k, v in good.items()})
+    given = kernel_model(load_model(model))
+    signals = read_signals(again, given)
+    assert len(signals.time) == len(good["t"])
+    assert any("3 rows repeat the row before" in n for n in signals.notes)
+
+
+def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) -> None:
+    free = reality.simulate(reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002), np.r_[1.2, np.zeros(4999)], RATE)
+    speed = np.gradient(free["q"], 1.0 / RATE)
+    compensation = 0.001 * np.tanh(speed / 0.1) + 2e-4 * np.random.default_rng(0).standard_normal(len(speed))
+    model = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.002), gravity=0.4)
+    _accepted(reality.save(tmp_path / "hardly.csv", {"t": free["t"], "q": free["q"], "u": compensation, "r": 0 * speed}), model)

@@ -52,6 +52,7 @@ OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physi
 TIED = 0.05  # probability above which a law is still in the race
 DRAWS = 400  # of the Bayesian bootstrap
 SURE = 3.0  # standard deviations over blocks of time
+PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
@@ -251,7 +252,7 @@ def _claimed(
         if kept_laws:
             apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
             larger = max(larger, difference(parts.test, apart, final.model, joint))
-        sure = piece.log_e > needed and piece.evidence.z > 2.0
+        sure = piece.log_e > needed and piece.evidence.z > PLAIN
         (claimed if sure and piece.size > math.hypot(left, LAW_ERROR * larger) else rest).append(piece)
     return claimed, rest
 
@@ -297,13 +298,14 @@ def _named(
         own = [first]
         for other in ranked[1:]:
             second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(after.value, LAW_ERROR * first.size)
-            if second and other.log_e > 0 and other.evidence.z > 2.0:
+            if second and other.log_e > 0 and other.evidence.z > PLAIN:
                 own.append(other)
             else:
                 refinements.append(_plain(other))
         kind = [p for p in claimed if p.mechanism in _kind(piece.mechanism)]
         allowed = max(_may_leave(p) for p in kind)  # a larger law's error is no lack of this one
-        poor = left is not None and left.z > SURE and left.size > max(allowed, NUMERIC)
+        again = [p.size for p in ranked[1:] if _repeats(p, first)]  # what the law by itself leaves to itself
+        poor = math.hypot(*again) > allowed or (left is not None and left.z > SURE and left.size > max(allowed, NUMERIC))
         if poor or len(own) >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
             claims.append(replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0}))
@@ -318,6 +320,13 @@ def _named(
     return Decision(
         joint, "missing", tuple(claims), tuple(refinements), search.base, final, before, after, state, rms_torque(parts.test, joint)
     )
+
+
+def _repeats(other: Piece, first: Piece) -> bool:
+    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not a sum of such shapes by itself."""
+    effect = get_effect(first.terms[0].effect)
+    of_orders = "order" in effect.names  # a sum of harmonics is one law
+    return other.effects == first.effects and not of_orders and other.log_e > 0 and other.evidence.z > PLAIN
 
 
 def _may_leave(piece: Piece) -> float:
@@ -378,7 +387,7 @@ def _law(
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = behind < 0.5 * first.evidence.gain and difference(parts.choose, rival.scored.model, final.model, joint) < after
-        if weight > TIED or near:
+        if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
             share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
@@ -460,7 +469,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
     of_state = state.size > OF_STATE and state.z > SURE
-    if before.low > OF_STATE and state.share < MOST:
+    if before.value > OF_STATE and state.share < MOST:
         here = bursts(parts.held, base.model, joint)
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)

@@ -361,7 +361,7 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         record = rec[joint - 1]
         use = kept(record, band)
         high = level > max(10.0 * quiet, 0.05 * float(level.max()))
-        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
+        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
         place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
@@ -379,7 +379,10 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
             (start + a * record.sample_time, start + (b - 1) * record.sample_time)
             for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
         ]
-        peak = max(peak, float(np.max(np.abs(lack[use][high]), initial=0.0)))
+        if high.any():  # a smooth peak: single samples are noise, and the observer's own ringing at the edges
+            width = max(3, round(3.0 / band / record.sample_time))
+            smooth = np.convolve(lack[use], np.ones(width) / width, mode="same")
+            peak = max(peak, float(np.quantile(np.abs(smooth[high]), 0.95)))
     share = inside / max(inside + outside, 1e-300)
     if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
         return None

@@ -24,7 +24,7 @@ from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.naming import left_over, name_findings
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.propose import propose
-from zendsp.diagnosis.reading import Parts, Signals, halves, read_signals, split
+from zendsp.diagnosis.reading import Parts, Signals, halves, read_signals, split, with_same_columns
 from zendsp.diagnosis.result import Diagnosis, FitTable, Left
 from zendsp.diagnosis.score import Scored
 from zendsp.diagnosis.search import WAIT, Searcher, calibrate_joint
@@ -199,6 +199,7 @@ def _read(
         raise RecordingError("no recording given")
     held = [read_signals(source, model) for source in _sources(heldout)]
     notes = check_signals([*signals, *held], model)
+    signals, held = with_same_columns(signals, held)
     if not held:
         signals, held, how = split(signals)
         notes += how

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.inertia import inertia_ranges
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.reading import Signals, joint_columns
+from zendsp.physics.effects.base import Scale
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, Scale, mechanism_value
+from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.rigid import bases
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
@@ -90,6 +91,8 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
                 scale=scale,
                 base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
                 position=np.ascontiguousarray(s.position[:, j]),
+                slides=model.joint_kind(j + 1) == "linear",
+                columns=joint_columns(s, j),
             )
         )
     return tuple(out)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from zendsp.errors import RecordingError
+from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
@@ -121,6 +122,8 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         else None
     )
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
+    wanted = {role for effect in library().values() for role in effect.reads if role in columns and _has(get, columns[role])}
+    extra = {role: _optional(name, role, get, columns[role], n, joints) for role in sorted(wanted)}
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(
@@ -130,6 +133,7 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = _lattice(_resample(grid, time, position, linear=True), position[0], resolution)
         command = _resample(grid, time, command, linear=False)
         reference = None if reference is None else _resample(grid, time, reference, linear=True)
+        extra = {role: _resample(grid, time, values, linear=True) for role, values in extra.items()}
         time = grid
     if model.sensor.matrix:
         matrix = np.array(model.sensor.matrix)
@@ -141,8 +145,60 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
-    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes))
+    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra)
     return _decimate(signals)
+
+
+def with_same_columns(signals: Sequence[Signals], others: Sequence[Signals]) -> tuple[list[Signals], list[Signals]]:
+    """The recordings with those optional columns that all of them have."""
+    all_of_them = (*signals, *others)
+    roles = {role for s in all_of_them for role in s.extra if all(role in x.extra for x in all_of_them)}
+
+    def kept(s: Signals) -> Signals:
+        return replace(s, extra={role: values for role, values in s.extra.items() if role in roles})
+
+    return [kept(s) for s in signals], [kept(s) for s in others]
+
+
+def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
+    """The optional columns of one joint (from 0) by their role, (n,) each."""
+    return {role: np.ascontiguousarray(values[:, joint]) for role, values in signals.extra.items()}
+
+
+def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
+    """A note for each effect that a recording lacks a column for.
+
+    Parameters
+    ----------
+    signals : sequence of Signals
+    model : Model
+
+    Returns
+    -------
+    list of str
+    """
+    notes = []
+    for effect in library().values():
+        for role in effect.reads:
+            lacking = [s.name for s in signals if role not in s.extra]
+            if lacking:
+                where = f"{', '.join(lacking)}: no column" if role in model.columns else "the model's [columns] names no column"
+                notes.append(f"{effect.name} was not considered: {where} of {role}")
+    return notes
+
+
+def _optional(name: str, role: str, get: Any, spec: Any, n: int, joints: int) -> Array:
+    """An optional column, one number for all joints or one each, (n, joints)."""
+    parts = [np.asarray(get(str(item)), float) for item in (spec if isinstance(spec, list) else [spec])]
+    values = np.concatenate([part[:, None] if part.ndim == 1 else part for part in parts], axis=1)
+    if values.shape[1] not in (1, joints) or len(values) != n:
+        raise RecordingError(f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints} columns")
+    bad = ~np.isfinite(values)
+    if bad.any():
+        raise RecordingError(
+            f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers (first in row {int(np.argwhere(bad)[0, 0]) + 1}); expected none"
+        )
+    return np.array(np.broadcast_to(values, (n, joints)))
 
 
 def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
@@ -173,7 +229,7 @@ def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
     time = np.asarray(get(str(columns["time"])))
     spec = columns["position"]
     parts = [np.asarray(get(str(item))) for item in (spec if isinstance(spec, list) else [spec])]
-    if time.ndim != 1 or any(len(p) != len(time) for p in parts):
+    if time.ndim != 1 or len(time) < 2 or any(len(p) != len(time) for p in parts):
         return get, 0
     again = np.r_[False, np.diff(time) == 0]
     for p in parts:
@@ -354,6 +410,7 @@ def _decimate(signals: Signals) -> Signals:
         reference=None if signals.reference is None else signals.reference[:n:factor],
         resolution=np.where(counts, signals.resolution, 0.0),
         least_noise=np.where(counts, 0.0, white),
+        extra={role: centred(values) for role, values in signals.extra.items()},
         notes=(*signals.notes, note),
         raw=signals,
     )

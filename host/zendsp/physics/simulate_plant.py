@@ -102,6 +102,8 @@ class Plant:
         Where it starts, rad or m, and rad/s or m/s; 0 where absent.
     t0 : float
         Time of the first sample, s (friction that drifts needs it).
+    temperature : array_like, shape (samples,), or float, optional
+        Of the machine, °C; the last one stays. 20 where absent.
 
     Raises
     ------
@@ -118,6 +120,7 @@ class Plant:
         position: npt.ArrayLike | None = None,
         velocity: npt.ArrayLike | None = None,
         t0: float = 0.0,
+        temperature: npt.ArrayLike | None = None,
     ) -> None:
         if model.kind not in KINDS:
             raise ModelError(f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected {', '.join(KINDS)}")
@@ -131,6 +134,10 @@ class Plant:
             raise ModelError(f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}")
         c = self.native.ffi.new("sim_config *")
         self._fill(c, position, velocity, t0)
+        warmth = np.atleast_1d(np.asarray([] if temperature is None else temperature, dtype=np.float64))
+        if warmth.ndim != 1 or not np.isfinite(warmth).all():
+            raise ModelError(f"{model.name}: temperature has shape {warmth.shape}; expected finite numbers, one a sample")
+        c.temperature, c.temperatures = self._pointer(warmth), len(warmth)
         self.config = c
         pointer = self.native.lib.sim_new(c, self.samples)
         if pointer == self.native.ffi.NULL:
@@ -171,11 +178,12 @@ class Plant:
         for i, term in enumerate(terms):
             kinds[i], joints[i] = self.native.index[term.effect], term.joint - 1
             for k, parameter in enumerate(get_effect(term.effect).parameters):
-                table[i, k] = term.value(parameter.name, parameter.default or 0.0)
-            if term.effect == "coupling":
-                table[i, 0] -= 1
-                if not 0 <= table[i, 0] < self.joints:
-                    raise ModelError(f"{self.model.name}: coupling from_joint = {table[i, 0] + 1:g}; expected 1 … {self.joints}")
+                value = term.value(parameter.name, parameter.default or 0.0)
+                if parameter.size == "joint":
+                    if not 1 <= value <= self.joints:
+                        raise ModelError(f"{self.model.name}: {term.effect} {parameter.name} = {value:g}; expected 1 … {self.joints}")
+                    value -= 1
+                table[i, k] = value
         c.effects = len(terms)
         c.effect, c.effect_joint, c.effect_p = self._pointer(kinds), self._pointer(joints), self._pointer(table)
 
@@ -189,6 +197,17 @@ class Plant:
         measured, counts = np.empty(MAX_JOINTS), np.empty(MAX_JOINTS, np.int32)
         self.native.lib.sim_measure(self.pointer, self.native.doubles(measured), self.native.ints(counts))
         return measured[: self.joints].copy()
+
+    def recorded_command(self, command: Array) -> Array:
+        """The commands (n, joints) as their column holds them: shifted in time where the model says so."""
+        n, out = len(command), command.copy()
+        for j in range(self.joints):
+            rows = float(self.native.lib.sim_column_late(self.pointer, j)) / self.period
+            if rows:
+                more = int(abs(rows)) + 1  # rows before the first and after the last, like these
+                total = np.r_[0.0, np.cumsum(np.pad(command[:, j], more, mode="edge"))]
+                out[:, j] = np.diff(np.interp(np.arange(n + 1) + more - rows, np.arange(n + 2 * more + 1), total))
+        return out
 
     def truth(self) -> tuple[Array, Array, Array]:
         """Position, speed, and torque of the last sample, each (joints,)."""
