@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.chunks import KERNEL
 from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
+from zendsp_protocol.kept import About, Kept, first_row
 from zendsp_protocol.messages import Held
 from zendsp_protocol.states import RecorderState
 from zendsp_target.api import AcquireConfig, AcquireStatus
@@ -213,6 +214,18 @@ def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:
     return True
 
 
+def note_of(stream: Stream, about: About) -> Kept:
+    """What to leave beside the rows, for the case that this process is killed."""
+    ffi, _ = layout()
+    at = {word: ffi.offsetof("stream_head", word) for word in ("count", "first_tick", "fired", "missed")}
+    return Kept(
+        about=about, file=stream.file.path.name, rows_at=stream.offset, capacity=stream.capacity, columns=stream.channels,
+        units=stream.units, decimation=stream.config.decimation, rows=stream.rows, pre=stream.pre, ring=stream.config.continuous,
+        triggered=stream.config.trigger is not None, count_at=at["count"], start_at=at["first_tick"], fired_at=at["fired"],
+        missed_at=at["missed"],
+    )  # fmt: skip
+
+
 def status(stream: Stream, alive: bool) -> AcquireStatus:
     """Where a stream stands.
 
@@ -228,18 +241,11 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     count, fired = int(lib.monitor_load64(ffi.addressof(head[0], "count"))), int(head.fired)
     if not alive and state in (RecorderState.ARMED, RecorderState.RUNNING):
         state = RecorderState.DONE
-    wanted = 0 if stream.config.continuous else stream.rows
-    if fired >= 0:
-        first = max(0, fired - min(stream.pre, fired))
-        if wanted == 0:
-            first = max(first, count - stream.rows)
-    elif wanted == 0 or stream.config.trigger is not None:
-        first = max(0, count - stream.rows)
-    else:
-        first = 0
+    ring = stream.config.continuous
+    first = first_row(count, fired, stream.rows, stream.pre, ring, stream.config.trigger is not None)
     return AcquireStatus(
         state=state, channels=stream.channels, units=stream.units, decimation=stream.config.decimation, first=first, count=count,
-        wanted=wanted, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
+        wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
     )  # fmt: skip
 
 

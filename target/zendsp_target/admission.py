@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
 from zendsp_protocol.errors import Refused, did_you_mean
 from zendsp_protocol.verbs import ROLES, Verb
@@ -150,6 +151,8 @@ class Doors:
         None: everyone who is let in may do everything.
     token : tuple of str
         User and password that only this user can read; empty where no port needs one.
+    routed : bool
+        Hosts come through a router as well.
     """
 
     endpoints: tuple[str, ...]
@@ -157,6 +160,7 @@ class Doors:
     users: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] | None = None
     token: tuple[str, str] = ("", "")
+    routed: bool = False
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -174,6 +178,28 @@ class Doors:
         if not user or user == OWNER or self.roles is None:
             return ROLES[-1]
         return self.roles.get(user, "")
+
+    def check_upload(self, user: str) -> None:
+        """Refuse to compile the code of others where the kernel cannot keep the compiler from files of the target's user.
+
+        Parameters
+        ----------
+        user : str
+            Whom the access control let in; empty for the target's own user, and for all where nobody is known by name.
+
+        Raises
+        ------
+        Refused
+            There is no Landlock, and this may be somebody else. The target's own user may read these files anyway.
+        """
+        nameless = self.roles is None and not set(self.users) - {OWNER}
+        beyond = self.routed or any(e.startswith(("tls/", "quic/")) for e in self.endpoints)
+        own = user == OWNER or (not user and not (nameless and beyond))
+        if not own and landlock_version() < 1:
+            raise Refused(
+                f"this target does not compile for {user or 'others'}: its kernel has no Landlock (Linux 5.13), so .incbin could take in "
+                "files of the target's user. Compile on the target's own computer with --listen here alone, or use a newer kernel"
+            )
 
 
 def may(role: str, verb: Verb) -> bool:
@@ -261,7 +287,7 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
             "out, and listen with --listen here on the socket that only you can open"
         )
     token = (OWNER, os.urandom(24).hex()) if users or exposed else ("", "")
-    return Doors(endpoints, security, {**users, token[0]: token[1]} if token[0] else {}, roles, token)
+    return Doors(endpoints, security, {**users, token[0]: token[1]} if token[0] else {}, roles, token, bool(connect))
 
 
 def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict[str, object]:

@@ -14,9 +14,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.kept import About
 from zendsp_protocol.messages import Held
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 
+RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 Value = bool | int | float | npt.NDArray[Any]
 
 
@@ -212,6 +214,7 @@ class RuntimeApi(Protocol):
     def load(self, key: str) -> None: ...  # slow: starts a fresh runner, runs UserInit, state "loaded"
     def start(self, ticks: int | None = None) -> None: ...  # ticks: run so many samples, then pause
     def pause(self) -> None: ...
+    def stop_page(self) -> str: ...  # path of the file by which this user's own programs stop it; "" where there is none
     def stop(self) -> None: ...  # STOP: outputs safe at the next sample, latched until acknowledged
     def acknowledge(self) -> None: ...  # end a STOP or a trip; nothing moves before the next start
     def unload(self) -> None: ...
@@ -240,6 +243,7 @@ class RuntimeApi(Protocol):
     def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live
     def acquire_start(self, stream: int, force: bool = False) -> None: ...
+    def acquire_keep(self, about: About) -> None: ...  # the recorder's rows can be salvaged when this process is killed
     def acquire_stop(self, stream: int) -> None: ...
     def acquire_status(self, stream: int) -> AcquireStatus: ...
     def acquire_held(self, stream: int) -> Held: ...  # where its rows stand, for a reader of the same user

@@ -8,11 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol import kept
 from zendsp_protocol.errors import AcquisitionError
+from zendsp_protocol.kept import About
 from zendsp_protocol.messages import Held
 from zendsp_protocol.states import RecorderState
 from zendsp_target import acquisition
-from zendsp_target.api import AcquireConfig, AcquireStatus
+from zendsp_target.api import RECORDER, AcquireConfig, AcquireStatus
 from zendsp_target.layout import layout
 from zendsp_target.session import Session
 from zendsp_target.shm import SharedFolder
@@ -48,8 +50,11 @@ class Recorder:
             fresh = acquisition.create(path, session.dictionary, config, session.settings.rate_hz, self._folder.free_bytes())
             try:
                 acquisition.attach(fresh, session.control, number, session.alive)
-            finally:
-                fresh.file.unlink()  # both sides have it mapped; nobody needs its name any more
+            except BaseException:
+                fresh.file.unlink()
+                raise
+            # both sides have it mapped: only what may be salvaged keeps its name
+            (self._forget if number == RECORDER else fresh.file.unlink)()
             self._streams[number] = (fresh, session)
             return acquisition.status(fresh, True)
 
@@ -62,6 +67,18 @@ class Recorder:
             acquisition.request(found, "arm", session.alive)
         if force:
             acquisition.request(found, "force", session.alive)
+
+    def keep(self, about: About) -> None:
+        """Leave word of what the recorder holds, for the case that this process is killed."""
+        found, session = self._stream(RECORDER)
+        if self._fed(session):
+            kept.write(self._folder.path, acquisition.note_of(found, about))
+
+    def _forget(self) -> None:
+        """What the recorder held before is not to be salvaged."""
+        (self._folder.path / kept.NOTE).unlink(missing_ok=True)
+        if RECORDER in self._streams:
+            self._streams[RECORDER][0].file.unlink()
 
     def stop(self, number: int) -> None:
         """End an acquisition at the next sample."""

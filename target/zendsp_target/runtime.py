@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from zendsp_isr.build import source_root
 from zendsp_protocol.errors import RunnerDied
+from zendsp_protocol.kept import About, Kept
 from zendsp_protocol.messages import Held
 from zendsp_target.api import AcquireConfig, AcquireStatus, Blank, Change, Status, Value, VariableInfo
 from zendsp_target.motion import Motion
@@ -86,6 +87,11 @@ class Runtime(Motion):
     ) -> None:
         super().__init__(machine, rate_hz, clock, machine_config, concealed, **options)
         self._recorder = Recorder(self._folder, lambda: self._session)
+
+    @property
+    def left_behind(self) -> tuple[list[Kept], list[Kept]]:
+        """What targets that were killed had recorded: what stays in shared memory, and what the start of this one removed."""
+        return self._folder.kept, self._folder.dropped
 
     # ---- variables ----------------------------------------------------------------------------------------------------------
 
@@ -215,6 +221,10 @@ class Runtime(Motion):
             Not configured, or its program is no longer loaded.
         """
         self._recorder.start(stream, force)
+
+    def acquire_keep(self, about: About) -> None:
+        """Have the rows of the recorder outlive this process if it is killed; see `zendsp_protocol.kept`."""
+        self._recorder.keep(about)
 
     def acquire_stop(self, stream: int) -> None:
         """End an acquisition at the next sample; its rows stay."""

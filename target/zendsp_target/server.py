@@ -15,15 +15,15 @@ import zenoh
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.admission import check_role, may
-from zendsp_target.api import RuntimeApi
+from zendsp_target.admission import Doors, check_role, may
+from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
 from zendsp_target.once import Ticket
 from zendsp_target.repeats import Repeats
-from zendsp_target.service import RECORDER, Identity, Service
+from zendsp_target.service import Identity, Service
 
 log = logging.getLogger(__name__)
 
@@ -46,11 +46,10 @@ class Server:
         identity: Identity,
         session: zenoh.Session,
         managed: bool = False,
-        role_of: Callable[[str], str] = lambda _user: verbs.ROLES[-1],
-        named: Sequence[str] = (),
+        doors: Doors | None = None,
     ) -> None:
         self.name = identity.name
-        self._role_of = role_of
+        self._doors = doors or Doors(())
         self._session = session
         self._end = threading.Event()
         self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
@@ -64,7 +63,7 @@ class Server:
         for lane, count in THREADS.items():
             self._serve(keys.rpc(self.name, lane), [self._answerer(lane, False) for _ in range(count)])
             # STOP of each waits in a queue of its own, behind nobody else's requests
-            for user in named if lane == "stop" else ("*",):
+            for user in self._doors.named if lane == "stop" else ("*",):
                 self._serve(keys.rpc(self.name, lane, user), [self._answerer(lane, True)])
         self._serve(keys.info(self.name), [self._info])
         for user in ("", "*"):
@@ -139,7 +138,7 @@ class Server:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             request = payload.to_bytes()
             # a role that may write may read as well; who has less goes the whole way, where each verb asks for its own
-            repeats = repeats_of(user) if repeats_of and (not user or may(self._role_of(user), WRITE)) else None
+            repeats = repeats_of(user) if repeats_of and (not user or may(self._doors.role_of(user), WRITE)) else None
             short = None if repeats is None else repeats.answer(request)
             if short is not None:
                 reply = short
@@ -147,8 +146,10 @@ class Server:
                 verb, args, said = codec.decode_request(request, lane)
                 by = said
                 if user:  # known by name: its role decides, and its name is what the log says
-                    check_role(user, self._role_of(user), verb)
+                    check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
+                if verb.name == "compile":
+                    self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
                 result = self._special(verb, args, by, user, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)
@@ -206,7 +207,7 @@ class Server:
     def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
         user = keys.user_of(str(wanted))
         if user:
-            check_role(user, self._role_of(user), verbs.VERBS["read"])
+            check_role(user, self._doors.role_of(user), verbs.VERBS["read"])
         runtime = self.service.runtime
         infos = {info.name: info for info in runtime.variables()}
         found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n, user)))]
@@ -251,7 +252,7 @@ class Server:
         return self._publishers[stream, user]
 
     def _may_look(self, user: str) -> bool:
-        return not user or may(self._role_of(user), verbs.VERBS["live_open"])
+        return not user or may(self._doors.role_of(user), verbs.VERBS["live_open"])
 
     def _pulse(self) -> None:
         """Publish the status at every change of state and twice a second; end live views whose role was taken away."""

@@ -17,9 +17,10 @@ import msgspec
 from zendsp_protocol import keys, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused
+from zendsp_protocol.kept import About
 from zendsp_protocol.states import ProgramState, RecorderState
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.api import AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
+from zendsp_target.api import RECORDER, AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
 from zendsp_target.drives import Drives
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
@@ -29,7 +30,6 @@ from zendsp_target.repeats import Repeats
 from zendsp_target.variable_verbs import VariableVerbs
 
 SPECIAL = ("acquire_read", "live_open")  # answered by the server: they need more than arguments and author
-RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
 
@@ -199,7 +199,23 @@ class Service:
 
     def do_acquire_start(self, args: verbs.AcquireStart, by: str) -> m.Empty:
         self.runtime.acquire_start(RECORDER, args.force)
+        self.runtime.acquire_keep(self._about())
         return m.Empty()
+
+    def _about(self) -> About:
+        """Circumstances of a recording that begins, for the case that this process is killed."""
+        status, info = self.runtime.status(), self.do_info(verbs.Nothing(), "")
+        names = [v.name for v in self.runtime.variables() if v.kind == "parameter"]
+        return About(
+            target=info.name,
+            machine=info.machine,
+            rate_hz=info.rate_hz,
+            begun=time.time(),
+            program=self.do_program(verbs.Nothing(), ""),
+            parameters=self.runtime.read(names)[1] if names else {},
+            versions={**info.versions, "protocol": str(PROTOCOL)},
+            extra={"program": status.program, "scheduling": status.scheduling, "clock": status.clock},
+        )
 
     def do_acquire_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.acquire_stop(RECORDER)

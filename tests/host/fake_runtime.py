@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import AcquisitionError, CompileFailed, NotYet, Refused, VariableError
+from zendsp_protocol.kept import About
 from zendsp_protocol.messages import Held
 from zendsp_target.api import (
     AcquireConfig,
@@ -118,6 +119,9 @@ class FakeRuntime:
         with self.lock:
             self.state = "paused"
 
+    def stop_page(self) -> str:
+        return ""
+
     def stop(self) -> None:
         with self.lock:
             self.state = "stopped"
@@ -207,6 +211,9 @@ class FakeRuntime:
 
     def acquire_start(self, stream: int, force: bool = False) -> None:
         self.streams[stream]["state"] = "running"
+
+    def acquire_keep(self, about: About) -> None:
+        self.about = about
 
     def acquire_stop(self, stream: int) -> None:
         if stream in self.streams:

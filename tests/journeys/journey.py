@@ -94,6 +94,8 @@ class Installed:
     def target(self, name: str = "imi", machine: str = "imi_planar", *options: str) -> subprocess.Popen[str]:
         """Start `zendsp target` and wait until `zendsp ls` finds it."""
         process = self.start("zendsp", "target", "--machine", machine, "--name", name, *options)
+        entry = Path(self.env["ZENDSP_RUNTIME_DIR"]) / f"{name}.json"
+        until(entry.exists, f"target {name} registered", alive=process)  # each look of the command costs half a second
         until(lambda: name in self.run("ls").stdout, f"target {name} listed", alive=process)
         return process
 

@@ -15,6 +15,7 @@ import pytest
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import AcquireConfig
 from zendsp_target.change_log import ChangeLog, Flight
+from zendsp_target.layout import layout
 from zendsp_target.plans import ENTRY
 from zendsp_target.runtime import Runtime
 
@@ -151,6 +152,39 @@ def test_many_readers_see_whole_samples_while_the_loop_runs_free(make_runtime: M
     for thread in threads:
         thread.join()
     assert torn == []
+
+
+def test_a_copy_that_was_overtaken_by_the_loop_is_made_again() -> None:
+    """The reader's half of the seqlock, with samples so large that each copy takes milliseconds and is nearly always overtaken."""
+    ffi, lib = layout()
+    words, rewrites = 2 << 20, 60
+    slot = np.zeros(2 + words, dtype=np.uint64)  # sequence, tick, values; every sample in the same place: the stride is 0
+    newest = np.zeros(1, dtype=np.uint64)
+    over = threading.Event()
+
+    def loop() -> None:  # as `publish` of loop.c
+        for n in range(rewrites):
+            slot[0] = 2 * n + 1
+            slot[1] = n
+            slot[2:] = n
+            slot[0] = 2 * n + 2
+            newest[0] = n + 1
+            time.sleep(0.002)
+        over.set()
+
+    values = np.empty(words, dtype=np.uint64)
+    tick = ffi.new("uint64_t *")
+    arguments = (
+        ffi.cast("uint64_t *", ffi.from_buffer(newest)), ffi.cast("unsigned char *", ffi.from_buffer(slot)), 0, 0, 8 * words,
+        ffi.cast("unsigned char *", ffi.from_buffer(values)), tick,
+    )  # fmt: skip
+    thread = threading.Thread(target=loop)
+    thread.start()
+    while not over.is_set():
+        if lib.monitor_snapshot(*arguments):
+            assert np.all(values == tick[0]), "rows of two samples"
+    thread.join()
+    assert lib.monitor_snapshot(*arguments) and np.all(values == rewrites - 1)
 
 
 def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Make) -> None:

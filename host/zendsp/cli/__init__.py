@@ -33,6 +33,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "watch": ("zendsp.cli.watch:command", "Follow channels live."),
     "params": ("zendsp.cli.params:command", "Save, compare and restore parameters."),
     "acquire": ("zendsp.cli.acquire:command", "Record channels into a file."),
+    "salvage": ("zendsp.cli.salvage:command", "Save what a target had recorded before it was killed."),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
     "reveal": ("zendsp.cli.reveal:command", "Tell what a simulated machine conceals, after the fact."),
     "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),

@@ -68,7 +68,7 @@ def describe(
         flags=tuple(program.flags),
         machine=overall.machine,
         target=target.link.target,
-        versions={**info.versions, "protocol": str(PROTOCOL), "host": _host_version()},
+        versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
         extra=_extra(overall),
@@ -138,5 +138,5 @@ def _change(change: m.Change) -> ParameterChange:
     )
 
 
-def _host_version() -> str:
+def host_version() -> str:
     return f"zendsp {metadata.version('zendsp')}, python {platform.python_version()}"

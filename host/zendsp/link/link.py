@@ -369,8 +369,8 @@ def _undeclare(querier: zenoh.Querier) -> None:
             time.sleep(AGAIN_S)
 
 
-def background(name: str, work: Callable[..., object], *arguments: object) -> None:
-    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for a little.
+def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
+    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for a little; return it.
 
     Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it, and Rust takes
     the whole process down for that ("FATAL: exception not rethrown"): so the links are closed first, which ends
@@ -379,6 +379,7 @@ def background(name: str, work: Callable[..., object], *arguments: object) -> No
     thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
     _background.add(thread)
     thread.start()
+    return thread
 
 
 class Listener:

@@ -6,8 +6,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
 from zendsp.link.requests import Requests
+from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import DriveState, ProgramState
 
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
     from zendsp_isr.sources import Source
 
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
+TAKEN_S = 0.05  # for the loop to take a STOP from shared memory: 50 samples at 1 kHz
 STOPPED_S = 1.0  # for the loop to say that it stopped
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
 
@@ -28,8 +32,17 @@ def stopped(status: m.Status) -> str:
     return f"stopped, at sample {status.trip.tick}{why}"
 
 
+def stopped_at(sample: int) -> m.Status:
+    """What is known once the loop has taken a STOP, where the target itself does not answer."""
+    trip = m.Trip(reason="stop", joint=0, tick=sample, value=0.0, limit=0.0, text=f"STOP was requested (sample {sample})")
+    return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
+
+
 class Programs(Requests):
     """Methods of a target that concern its program."""
+
+    _page: StopPage | None = None
+    _page_of = b""  # run of the target
 
     def compile(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
         """Compile C code on the target; the running program is not touched.
@@ -103,7 +116,8 @@ class Programs(Requests):
         -------
         Status
             Once the loop itself says that it has stopped, with the sample in ``trip.tick``; at once where no program is
-            loaded or it has crashed: then nothing moves.
+            loaded or it has crashed: then nothing moves. Where the loop has stopped and the target's own process does not
+            answer, only ``state``, ``tick`` and ``trip`` are known.
 
         Raises
         ------
@@ -111,6 +125,10 @@ class Programs(Requests):
             Nothing says so within a second. Use the machine's emergency stop.
         """
         begin = time.monotonic()
+        page = self.stop_page()
+        sample = None if page is None else page.taken(page.ask(), TAKEN_S)
+        if sample is not None:
+            return self._stopped_at(sample)
         try:
             self.request("stop")
             while True:
@@ -122,6 +140,22 @@ class Programs(Requests):
                 time.sleep(0.002)
         except ZendspError as error:
             raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
+
+    def stop_page(self) -> StopPage | None:
+        """The file through which :meth:`stop` goes first: only of a target of this user on this computer, None elsewhere."""
+        instance = self.link.instance
+        if instance != self._page_of:
+            self._page, self._page_of = find(self.link.target, instance), instance
+        return self._page
+
+    def _stopped_at(self, sample: int) -> m.Status:
+        """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or the target may be stuck."""
+        known = stopped_at(sample)
+        try:
+            status: m.Status = self.request("stopped")
+        except LinkError:
+            return known
+        return status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
 
     def acknowledge(self) -> None:
         """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""
