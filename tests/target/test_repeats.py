@@ -138,6 +138,14 @@ def test_a_repeated_write_of_a_wrong_value_is_refused_in_the_same_words(make_run
     assert [c.new for c in runtime.log()] == [0.0, 1.0, 2.0] and desk.again == 2
 
 
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf")])
+def test_what_is_not_finite_is_refused_also_where_there_are_no_limits(make_runtime: Make, wrong: float) -> None:
+    desk = desk_of(make_runtime(PROGRAM))
+    for _ in range(2):
+        assert desk.refusal(b=wrong) == f"VariableError: b: {wrong} is not a finite number; nothing was written"
+        desk.write(b=1.0)
+
+
 def test_a_new_program_is_read_and_written_by_its_own_places_and_limits(make_runtime: Make) -> None:
     runtime = make_runtime(PROGRAM)
     desk, other = desk_of(runtime), runtime.compile({"other.c": OTHER})

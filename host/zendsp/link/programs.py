@@ -152,7 +152,7 @@ class Programs(Requests):
         """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or the target may be stuck."""
         known = stopped_at(sample)
         try:
-            status: m.Status = self.request("status", timeout=STOPPED_S)
+            status: m.Status = self.request("stopped")
         except LinkError:
             return known
         return status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
