@@ -380,25 +380,3 @@ def test_compare_shows_errors_parameters_and_source(tmp_path: Path) -> None:
     text = compare(runs)
     assert "Kp1" in text and "Kd1" not in text
     assert "-/* 100.0 */" in text and "+/* 400.0 */" in text
-
-
-
-
-async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
-    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
-) -> None:
-    hasty = make_reference("point_to_point", "imi_planar", headroom=1.0)
-    save_reference(hasty, folder / "references" / "circle.mat")
-    async with lab.run_test(size=(100, 30)) as pilot:
-        await enabled(lab, pilot)
-        before = target.status().tick
-        screen = await _open(lab, pilot, until)
-        lab.chosen = (folder / "references" / "circle.mat",)
-        await until(pilot, lambda: screen.references and not _unmet(screen), "every condition is met")
-        await pilot.press("s")
-        await until(
-            pilot, lambda: any("nothing was moved" in e.text for e in lab.session.events.since(0)[1]), "the run is refused"
-        )
-        status = target.status()
-        assert status.tick == before and status.trip is None
-        assert not list_runs(folder / "runs")
