@@ -24,7 +24,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 
 from hardships import bombs, kills, links, messages, starts, views
-from hardships.place import Place, Tally
+from hardships.place import Place, Tally, until
 
 PROGRESS_S = 10.0
 PARTS = {"messages": messages, "links": links, "kills": kills, "bombs": bombs, "views": views, "starts": starts}
@@ -72,7 +72,7 @@ def endure(
                         break
             except Exception as error:
                 tally.expect(False, f"it ended by itself: {type(error).__name__}: {error}")
-        tally.expect(not place.processes(), f"processes are left at the end: {place.processes()}")
+        tally.expect(until(lambda: not place.processes()), f"processes are left at the end: {place.processes()}")
     return Result(name, promise, done, time.monotonic() - begin, tally)
 
 

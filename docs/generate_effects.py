@@ -26,6 +26,7 @@ SITE = {
     "drive": "between command and torque, with the speed",
     "sensor": "between joint and recording",
     "setup": "in the equation of the joint itself (states, timing, inertia)",
+    "body": "in the bodies of the whole machine: every joint that moves them",
 }
 
 ADD = """

@@ -11,6 +11,7 @@ from zendsp.link.live import LiveBlock
 
 PROMISE = "live views show each row in order, count what they miss, and neither host nor target grows"
 ROUND_S = 2.0
+WARM = 8  # rounds: views keep ten seconds
 MOST_MB = 24.0  # of growth, however long it lasts; allocators keep some
 CHANNELS = ("q", "tau", "e")
 
@@ -20,7 +21,7 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
     with place.local("watched") as target:
         target.download("pd.c")
         target.start()
-        growth = {"target": Growth(target.info.pid), "host": Growth(os.getpid())}
+        growth = {"target": Growth(target.info.pid, WARM), "host": Growth(os.getpid(), WARM)}
         taken: list[LiveBlock] = []
         with (
             target.live(CHANNELS, interval=0.02) as screen,

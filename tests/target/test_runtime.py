@@ -172,3 +172,10 @@ def test_rows_are_folded_into_their_checksum_on_the_way_also_across_the_end_of_a
         rows = runtime.acquire_read(1, first, count, fold=fold)
         assert np.array_equal(rows[:, 0], np.arange(first, first + count))
         assert crc(fold) == folded_crc(rows.tobytes())
+
+
+@pytest.mark.parametrize("ticks", [0, -1, 2**53 + 1, 2**64 - 1])
+def test_a_number_of_samples_that_cannot_be_is_refused(runtime: Runtime, ticks: int) -> None:
+    with pytest.raises(Refused, match=f"ticks = {ticks}: give 1 to"):
+        runtime.start(ticks)
+    assert runtime.status().state == "loaded"

@@ -382,8 +382,6 @@ def test_compare_shows_errors_parameters_and_source(tmp_path: Path) -> None:
     assert "-/* 100.0 */" in text and "+/* 400.0 */" in text
 
 
-
-
 async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:

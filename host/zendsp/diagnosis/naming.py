@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.confidence import confidence
 from zendsp.diagnosis.decide import OF_STATE, Claim, Decision, weight_of_payload
+from zendsp.diagnosis.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.findings import LAWS, estimates, new_terms, percent, sentence
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.shift import shifted
@@ -23,7 +24,7 @@ VARIABLE = {
 
 
 def name_findings(
-    test: Data, given: Model, decisions: Sequence[Decision], whole: Assembled
+    test: Data, given: Model, decisions: Sequence[Decision], whole: Assembled, bodies: Sequence[BodyClaim] = ()
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
     """Put what was decided at each joint into words.
 
@@ -35,7 +36,8 @@ def name_findings(
     ranked: list[tuple[float, Finding]] = []
     refinements: list[Finding] = []
     rejected: list[Rejected] = []
-    everything = sum(d.before.value**2 for d in decisions) or 1.0
+    everything = sum(d.before.value**2 for d in decisions) + sum(b.square for b in bodies) or 1.0
+    ranked += [(b.gain, body_finding(b, everything)) for b in bodies]
     for decision in decisions:
         if decision.bursts is not None:
             ranked.append((math.inf, _disturbance(decision, given)))

@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.inertia import inertia_ranges
 from zendsp.diagnosis.reading import Signals, joint_columns
+from zendsp.errors import ModelError
+from zendsp.physics.bodies import Links, body_terms, machine_tree
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, mechanism_value
@@ -53,6 +55,13 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     within = [_within_samples(m.states, s.sample_time) for m in motions]
     others = np.ascontiguousarray(np.stack(within))
     basis = bases(model, within)
+    tree = machine_tree(model)
+    links = Links(tuple(tree[0]), tree[1], others) if tree else None
+    if links is None and (terms := body_terms(model)):
+        raise ModelError(
+            f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind = 'urdf' or"
+            f" 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
+        )
     weights = _weights(model, within)
     out = []
     for j in range(joints):
@@ -91,6 +100,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
                 scale=scale,
                 base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
                 position=np.ascontiguousarray(s.position[:, j]),
+                links=links,
                 slides=model.joint_kind(j + 1) == "linear",
                 columns=joint_columns(s, j),
             )

@@ -167,6 +167,8 @@ class Screen:
 
     def _applies(self, effect: Effect, present: set[str]) -> bool:
         """Whether an effect can be screened here at all."""
+        if effect.site == "body":  # all joints decide: see bodies.py
+            return False
         if effect.site == "setup" and effect.column is None:
             return False
         if effect.name in present and not effect.repeatable:

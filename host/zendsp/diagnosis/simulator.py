@@ -31,7 +31,7 @@ def on_timing() -> list[Effect]:
 
 def on_input(effect: Effect) -> bool:
     """Whether an effect can act on a simulator's input or output: not one with states of its own, inside the simulator."""
-    return effect.site != "setup" or effect.retime is not None or bool(effect.same_as)
+    return effect.site not in ("setup", "body") or effect.retime is not None or bool(effect.same_as)
 
 
 def load_entry(model: Model) -> Function:

@@ -55,7 +55,8 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
 def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = True) -> tuple[Handle, ...]:
     """The numbers of a model that may be calibrated.
 
-    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated.
+    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated. Numbers of bodies are free only where
+    all joints decide.
 
     Parameters
     ----------
@@ -78,6 +79,8 @@ def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = Tr
     for i, term in enumerate(model.terms):
         if term.joint in wanted:
             effect = get_effect(term.effect)
+            if effect.site == "body" and len(wanted) < model.joints:
+                continue
             handles += [
                 Handle("term", i, p.name)
                 for p in effect.parameters

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
+from zendsp.physics.bodies import Links, body_terms
 from zendsp.physics.effects import get_effect
 from zendsp.physics.effects.base import Along, Facts, Scale
 from zendsp.physics.model import Model, Term, per_joint
@@ -40,6 +41,7 @@ class JointRecord:
     scale: Scale
     base_offset: float
     position: Array  # as measured, quantised
+    links: Links | None = None  # of the whole machine; None where its kind has none
     slides: bool = False  # a linear joint
     columns: Mapping[str, Array] = field(default_factory=dict)  # optional ones by their role in [columns], (n,)
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
@@ -93,13 +95,17 @@ class JointRecord:
             value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
             inertia += value * basis.inertia
             bias += value * basis.bias
+        if self.links is not None and (terms := body_terms(model)):
+            change = self.links.change(terms, self.joint - 1)
+            inertia += change.inertia
+            bias += change.bias
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
-    def reference_inertia(self, model: Model) -> float:
+    def reference_inertia(self, model: Model, inertia: Array) -> float:
         """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the mean where a URDF tells no more."""
         constant = [key for key in self.basis if key not in ("fixed", "p3")]
         if not constant:
-            return float(np.mean(self.inertia_and_bias(model)[0]))
+            return float(np.mean(inertia))
         return float(sum(mechanism_value(model, key, self.joint) * self.basis[key].inertia[0] for key in constant))
 
 
@@ -164,12 +170,18 @@ def mechanism_value(model: Model, key: str, joint: int) -> float:
     return items[joint - 1].value if joint - 1 < len(items) else items[0].value
 
 
+def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """The terms that the kernel evaluates at a joint: bodies have entered its inertia and bias instead."""
+    return tuple(term for term in terms if get_effect(term.effect).site != "body")
+
+
 def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
     """Effects as the kernel takes them: indices and a table of parameters.
 
     The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give the breakaway).
     """
     index = native().index
+    terms = own_terms(terms)
     kinds = np.zeros(max(1, len(terms)), np.int32)
     table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
     for row, term in enumerate(terms):
@@ -284,7 +296,13 @@ def _numbers(record: JointRecord, model: Model) -> bytes:
     numbers = [mechanism_value(model, key, j) for key in record.basis]
     numbers += [mechanism_value(model, "gravity", j), per_joint(model.actuator.gain, j, 1.0), per_joint(model.actuator.limit, j, 0.0)]
     numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
+    numbers += _body_numbers(model)
     return pack(model.at(j))[1].tobytes() + np.array(numbers).tobytes()
+
+
+def _body_numbers(model: Model) -> tuple[float, ...]:
+    """All numbers of a model's bodies: every joint's inertia and bias may depend on them."""
+    return tuple(q.value for term in body_terms(model) for q in term.parameters.values())
 
 
 def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: int, known: dict[tuple[float, ...], tuple[Array, Array]] | None = None) -> list[Any]:
@@ -292,7 +310,7 @@ def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: in
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
     kinds, table = pack(model.at(record.joint))
-    values = tuple(1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis)
+    values = tuple(1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis) + _body_numbers(model)
     known = {} if known is None else known
     if values not in known:
         known[values] = record.inertia_and_bias(model)
@@ -304,11 +322,12 @@ def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: in
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     m.shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
     m.m, m.half, m.k1, m.k2, m.w = p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w)
-    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model)
+    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
     m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
     m.other, m.extra = p(record.others), ffi.NULL
-    m.temperature = p(_felt(record, model.at(record.joint)))
-    m.nfx, m.kind, m.p = len(model.at(record.joint)), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    own = own_terms(model.at(record.joint))
+    m.temperature = p(_felt(record, own))
+    m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     m.q0, m.qd0 = float(rq[0] + m.shift), float(rqd[0])
     soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
     m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
@@ -325,7 +344,7 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     m = ffi.new("zk_model *")
     m.n, m.T, m.t0 = n, record.sample_time, record.t0
     m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
-    m.other, m.nfx, m.temperature = p(record.others), len(terms), p(_felt(record, terms))
+    m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
     m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     motion = np.ascontiguousarray(record.motion.states)
     out = np.empty(n)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.effects import get_effect
-from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, pack
+from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, own_terms, pack
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.native import native
 
@@ -86,7 +86,7 @@ def simulate_joint_loop(
     m.gravity = mechanism_value(model, "gravity", joint) if model.kind == "rotary" else 0.0
     m.other, m.nfx, m.kind, m.p = (
         p(others),
-        len(model.at(joint)),
+        len(own_terms(model.at(joint))),
         ffi.cast("int *", ffi.from_buffer(kinds)),
         p(table),
     )

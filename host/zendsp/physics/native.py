@@ -64,6 +64,8 @@ def source_text(effects: dict[str, Effect]) -> str:
     functions: list[str] = []
     cases: dict[str, list[str]] = {mark: [] for mark, _ in _PLACES.values()}
     for i, effect in enumerate(effects.values()):
+        if effect.site == "body":
+            continue
         if effect.site not in _PLACES:
             raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
         mark, done = _PLACES[effect.site]

@@ -105,6 +105,8 @@ def source_text(effects: dict[str, Effect]) -> str:
     """
     parts: dict[str, list[str]] = {"FUNCTIONS": [], "FORCE": [], "ACTUATOR": [], "SENSOR": [], "SETUP": [], "ACROSS": []}
     for i, effect in enumerate(effects.values()):
+        if effect.site == "body":
+            continue
         if effect.site == "setup":
             parts["SETUP"].append(f"case {i}: {effect.c} break;")
             continue

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -10,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
+from zendsp.physics.bodies import body_terms, changed, turned_gravity
 from zendsp.physics.codegen_terms import kernel_terms
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import Model, Quantity, per_joint
 from zendsp.physics.rigid import urdf_path
 from zendsp.physics.simulate_native import (
     MAX_JOINTS,
@@ -21,7 +24,7 @@ from zendsp.physics.simulate_native import (
     SimulatorLibrary,
     simulator_library,
 )
-from zendsp.physics.tree import read_urdf
+from zendsp.physics.tree import GRAVITY, Body, read_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -30,10 +33,14 @@ INNER = 4  # integration steps per sample where nothing else is asked for
 
 
 @lru_cache(maxsize=16)
-def _tree(path: str, _changed: float) -> tuple[Array, Array]:
+def _tree(path: str, _changed: float) -> tuple[list[Body], Array]:
     bodies, gravity = read_urdf(path)
     if len(bodies) > MAX_JOINTS:
         raise ModelError(f"{path}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}")
+    return bodies, gravity
+
+
+def _rows(bodies: Sequence[Body]) -> Array:
     rows = np.zeros((len(bodies), TREE_ROW))
     for row, body in zip(rows, bodies, strict=True):
         row[0], row[1] = body.parent, body.slides
@@ -42,11 +49,11 @@ def _tree(path: str, _changed: float) -> tuple[Array, Array]:
         row[17], row[18:21] = body.mass, body.com
         I = body.inertia
         row[21:27] = I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
-    return rows, gravity
+    return rows
 
 
 def tree_of(model: Model) -> tuple[Array, Array]:
-    """The links of a URDF model.
+    """The links of a URDF model, with its payloads and what it knows to be wrong in the file.
 
     Parameters
     ----------
@@ -65,8 +72,51 @@ def tree_of(model: Model) -> tuple[Array, Array]:
         No such file, not a URDF, or joints that are neither revolute nor prismatic.
     """
     path = urdf_path(model)
-    rows, gravity = _tree(path, Path(path).stat().st_mtime)
-    return rows.copy(), gravity.copy()
+    bodies, gravity = _tree(path, Path(path).stat().st_mtime)
+    terms = body_terms(model)
+    return _rows(changed(bodies, terms)), turned_gravity(gravity, terms).copy()
+
+
+def with_bodies(model: Model) -> Model:
+    """The model with its payloads taken into the parameters of its mechanism, where its kind has no links of its own.
+
+    Raises
+    ------
+    ModelError
+        A body that these parameters cannot express.
+    """
+    if model.kind == "urdf" or not (terms := body_terms(model)):
+        return model
+    mechanism = {key: list(items) for key, items in model.mechanism.items()}
+
+    def add(key: str, joint: int, value: float) -> None:
+        items = mechanism.setdefault(key, [Quantity(0.0, free=False)])
+        if len(items) == 1:
+            items *= model.joints if model.kind == "rotary" else 1
+        at = joint - 1 if len(items) > 1 else 0
+        items[at] = replace(items[at], value=items[at].value + value)
+
+    for term in terms:
+        mass, x, y = (term.value(key) for key in ("mass", "com_x", "com_y"))
+        about_axis = mass * (x**2 + y**2) + term.value("inertia")
+        if term.effect != "payload" or model.kind not in ("planar2r", "rotary") or y != 0.0:
+            raise ModelError(
+                f"{model.name}: {term.effect} of joint {term.joint} with com_y = {y:g} m cannot be simulated with kind ="
+                f" {model.kind!r}: use a payload with com_y = 0, or a URDF"
+            )
+        if model.kind == "rotary":
+            add("inertia", term.joint, about_axis)
+            if per_joint(tuple(q.value for q in model.mechanism.get("gravity", ())), term.joint, 0.0) != 0:
+                add("gravity", term.joint, -GRAVITY[2] * mass * x)
+            continue
+        l1 = per_joint(tuple(q.value for q in model.mechanism.get("l1", ())), 1, 0.0)
+        if term.joint == 1:
+            add("p1", 1, about_axis)
+            continue
+        for key, value in (("p1", mass * l1**2 + about_axis), ("p2", about_axis), ("p3", mass * l1 * x)):
+            add(key, 1, value)
+    kept = tuple(t for t in model.terms if not any(t is term for term in terms))
+    return replace(model, mechanism={k: tuple(v) for k, v in mechanism.items()}, terms=kept)
 
 
 def joint_count(model: Model) -> int:
@@ -124,6 +174,7 @@ class Plant:
     ) -> None:
         if model.kind not in KINDS:
             raise ModelError(f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected {', '.join(KINDS)}")
+        model = with_bodies(model)
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
         self.model, self.samples, self.period, self.inner = model, int(samples), float(model.sample_time), int(inner)
@@ -172,7 +223,8 @@ class Plant:
         self._effects(c)
 
     def _effects(self, c: Any) -> None:
-        terms = sorted(kernel_terms(self.model), key=lambda term: term.joint)
+        bodies = body_terms(self.model)
+        terms = sorted((t for t in kernel_terms(self.model) if t not in bodies), key=lambda term: term.joint)
         table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
         kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(max(1, len(terms)), np.int32)
         for i, term in enumerate(terms):

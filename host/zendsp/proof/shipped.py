@@ -152,6 +152,23 @@ FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "origin")
 FIXING = ("inertia", "torque_gain")  # refitted inertial figures would absorb them
 
 
+def foreign_shape(law: int, s: Scale) -> Array:
+    """The machine's foreign law with amplitude 1 along a motion that begins at t = 0."""
+    t = np.arange(s.q.size) * PERIOD
+    if law == 0:
+        return np.where(s.q > 0, s.v * np.cos(7 * s.q), 0.0)
+    if law == 1:
+        return np.asarray(np.tanh(3 * s.v**2 * s.q) * np.cos(3 * s.q))
+    return np.asarray(np.tanh(s.v / 0.05) * np.sin(2 * s.q) * np.sin(1.7 * t))
+
+
+def left_by_refit(torque: Array, s: Scale) -> float:
+    """What a refit of inertia, friction and gravity leaves of a torque along the motion, as a share of the RMS torque."""
+    columns = np.stack([s.a, s.v, np.sign(s.v), np.sin(s.q)], 1)
+    rest = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
+    return float(np.sqrt(np.mean(rest**2))) / s.torque
+
+
 class Machine:
     """One open machine; its outputs are written, then its encoders read, then time passes."""
 
@@ -274,10 +291,14 @@ def conceal(r: Rig, request: Request, joint: int, s: Scale, rng: Rng) -> None:
         return
     values: Values = {}
     mechanisms: list[str] = []
+    left = 1.0  # known of foreign torques only
     if request.kind == "foreign":
         law = FOREIGN.index(name)
         mechanisms = list(FOREIGN_MECHANISMS[law])
-        values = {"law": float(law), "amplitude": request.size * s.torque / (s.v_rms if law == 0 else 0.5)}
+        shape = foreign_shape(law, s)
+        amplitude = request.size * s.torque / float(np.sqrt(np.mean(shape**2)))
+        values = {"law": float(law), "amplitude": amplitude}
+        left = left_by_refit(amplitude * shape, s)
     elif name in LEFT_OUT:
         r.hidden.add((name, joint))
         values = {"level": r.coulomb[joint]} if name == "coulomb" else {"coefficient": r.viscous[joint]}
@@ -294,7 +315,7 @@ def conceal(r: Rig, request: Request, joint: int, s: Scale, rng: Rng) -> None:
             "parameters": {} if foreign else {k: {"value": float(v), "unit": ""} for k, v in values.items()},
             "accepted": ACCEPTED.get(name, []), "accepted_joints": [joint + 1], "mechanisms": mechanisms,
             "body": "", "unscored": ["exponent", "velocity", "begin", "duration", "level"] if name in ("hysteresis", "stribeck", "disturbance") else [],
-            "oracle": {"detectable": True, "inseparable": {}},
+            "oracle": {"detectable": True, "inseparable": {}, "torque_share": round(left, 6)},
         }
     )  # fmt: skip
 
