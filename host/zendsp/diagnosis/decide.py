@@ -33,6 +33,7 @@ from zendsp.diagnosis.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.reading import Parts
 from zendsp.diagnosis.score import Scored, fit_scored, informative
 from zendsp.diagnosis.search import Searcher
+from zendsp.diagnosis.windows import rms, window_error
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.joint import run
@@ -140,7 +141,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         claimed, rest = _claimed(parts, given, final, joint, pieces)
         if claimed:
             decision = _named(parts, given, search, final, claimed, rest, before, jobs, tell)
-            if decision.claims:
+            errors = [rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)]
+            if decision.claims and errors[1] <= errors[0]:  # what makes an untouched recording worse is no finding, ever
                 return decision
     return _nothing_named(parts, search, before)
 
