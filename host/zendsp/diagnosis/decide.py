@@ -46,7 +46,8 @@ Progress = Callable[[str], None]
 FALSE_DISCOVERIES = 0.05  # of what is claimed, at most so much is nothing: e-values, over joints and mechanisms
 LAW_ERROR = 0.03  # no law describes its own mechanism better than to so much of its size
 LEFT_BY_A_LAW = 0.2  # of a mechanism's size, as a function of its own variables: a law of one number that leaves more is none
-NUMERIC = 0.001  # of the RMS torque: two simulators differ by so much
+NUMERIC = 0.001  # of the RMS torque: where two simulators differ by so much, it is no lack of a law
+FINEST = 0.0003  # of the RMS torque: what is less is never a finding, however likely
 OWN_SHARE = 0.1  # of the explainable mismatch: a second law of one mechanism below is a refinement
 MACHINE = 0.03  # of the RMS torque: below, slow random torques that every machine has
 OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physics, whatever its name
@@ -255,7 +256,7 @@ def _claimed(
             apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
             larger = max(larger, difference(parts.test, apart, final.model, joint))
         sure = piece.log_e > needed and piece.evidence.z > PLAIN
-        (claimed if sure and piece.size > math.hypot(left, LAW_ERROR * larger) else rest).append(piece)
+        (claimed if sure and piece.size > max(FINEST, math.hypot(left, LAW_ERROR * larger)) else rest).append(piece)
     return claimed, rest
 
 

@@ -144,7 +144,7 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
     numbers = {"body": found.body} if found.body else {}
     law = {term.effect: 1.0}
     return Finding(
-        term.effect, term.joint, values, claim.confidence, share, found.indistinguishable, (), text, numbers, "inertia", law
+        term.effect, term.joint, values, claim.confidence, share, _effects(found.indistinguishable), (), text, numbers, "inertia", law
     )
 
 
@@ -182,3 +182,8 @@ def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rej
                 why = f"explains {part:.0f} % of it ({e.hypothesis.name})"
                 out.append(Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, 0.5 * (e.gain - best)))
     return out
+
+
+def _effects(words: Sequence[str]) -> tuple[str, ...]:
+    """Effects of hypotheses in words ("payload of link3"), each once: reports name effects, the sentence says of which body."""
+    return tuple(dict.fromkeys(w.split(" of ")[0] for w in words))
