@@ -328,8 +328,8 @@ def _named(
 def _repeats(other: Piece, first: Piece) -> bool:
     """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not a sum of such shapes by itself."""
     effect = get_effect(first.terms[0].effect)
-    of_orders = "order" in effect.names  # a sum of harmonics is one law
-    return other.effects == first.effects and not of_orders and other.log_e > 0 and other.evidence.z > PLAIN
+    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)  # a sum of harmonics is one law; settings choose one
+    return other.effects == first.effects and not several and other.log_e > 0 and other.evidence.z > PLAIN
 
 
 def _may_leave(piece: Piece) -> float:
