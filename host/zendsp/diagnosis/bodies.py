@@ -142,6 +142,9 @@ class Explained:
         return f"<{self.hypothesis.name}: {numbers}; gain {self.gain:.0f}, z = {self.z:.1f}, behind {self.behind:.1f}>"
 
 
+LOST = 1e6  # standard deviations of the sensor's noise: an observer that is so far off has left the track
+
+
 class Sums:
     """Gram matrices of all columns and the innovations, per joint and block; the innovations are the last column."""
 
@@ -200,6 +203,8 @@ def _columns(record: JointRecord, model: Model, limits: BodyLimits) -> tuple[Arr
         at = sticks + k
         moving[at[at < record.n]] = False
     moving[: round(0.5 / record.sample_time)] = False  # the observer settles
+    if np.max(np.abs(left), initial=0.0) > LOST:
+        moving[:] = False  # it has left the track: this joint tells nothing of bodies
     return np.concatenate([seen, left[None]]), moving
 
 
@@ -375,7 +380,9 @@ class Solver:
         damping = 1e-6
         for _ in range(30):
             x, jac = self._linear(h, values)
-            weight = self.counts / np.maximum(self._left(x), 1e-300)
+            left = self._left(x)
+            told = left > 1e-12 * float(np.max(left, initial=0.0))  # a joint that stands still tells nothing
+            weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
             tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
             inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
             normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
@@ -469,6 +476,8 @@ def _solve(a: Array, b: Array) -> Array:
     unit = np.sqrt(np.maximum(np.diag(a), 0.0))
     unit = np.where(unit > 0, unit, 1.0)
     scaled = (b.T / unit).T
+    if not (np.isfinite(a).all() and np.isfinite(scaled).all()):
+        return np.zeros(b.shape)  # beyond numbers: nowhere to go from here
     return np.asarray((np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T)
 
 
