@@ -23,7 +23,7 @@ from pages import PAGES, ROOT, Block, blocks
 NETWORK = "fetches packages: tests/whole/test_wheel.py builds and installs the wheel"
 TERMINAL = "is an application in a terminal: test_stop_banner.py and test_slim_install.py open it"
 BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
-HOURS = "takes an hour or more; `.ci/run` has `zendsp prove --quick`"
+HOURS = "takes minutes to hours: `.ci/run` has `zendsp prove --quick`, tests/journeys/test_prove.py the others in small"
 DRAWING = "is a drawing"
 CLONE = "takes half an hour, of a clone: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
@@ -62,6 +62,12 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/proof.md", "zendsp prove --implant --jobs 2"): REAL,
     ("docs/proof.md", "emps: missing in 31.6 s"): "is an output",
     ("docs/proof.md", "NO   stiffness x1: said unexplained"): "is an output",
+    **{("docs/prove.md", f"zendsp prove {what}"): HOURS for what in (
+        "--quick", "--seed 7 --sample 200", "--reality mujoco --seed 7", "--make cases --seed 7 --sample 100",
+        "--judge cases", "--seed 7 --scheduler tcp://host:8786")},
+    ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
+    ("docs/prove.md", "zendsp prove --real ; zendsp prove --implant"): REAL,
+    ("docs/troubleshooting/recording.md", "zendsp salvage -t imi -o run.mat"): "needs a killed target: test_salvage.py",
     ("docs/protocol.md", '{"v": 1, "ok": true,  "result": …}'): SYNTAX,
     ("docs/realtime.md", "target/zendsp_target/          monitor side, Python                c_isr/zendsp_isr/runtime/      "
      "runner side, C"): DRAWING,
