@@ -14,7 +14,7 @@ from zendsp.cli import main
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.findings import kernel_model
 from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import read_signals
+from zendsp.diagnosis.reading import _resample_held, read_signals
 from zendsp.physics.model_file import load_model
 
 RATE = 500.0
@@ -273,6 +273,20 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(good: Columns, mod
     columns = {"t": t, **{k: np.interp(t, good["t"], good[k]) for k in ("q", "r")}, "u": good["u"]}
     notes = _accepted(reality.save(tmp_path / "run.csv", columns), model)
     assert any("jitter" in n and "resampled" in n for n in notes), notes
+
+
+def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> None:
+    r = np.random.default_rng(1)
+    steps = np.arange(4000) / RATE
+    time = steps + r.uniform(-0.25, 0.25, len(steps)) / RATE
+    fine = np.arange(0.0, 7.9, 0.02 / RATE)
+    held = np.sin(2 * np.pi * time)[np.searchsorted(time, fine, side="right") - 1]
+    grid = np.arange(time[0], time[-1], 1.0 / RATE)
+    again = _resample_held(grid, time, np.sin(2 * np.pi * time)[:, None])[:, 0]
+    after = again[np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, None)]
+    slope = 2 * np.pi * np.cos(2 * np.pi * fine)
+    late = float((held - after) @ slope / (slope @ slope))  # s, to first order
+    assert abs(late) < 0.02 / RATE
 
 
 def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Path, refuse: Callable[..., str]) -> None:

@@ -27,6 +27,7 @@ DEGREE = 180.0 / np.pi
 BAND = (20.0, 10.0, 5.0, 2.5)  # Hz
 EDGE = 0.999  # of the largest command: at it
 SHOWS = 0.25  # of the command: a rigid body's torque below is no ground to accuse a column
+FULL = 1.5  # of the torque: friction that drives by more is two columns of the regression against each other
 
 
 @dataclass(frozen=True)
@@ -210,7 +211,7 @@ def _sign(name: str, found: Regression) -> None:
             f"{name}: the joint accelerates against its command (its inertia comes out as {found.slope:.2g} of the model's): "
             "the sign of the command or of the position is flipped"
         )
-    if sure and found.friction < -0.3 and found.slope < 0.3:
+    if sure and -FULL < found.friction < -0.3 and found.slope < 0.3:
         raise RecordingError(
             f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the torque along the motion): "
             "the sign of the command or of the position is flipped"

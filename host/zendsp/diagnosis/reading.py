@@ -130,10 +130,10 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         [_resolution(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
     if grid is not None:
-        position = _lattice(_resample(grid, time, position, linear=True), position[0], resolution)
-        command = _resample(grid, time, command, linear=False)
-        reference = None if reference is None else _resample(grid, time, reference, linear=True)
-        extra = {role: _resample(grid, time, values, linear=True) for role, values in extra.items()}
+        position = _lattice(_resample(grid, time, position), position[0], resolution)
+        command = _resample_held(grid, time, command)
+        reference = None if reference is None else _resample(grid, time, reference)
+        extra = {role: _resample(grid, time, values) for role, values in extra.items()}
         time = grid
     if model.sensor.matrix:
         matrix = np.array(model.sensor.matrix)
@@ -370,10 +370,24 @@ def _lattice(values: Array, origin: Array, resolution: Array) -> Array:
     return counts
 
 
-def _resample(grid: Array, time: Array, values: Array, *, linear: bool) -> Array:
-    if linear:
-        return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
-    return values[np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(time) - 1)]
+def _resample(grid: Array, time: Array, values: Array) -> Array:
+    """Straight lines between the rows, at the instants of a uniform grid, (n, columns)."""
+    return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
+
+
+def _resample_held(grid: Array, time: Array, values: Array) -> Array:
+    """The mean over each step of a uniform grid of what is held from row to row, (n, columns).
+
+    The command before an instant would come half a sample late, where stamps lie on both sides of the grid.
+    """
+    period = float(grid[1] - grid[0])
+    edges = np.append(grid, grid[-1] + period)
+    ends = np.append(time, max(edges[-1], time[-1]) + period)
+    out = []
+    for column in values.T:
+        sums = np.concatenate([[0.0], np.cumsum(column * np.diff(ends))])
+        out.append(np.diff(np.interp(edges, ends, sums)) / period)
+    return np.stack(out, axis=1)
 
 
 def _decimate(signals: Signals) -> Signals:
