@@ -56,6 +56,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/machines.md", "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }"): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
+    ("docs/measurements/second_design.md", "zendsp prove --quick --no-peers --jobs 2"): HOURS,
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     ("docs/proof.md", "zendsp prove --seed 6 --sample 200"): HOURS,
     ("docs/proof.md", "zendsp prove --real --limit 600"): REAL,
