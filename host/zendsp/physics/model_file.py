@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,11 @@ from zendsp.physics.model import (
     Actuator,
     Model,
     Quantity,
+    Robot,
     Sensor,
     Term,
 )
+from zendsp.physics.robot import joint_kinds, stated
 from zendsp.spelling import unknown_keys
 
 KEYS = {  # of each table, whether this version uses the value or only knows it
@@ -37,7 +40,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
         "columns",
         "limits",
     ),
-    "mechanism": ("kind", "parameters", "file", "entry", "folder"),
+    "mechanism": ("kind", "parameters", "file", "entry", "folder", "joints", "take"),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
     "sensor": ("position_resolution", "matrix", "offset", "side"),
     "controller": ("kind", "kp", "kd", "ki", "cutoff"),
@@ -54,6 +57,8 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
     ),
     "limits": ("position",),
 }
+NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
+TAKE = ("all", "bodies", "servos")  # of an MJCF
 QUANTITY = ("value", "free", "unit", "std")
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 
@@ -185,7 +190,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     kind = mechanism.get("kind")
     if kind not in KINDS:
         raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
-    for key, needed in (("urdf", "file"), ("python", "entry")):
+    for key, needed in NEEDED.items():
         if kind == key and not isinstance(mechanism.get(needed), str):
             raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
     # of the URDF or the Python module
@@ -194,6 +199,9 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     known = PARAMETERS[kind]
     if known is not None:
         read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
+    for key in ("joints", "take"):
+        if key in mechanism and kind != "mjcf":
+            raise ModelError(f"{path}: [mechanism] {key} belongs to kind = 'mjcf', not {kind!r}")
     values = {
         key: read.quantities(f"[mechanism.parameters] {key}", value)
         for key, value in parameters.items()
@@ -224,10 +232,28 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         limits=dict(read.table(data, "limits")),
         folder=folder,
     )
+    own: tuple[Term, ...] = ()
+    if kind == "mjcf":
+        robot = _robot(read, mechanism, "gain" in read.table(data, "actuator"))
+        own, actuator, robot = stated(replace(model, robot=robot), robot)
+        model = replace(model, actuator=actuator, robot=robot)
+    model = replace(model, joint_kinds=joint_kinds(model))
     effects = data.get("effect", [])
     if not isinstance(effects, list):
         raise read.fail("[[effect]]", "an array of tables", effects)
-    return model.with_terms(tuple(_term(read, item, model.joints) for item in effects))
+    return model.with_terms(
+        (*own, *(_term(read, item, model.joints) for item in effects))
+    )
+
+
+def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot:
+    names = mechanism.get("joints", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise read.fail("[mechanism] joints", "a list of names", names)
+    take = mechanism.get("take", "all")
+    if take not in TAKE:
+        raise read.fail("[mechanism] take", " | ".join(TAKE), take)
+    return Robot(tuple(names), take, commands)
 
 
 def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
@@ -332,6 +358,10 @@ def model_text(model: Model) -> str:
     mechanism: dict[str, Any] = {"kind": model.kind}
     if model.file:
         mechanism["file"] = str((model.folder / model.file).resolve())
+    if model.kind == "mjcf":  # all that counts stands in this file, the bodies aside
+        mechanism["take"] = "servos" if model.robot.servos else "bodies"
+        if model.robot.joints:
+            mechanism["joints"] = list(model.robot.joints)
     if model.entry:
         mechanism["entry"] = model.entry
         mechanism["folder"] = str(model.folder.resolve())
