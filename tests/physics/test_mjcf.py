@@ -206,3 +206,100 @@ def test_a_servo_becomes_the_torque_that_it_gave(tmp_path: Path) -> None:
         mujoco.mj_forward(m, data)
         got = drive.applied(*(np.full(2, x[2]) for x in (data.ctrl, data.qpos, data.qvel)), 1e-3)
         assert got == pytest.approx(data.qfrc_actuator[2], abs=1e-9)
+
+
+FOUND = [
+    {"kind": "coulomb", "joint": 2, "level": {"value": 0.9}},
+    {"kind": "viscous", "joint": 1, "coefficient": {"value": 0.25}},
+    {"kind": "inertia", "joint": 3, "amount": {"value": 0.02}},
+    {"kind": "torque_gain", "joint": 1, "ratio": {"value": -0.06}},
+    {"kind": "stiffness", "joint": 2, "coefficient": {"value": 1.0}, "neutral": {"value": -0.4}},
+    {"kind": "lag", "joint": 1, "time_constant": {"value": 0.004}},
+    {"kind": "stribeck", "joint": 2, "breakaway": {"value": 1.3}, "velocity": {"value": 0.02}},
+    {"kind": "ripple", "joint": 1, "order": 3.0, "amplitude": 0.2, "phase": 0.1},
+    {"kind": "payload", "joint": 3, "mass": {"value": 1.5}, "com_x": {"value": 0.2},
+     "com_y": {"value": 0.05}, "com_z": {"value": 0.01}, "inertia": {"value": 0.002}},
+    {"kind": "body", "joint": 1, "mass": {"value": -0.3}, "com_x": {"value": 0.03},
+     "com_y": {"value": 0.0}, "com_z": {"value": 0.0}, "inertia": {"value": 0.0}},
+    {"kind": "base_tilt", "joint": 1, "angle_x": {"value": 0.03}, "angle_y": {"value": -0.02}},
+]  # fmt: skip
+
+
+def test_what_was_found_is_written_back_and_counted_once(tmp_path: Path) -> None:
+    from zendsp.physics.bodies import body_terms, changed, turned_gravity
+    from zendsp.physics.mjcf_write import inexpressible, write_mjcf
+
+    (tmp_path / "arm.xml").write_text(ARM)
+    whole = parse_model(
+        {"mechanism": {"kind": "mjcf", "file": "arm.xml"}, "effect": FOUND},
+        str(tmp_path / "arm.toml"),
+    )
+    assert sorted(t.effect for t in inexpressible(whole)) == ["ripple", "stribeck"]
+    out = tmp_path / "out"
+    out.mkdir()
+    rest = write_mjcf(whole, out / "model.mjcf")
+    assert rest is not None and sorted(t.effect for t in rest.terms) == ["ripple", "stribeck"]
+    (out / "model.toml").write_text(model_text(rest, beside=True))
+    back = load_model(out / "model.toml")
+    bodies, gravity = robot_tree(whole)
+    wanted = changed(bodies, body_terms(whole))
+    got, down = robot_tree(back)
+    assert body_terms(back) == ()
+    assert down == pytest.approx(turned_gravity(gravity, body_terms(whole)), abs=1e-9)
+    for a, b in zip(got, wanted, strict=True):
+        assert a.mass == pytest.approx(b.mass, rel=1e-5, abs=1e-9)  # six digits of MuJoCo's
+        assert a.com == pytest.approx(b.com, abs=1e-5) or a.mass == 0.0
+        assert a.inertia == pytest.approx(b.inertia, abs=1e-5)
+    assert back.actuator.gain == pytest.approx((20.0 * 0.94, 4.0, 1.0))
+    assert back.actuator.limit == whole.actuator.limit
+    terms = {(t.effect, t.joint): next(iter(t.parameters.values())).value for t in back.terms}
+    assert terms == pytest.approx(
+        {
+            **{("inertia", j): 0.05 for j in (1, 2)}, ("inertia", 3): 0.07,
+            **{("viscous", j): 0.4 for j in (2, 3)}, ("viscous", 1): 0.65,
+            ("coulomb", 1): 0.7, ("coulomb", 2): 0.9,
+            ("stiffness", 2): 4.0, ("lag", 1): 0.004, ("lag", 2): 0.02,
+            ("stribeck", 2): 1.3, ("ripple", 1): 3.0,
+        }
+    )  # fmt: skip
+    spring = next(t for t in back.terms if t.effect == "stiffness")
+    assert spring.value("neutral") == pytest.approx((3 * 0.2 - 1 * 0.4) / 4)
+
+
+def test_what_the_user_fixed_and_what_mujoco_forbids_stays_in_the_model_file(
+    tmp_path: Path,
+) -> None:
+    from zendsp.physics.mjcf_write import write_mjcf
+
+    (tmp_path / "arm.xml").write_text(ARM.replace('name="fore"', 'name="fore" gravcomp="1"'))
+    effects = [
+        {"kind": "viscous", "joint": 1, "coefficient": {"value": 0.2, "free": False}},
+        {"kind": "inertia", "joint": 1, "amount": {"value": -0.09}},  # with the rotor below 0
+        {"kind": "payload", "joint": 3, "mass": {"value": 1.5}},  # nothing carries its weight
+    ]
+    whole = parse_model(
+        {"mechanism": {"kind": "mjcf", "file": "arm.xml"}, "effect": effects},
+        str(tmp_path / "arm.toml"),
+    )
+    rest = write_mjcf(whole, tmp_path / "model.mjcf")
+    assert rest is not None
+    kept = sorted((t.effect, next(iter(t.parameters.values())).value) for t in rest.terms)
+    assert kept == [("inertia", -0.09), ("inertia", 0.05), ("payload", 1.5), ("viscous", 0.2)]
+
+
+def test_a_mesh_is_still_found_from_where_the_model_is_written(tmp_path: Path) -> None:
+    from zendsp.physics.mjcf_write import write_mjcf
+
+    (tmp_path / "meshes").mkdir()
+    corners = ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]
+    (tmp_path / "meshes" / "t.obj").write_text(
+        "".join(f"v {c}\n" for c in corners) + "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    xml = ARM.replace('angle="radian"', 'angle="radian" meshdir="meshes"')
+    xml = xml.replace("<worldbody>", '<asset><mesh name="t" file="t.obj"/></asset><worldbody>')
+    xml = xml.replace('<geom type="box" size="0.05 0.02 0.03" mass="0.4"/>',
+                      '<geom type="mesh" mesh="t" mass="0.4"/>')  # fmt: skip
+    model = model_of(tmp_path, xml)
+    out = tmp_path / "out"
+    out.mkdir()
+    assert write_mjcf(model, out / "model.mjcf") is not None

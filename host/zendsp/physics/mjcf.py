@@ -83,7 +83,8 @@ def read_mjcf(path: str, joints: Sequence[str] = ()) -> Mjcf:
     Raises
     ------
     ModelError
-        A file that MuJoCo does not compile, or parts that a tree of hinges and slides does not have.
+        A file that MuJoCo does not compile, or parts that a tree of hinges and slides does not
+        have.
     """
     return _read(path, tuple(joints), Path(path).stat().st_mtime_ns if Path(path).exists() else 0)
 

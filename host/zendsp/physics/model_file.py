@@ -341,12 +341,15 @@ def _quantity(items: tuple[Quantity, ...]) -> dict[str, Any]:
     return out
 
 
-def model_text(model: Model) -> str:
+def model_text(model: Model, *, beside: bool = False) -> str:
     """The model as TOML text that ``load_model`` reads back.
 
     Parameters
     ----------
     model : Model
+    beside : bool
+        The text goes beside the model's MJCF, as ``write_mjcf`` wrote it: what stands there is not
+        said again.
 
     Returns
     -------
@@ -357,9 +360,10 @@ def model_text(model: Model) -> str:
         data["sample_time"] = model.sample_time
     mechanism: dict[str, Any] = {"kind": model.kind}
     if model.file:
-        mechanism["file"] = str((model.folder / model.file).resolve())
+        mechanism["file"] = model.file if beside else str((model.folder / model.file).resolve())
     if model.kind == "mjcf":  # all that counts stands in this file, the bodies aside
-        mechanism["take"] = "servos" if model.robot.servos else "bodies"
+        if not beside:
+            mechanism["take"] = "servos" if model.robot.servos else "bodies"
         if model.robot.joints:
             mechanism["joints"] = list(model.robot.joints)
     if model.entry:
@@ -383,6 +387,8 @@ def model_text(model: Model) -> str:
     a, s = model.actuator, model.sensor
     gain: Any = _number(a.gain[0]) if len(a.gain) == 1 else [_number(g) for g in a.gain]
     data["actuator"] = {"gain": {"value": gain, "free": a.gain_free}, "delay": a.delay}
+    if beside and not model.robot.commands:
+        del data["actuator"]["gain"]
     if a.limit:
         data["actuator"]["limit"] = a.limit[0] if len(a.limit) == 1 else list(a.limit)
     if a.hold is not None:
