@@ -147,6 +147,9 @@ class Model:
     limits: Mapping[str, Any] = field(default_factory=dict)
     folder: Path = Path(".")
     robot: Robot = Robot()
+    # fmu: names of its variables by role (inputs, outputs, start_position, start_velocity), and
+    # time_limit, s
+    fmu: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def joints(self) -> int:

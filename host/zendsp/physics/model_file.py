@@ -28,6 +28,8 @@ from zendsp.physics.model import (
 from zendsp.physics.robot import joint_kinds, stated
 from zendsp.spelling import unknown_keys
 
+OF_MJCF = ("joints", "take")
+OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
 KEYS = {  # of each table, whether this version uses the value or only knows it
     "": (
         "name",
@@ -40,7 +42,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
         "columns",
         "limits",
     ),
-    "mechanism": ("kind", "parameters", "file", "entry", "folder", "joints", "take"),
+    "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_MJCF, *OF_FMU),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
     "sensor": ("position_resolution", "matrix", "offset", "side"),
     "controller": ("kind", "kp", "kd", "ki", "cutoff"),
@@ -199,9 +201,12 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     known = PARAMETERS[kind]
     if known is not None:
         read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
-    for key in ("joints", "take"):
-        if key in mechanism and kind != "mjcf":
-            raise ModelError(f"{path}: [mechanism] {key} belongs to kind = 'mjcf', not {kind!r}")
+    for owner, keys in (("mjcf", OF_MJCF), ("fmu", OF_FMU)):
+        for key in keys:
+            if key in mechanism and kind != owner:
+                raise ModelError(
+                    f"{path}: [mechanism] {key} belongs to kind = {owner!r}, not {kind!r}"
+                )
     values = {
         key: read.quantities(f"[mechanism.parameters] {key}", value)
         for key, value in parameters.items()
@@ -231,6 +236,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         entry=str(mechanism.get("entry", "")),
         limits=dict(read.table(data, "limits")),
         folder=folder,
+        fmu=_fmu(read, mechanism) if kind == "fmu" else {},
     )
     own: tuple[Term, ...] = ()
     if kind == "mjcf":
@@ -244,6 +250,22 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     return model.with_terms(
         (*own, *(_term(read, item, model.joints) for item in effects))
     )
+
+
+def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key in OF_FMU:
+        if key not in mechanism:
+            continue
+        value = mechanism[key]
+        if key == "time_limit":
+            out[key] = read.number("[mechanism] time_limit", value, positive=True)
+            continue
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise read.fail(f"[mechanism] {key}", "a variable's name, or a list of names", value)
+        out[key] = names
+    return out
 
 
 def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot:
@@ -366,6 +388,7 @@ def model_text(model: Model, *, beside: bool = False) -> str:
             mechanism["take"] = "servos" if model.robot.servos else "bodies"
         if model.robot.joints:
             mechanism["joints"] = list(model.robot.joints)
+    mechanism |= model.fmu
     if model.entry:
         mechanism["entry"] = model.entry
         mechanism["folder"] = str(model.folder.resolve())

@@ -51,6 +51,23 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     return folder
 
 
+def left_out(model: Model) -> list[str]:
+    """A note of what ``model.mjcf`` does not hold; none where the model is no MJCF."""
+    if model.kind != "mjcf":
+        return []
+    if model.robot.take != "all":
+        return ["no model.mjcf is written: this model takes only the bodies from its MJCF"]
+    from zendsp.physics.mjcf_write import inexpressible
+
+    stay = [f"{t.effect} (joint {t.joint})" for t in inexpressible(model)]
+    if not stay:
+        return []
+    return [
+        f"model.mjcf holds what was found, except {', '.join(dict.fromkeys(stay))}: MuJoCo cannot"
+        " express that; it stands as [[effect]] in model.toml beside it"
+    ]
+
+
 def _improved_text(model: Model, folder: Path) -> str:
     """The improved model; of an MJCF with a model.mjcf of its own, where that can be written."""
     if model.kind != "mjcf":
