@@ -26,7 +26,7 @@ from zendsp.physics.model_file import load_model
 fmpy = pytest.importorskip("fmpy")
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
-INERTIA, DAMPING, WEIGHT, RATE = 0.02, 0.03, 0.5, 500
+INERTIA, DAMPING, WEIGHT, RATE = 0.02, 0.03, 0.5, 250
 DRY = 0.06  # N m, what the recording has and the FMU has not
 
 # J q'' = u - b q' - G sin(q), two Runge-Kutta steps a communication step; ``bad``: 1 dies, 2 never
@@ -185,11 +185,11 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def pendulum(seed: int, dry: float = DRY, seconds: float = 6.0) -> dict[str, np.ndarray]:
+def pendulum(seed: int, dry: float = DRY, seconds: float = 5.0) -> dict[str, np.ndarray]:
     """The machine: what the FMU says, and dry friction of 1 mrad/s width, at 50 kHz."""
     rng = np.random.default_rng(seed)
     f, phase = rng.uniform(0.2, 1.5, 5), rng.uniform(0, 6.28, 5)
-    q, v, sub = 0.0, 0.0, 100
+    q, v, sub = 0.0, 0.0, 200
     rows = []
     for k in range(int(seconds * RATE)):
         goal = 0.5 * float((np.sin(2 * np.pi * f * k / RATE + phase) - np.sin(phase)).sum())
