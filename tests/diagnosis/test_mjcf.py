@@ -43,7 +43,7 @@ TWO = """<mujoco model="two">
 </mujoco>
 """
 TOOL = (
-    '<body pos="0.02 0 -0.3"><inertial pos="0 0 0" mass="0.8" diaginertia="1e-9 1e-9 1e-9"/></body>'
+    '<body pos="0.12 0 -0.35"><inertial pos="0 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body>'
 )
 SLIDE = (
     '<body name="tool" pos="0 0 -0.3"><joint name="reach" type="slide" axis="1 0 0" armature="0.3"'
@@ -139,11 +139,11 @@ def test_a_payload_is_one_body_by_mujocos_name_and_goes_into_the_mjcf(diagnosed)
     d, folder = diagnosed("payload", xml(tool=TOOL), xml())
     first = d.findings[0]
     assert (first.effect, first.joint, first.as_dict()["body"]) == ("payload", 2, "fore"), d
-    assert first.parameters["mass"].value == pytest.approx(0.8, rel=0.03)
+    assert first.parameters["mass"].value == pytest.approx(1.0, rel=0.03)
     assert len(d.findings) == 1
     write_report(d, folder / "out", pictures=False)
     m = mujoco.MjModel.from_xml_path(str(folder / "out" / "model.mjcf"))
-    assert m.body("fore").mass[0] == pytest.approx(2.3, rel=0.02)
+    assert m.body("fore").mass[0] == pytest.approx(2.5, rel=0.02)
     again = zendsp.diagnose(folder / "1.npz", folder / "out" / "model.toml", folder / "2.npz")
     assert (again.verdict, names(again)) == ("complete", set()), again
 

@@ -300,10 +300,10 @@ def _diagnose(
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
     """A note of what a black box does not let anybody try."""
-    inside = ", ".join(e.name for e in library().values() if not on_input(e) and not e.hidden)
+    inside = ", ".join(e.name for e in library().values() if not on_input(e))
     return (
-        f"black box: {sum(b.calls for b in (*train, *test))} simulations; springs, gaps and"
-        f" bristles inside the simulator cannot be tried, nor bodies: {inside}"
+        f"black box: {sum(b.calls for b in (*train, *test))} simulations; what has states of its"
+        f" own inside the simulator, or moves all joints, cannot be tried: {inside}"
     )
 
 
