@@ -284,7 +284,7 @@ def stated_terms(taken: Mjcf) -> list[Term]:
     for j, k in enumerate(taken.joints):
         d = taken.dof(j)
         rows = (
-            ("inertia", {"amount": _armature(m, k, d)}),
+            ("inertia", {"amount": armature_of(m, k)}),
             ("viscous", {"coefficient": float(m.dof_damping[d])}),
             ("coulomb", {"level": float(m.dof_frictionloss[d])}),
             (
@@ -301,13 +301,13 @@ def stated_terms(taken: Mjcf) -> list[Term]:
     return out
 
 
-def _armature(m: Any, joint: int, dof: int) -> float:
-    """Of the joint, with what its actuators carry behind their gear."""
+def armature_of(m: Any, joint: int) -> float:
+    """Rotor inertia of a joint, with what its actuators carry behind their gear."""
     rotors = (
         float(m.actuator_armature[a]) * float(m.actuator_gear[a, 0]) ** 2
         for a in actuators_of(m, joint)
     )
-    return float(m.dof_armature[dof]) + sum(rotors)
+    return float(m.dof_armature[m.jnt_dofadr[joint]]) + sum(rotors)
 
 
 def _compare(taken: Mjcf, path: str) -> None:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from zendsp.errors import ModelError
 from zendsp.physics.bodies import changed, numbers_of, turned_gravity
 from zendsp.physics.effects import get_effect
-from zendsp.physics.mjcf import Mjcf, actuators_of, library
+from zendsp.physics.mjcf import Mjcf, actuators_of, armature_of, library
 from zendsp.physics.model import Model, Term
 from zendsp.physics.robot import mjcf_of, robot_path, robot_tree, stated
 from zendsp.physics.tree import Body
@@ -186,9 +186,9 @@ def _joint(out: Split, taken: Mjcf, j: int, terms: Sequence[Term]) -> None:
     values = {
         attribute: _sum(terms, effect, key) for effect, (attribute, key) in _JOINT.items()
     }
-    rotors = sum(float(m.actuator_armature[a]) * float(m.actuator_gear[a, 0]) ** 2
-                 for a in actuators_of(m, joint))  # fmt: skip
-    values["armature"] = max(0.0, values["armature"] - rotors)  # they stay with the actuators
+    # what the rotors of its actuators add stays with them
+    values["armature"] = max(0.0, values["armature"] - armature_of(m, joint) + float(
+        m.dof_armature[taken.dof(j)]))  # fmt: skip
     if values["stiffness"] > 0.0:
         moment = sum(
             t.value("coefficient") * t.value("neutral") for t in terms if t.effect == "stiffness"

@@ -273,7 +273,7 @@ class _Instance:
             )
             self._make()
 
-    def _set(self, references: Sequence[int], values: Sequence[float]) -> None:
+    def _set(self, references: Sequence[int], values: Sequence[float] | Array) -> None:
         if references:
             put = self.slave.setFloat64 if self.three else self.slave.setReal
             put(list(references), [float(v) for v in values])
