@@ -112,8 +112,8 @@ def _picture(model: Model) -> dict[tuple[str, int], Array]:
         elif _site(term) != "body":
             numbers = np.array([q.value for q in term.parameters.values()])
             if term.effect == "stiffness":  # k (q - neutral): springs add up so
-                k, neutral = term.value("coefficient"), term.value("neutral")
-                numbers = np.array([k, k * neutral])
+                slope = term.value("coefficient")
+                numbers = np.array([slope, slope * term.value("neutral")])
             key = (term.effect, term.joint)
             alone = key in out and term.effect not in ADDED
             out[key] = np.append(out[key], numbers) if alone else numbers + out.get(key, 0.0)
