@@ -24,7 +24,10 @@ from zendsp.errors import ModelError
 from zendsp.physics.model_file import load_model
 
 fmpy = pytest.importorskip("fmpy")
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = [
+    pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc"),
+    pytest.mark.timeout(600),  # seconds of work, minutes on a machine that has other work
+]
 
 INERTIA, DAMPING, WEIGHT, RATE = 0.02, 0.03, 0.5, 250
 DRY = 0.06  # N m, what the recording has and the FMU has not
