@@ -74,6 +74,11 @@ class Parts:
     test: Data
 
     @property
+    def each(self) -> tuple[Data, ...]:
+        """The different parts."""
+        return tuple({id(part): part for part in (self.fit, self.choose, self.test)}.values())
+
+    @property
     def held(self) -> Data:
         """Everything that no model is fitted to."""
         if self.choose is self.test:
