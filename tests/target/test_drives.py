@@ -16,7 +16,7 @@ import pytest
 from zendsp.errors import Refused
 from zendsp.link import Target, connect, local
 from zendsp_target.api import Limits, RuntimeApi, Status, Timing
-from zendsp_target.drives import Drives
+from zendsp_target.serving.drives import Drives
 
 _NONE = np.zeros(0, dtype=np.int64)
 _STATUS = Status(

@@ -14,10 +14,10 @@ import pytest
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import AcquireConfig
-from zendsp_target.change_log import ChangeLog, Flight
-from zendsp_target.layout import layout
-from zendsp_target.plans import ENTRY
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.plans import ENTRY
 
 Make = Callable[..., Runtime]
 
@@ -360,7 +360,7 @@ def test_an_update_for_a_runner_that_is_gone_says_how_it_died(make_runtime: Make
 def test_the_log_keeps_its_newest_lines_and_their_numbers(
     monkeypatch: pytest.MonkeyPatch, make_runtime: Make
 ) -> None:
-    monkeypatch.setattr("zendsp_target.change_log._MAX_LOG", 10)
+    monkeypatch.setattr("zendsp_target.runtime.variables.change_log._MAX_LOG", 10)
     runtime = make_runtime(LIMITED)
     session = runtime._session
     assert session is not None

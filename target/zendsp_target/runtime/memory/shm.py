@@ -19,7 +19,7 @@ from typing import Any
 
 from zendsp_protocol import kept
 from zendsp_protocol.kept import Kept
-from zendsp_target.layout import layout
+from zendsp_target.runtime.memory.layout import layout
 
 
 def _clear_abandoned() -> tuple[list[Kept], list[Kept]]:

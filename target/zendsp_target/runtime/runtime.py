@@ -33,9 +33,9 @@ from zendsp_target.api import (
     Value,
     VariableInfo,
 )
-from zendsp_target.motion import Motion
-from zendsp_target.recorder import Recorder
-from zendsp_target.status import empty_status, status_of
+from zendsp_target.runtime.motion import Motion
+from zendsp_target.runtime.recorder import Recorder
+from zendsp_target.runtime.status import empty_status, status_of
 
 
 def program_text(name: str) -> str:
@@ -74,10 +74,11 @@ class Runtime(Motion):
         Settings of the machine (start position …).
     concealed : str, optional
         Handed to the machine and to nobody else before `reveal`: ``"seed:17"`` or a file, see
-        `zendsp_target.concealed`.
+        `zendsp_target.concealed.sealed`.
     **options
-        Further fields of `zendsp_target.settings.Settings` (realtime, priority, cpu, spin_us,
-        speed, hang_s, load_s), also as text; and ``machine.KEY`` for settings of the machine.
+        Further fields of `zendsp_target.runtime.process.settings.Settings` (realtime, priority,
+        cpu, spin_us, speed, hang_s, load_s), also as text; and ``machine.KEY`` for settings of
+        the machine.
 
     Raises
     ------

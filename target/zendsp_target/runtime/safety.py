@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused
 from zendsp_target.api import JointInfo, Limits, MachineInfo, Timing, Trip, Value
-from zendsp_target.layout import layout, text_of
+from zendsp_target.runtime.memory.layout import layout, text_of
 
 DRIVE_MODES = {"off": 0, "torque": 1, "velocity": 2}
 OVERRUN_POLICIES = {"count": 0, "skip": 1, "trip": 2}

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from zendsp_protocol.errors import Refused
-from zendsp_target import safety
 from zendsp_target.api import Limits, MachineInfo
-from zendsp_target.core import Core, require_no_trip
-from zendsp_target.layout import layout
-from zendsp_target.runner import ffi_address
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.process.runner import ffi_address
+from zendsp_target.runtime.programs import Core, require_no_trip
 
 MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
 

@@ -17,15 +17,15 @@ import zenoh
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.admission import Doors, check_role, may
+from zendsp_target.access.admission import Doors, check_role, may
+from zendsp_target.access.hosts import Hosts
 from zendsp_target.api import RECORDER, RuntimeApi
-from zendsp_target.bulk import send_rows
-from zendsp_target.hosts import Hosts
-from zendsp_target.later import Later
-from zendsp_target.live import LiveStreams
-from zendsp_target.once import Ticket
-from zendsp_target.repeats import Repeats
-from zendsp_target.service import Identity, Service
+from zendsp_target.serving.bulk_transfer import send_rows
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.live_streams import LiveStreams
+from zendsp_target.serving.repeated_requests import Repeats
+from zendsp_target.serving.request_log import Ticket
+from zendsp_target.serving.service import Identity, Service
 
 log = logging.getLogger(__name__)
 

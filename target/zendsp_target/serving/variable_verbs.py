@@ -12,8 +12,8 @@ from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
 from zendsp_protocol.errors import NotYet, VariableError
 from zendsp_target.api import RuntimeApi, VariableInfo
-from zendsp_target.later import Later
-from zendsp_target.uploads import Uploads
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.uploads import Uploads
 
 PLAIN = frozenset((float, int, bool))
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread

@@ -15,11 +15,11 @@ from zendsp_protocol.errors import AcquisitionError
 from zendsp_protocol.kept import About
 from zendsp_protocol.messages import Held
 from zendsp_protocol.states import RecorderState
-from zendsp_target import acquisition
 from zendsp_target.api import RECORDER, AcquireConfig, AcquireStatus
-from zendsp_target.layout import layout
-from zendsp_target.session import Session
-from zendsp_target.shm import SharedFolder
+from zendsp_target.runtime import acquisition
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFolder
+from zendsp_target.runtime.session import Session
 
 
 class Recorder:

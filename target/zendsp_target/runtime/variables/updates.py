@@ -18,12 +18,13 @@ import numpy as np
 
 from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
 from zendsp_target.api import Blank
-from zendsp_target.change_log import ChangeLog, Flight
-from zendsp_target.dictionary import Dictionary, Place
-from zendsp_target.layout import layout
-from zendsp_target.plans import WritePlan, keep
-from zendsp_target.shm import SharedFile
-from zendsp_target.values import FloatArray, check_kind, numbers_of
+from zendsp_target.bounded import keep
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.dictionary import Dictionary, Place
+from zendsp_target.runtime.variables.plans import WritePlan
+from zendsp_target.runtime.variables.values import FloatArray, check_kind, numbers_of
 
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
 # periods up to this one are waited for awake: falling asleep and waking take as long

@@ -7,11 +7,11 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.states import DriveState, ProgramState
-from zendsp_target import safety
 from zendsp_target.api import Status
-from zendsp_target.layout import layout, text_of
-from zendsp_target.session import Session
-from zendsp_target.settings import Settings
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.memory.layout import layout, text_of
+from zendsp_target.runtime.process.settings import Settings
+from zendsp_target.runtime.session import Session
 
 _IO = ("enc", "aout", "adc", "din", "dout")
 _MODES = {number: name for name, number in safety.DRIVE_MODES.items()}

@@ -16,9 +16,9 @@ from typing import Any
 from zendsp_protocol import codec, verbs
 from zendsp_protocol.errors import LinkError
 from zendsp_target.api import Blank, RuntimeApi
-from zendsp_target.drives import Drives
-from zendsp_target.plans import keep
-from zendsp_target.variable_verbs import VariableVerbs
+from zendsp_target.bounded import keep
+from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.variable_verbs import VariableVerbs
 
 _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that announces a double
 _COUNT = struct.Struct(">Q")  # likewise

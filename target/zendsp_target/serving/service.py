@@ -23,13 +23,13 @@ from zendsp_protocol.kept import About
 from zendsp_protocol.states import ProgramState, RecorderState
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import RECORDER, AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
-from zendsp_target.drives import Drives
-from zendsp_target.later import Later
-from zendsp_target.live import LiveStreams
-from zendsp_target.machine_verbs import MachineVerbs
-from zendsp_target.once import Once
-from zendsp_target.repeats import Repeats
-from zendsp_target.variable_verbs import VariableVerbs
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.drives import Drives
+from zendsp_target.serving.live_streams import LiveStreams
+from zendsp_target.serving.machine_verbs import MachineVerbs
+from zendsp_target.serving.repeated_requests import Repeats
+from zendsp_target.serving.request_log import Once
+from zendsp_target.serving.variable_verbs import VariableVerbs
 
 # answered by the server: they need more than arguments and author
 SPECIAL = ("acquire_read", "live_open")

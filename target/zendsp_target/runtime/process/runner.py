@@ -17,10 +17,10 @@ from typing import Any
 from zendsp_isr.build import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
-from zendsp_target.layout import layout, set_text, text_of
-from zendsp_target.settings import Settings
-from zendsp_target.shm import SharedFile
-from zendsp_target.strays import MARK, Strays
+from zendsp_target.runtime.memory.layout import layout, set_text, text_of
+from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.process.settings import Settings
+from zendsp_target.runtime.process.strays import MARK, Strays
 
 _WITHIN = {
     1: "while the program was being loaded",

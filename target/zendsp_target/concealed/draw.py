@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from zendsp_protocol.errors import Refused
-from zendsp_target.concealed import Concealed, ConcealedEffect
+from zendsp_target.concealed.sealed import Concealed, ConcealedEffect
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
-from zendsp_target.dictionary import Place
-from zendsp_target.layout import layout
-from zendsp_target.plans import set_part
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.variables.dictionary import Place
+from zendsp_target.runtime.variables.plans import set_part
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from itertools import islice
 import msgspec
 
 from zendsp_target.api import Change, Value
-from zendsp_target.dictionary import SCALARS, Place, value_of
-from zendsp_target.plans import ENTRY
+from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
+from zendsp_target.runtime.variables.plans import ENTRY
 
 _MAX_LOG = 100_000  # lines kept; older ones are dropped
 

@@ -11,16 +11,16 @@ from typing import Any
 from zendsp_isr.build import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused
-from zendsp_target import safety
 from zendsp_target.api import CompileResult
-from zendsp_target.change_log import ChangeLog
-from zendsp_target.compile_service import compile_program, program_path
-from zendsp_target.concealed import load_concealed
-from zendsp_target.layout import layout
-from zendsp_target.runner import look_at
-from zendsp_target.session import Session
-from zendsp_target.settings import Settings, split_options
-from zendsp_target.shm import SharedFile, SharedFolder
+from zendsp_target.concealed.load import load_concealed
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.compile_service import compile_program, program_path
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFile, SharedFolder
+from zendsp_target.runtime.process.runner import look_at
+from zendsp_target.runtime.process.settings import Settings, split_options
+from zendsp_target.runtime.session import Session
+from zendsp_target.runtime.variables.change_log import ChangeLog
 
 
 def require_no_trip(session: Session) -> None:

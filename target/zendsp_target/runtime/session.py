@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
-from zendsp_target import safety
 from zendsp_target.api import Blank, Value
-from zendsp_target.change_log import ChangeLog
-from zendsp_target.dictionary import Dictionary, Place, decode
-from zendsp_target.layout import layout
-from zendsp_target.plans import ReadPlan, keep
-from zendsp_target.runner import RunnerProcess, ffi_address, ffi_pointer
-from zendsp_target.safety import machine_of
-from zendsp_target.settings import Settings
-from zendsp_target.supervise import Supervisor
-from zendsp_target.updates import Updates
+from zendsp_target.bounded import keep
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address, ffi_pointer
+from zendsp_target.runtime.process.settings import Settings
+from zendsp_target.runtime.process.supervise import Supervisor
+from zendsp_target.runtime.safety import machine_of
+from zendsp_target.runtime.variables.change_log import ChangeLog
+from zendsp_target.runtime.variables.dictionary import Dictionary, Place, decode
+from zendsp_target.runtime.variables.plans import ReadPlan
+from zendsp_target.runtime.variables.updates import Updates
 
 _ANSWER_S = 5.0  # the paused loop answers within a millisecond; a loaded machine may take longer
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
 from zendsp_target.api import Value, VariableInfo
-from zendsp_target.layout import text_of
+from zendsp_target.runtime.memory.layout import text_of
 
 SCALARS = {
     "double": struct.Struct("<d"),

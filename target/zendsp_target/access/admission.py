@@ -22,7 +22,7 @@ from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
 from zendsp_protocol.errors import Refused, did_you_mean
 from zendsp_protocol.verbs import ROLES, Verb
-from zendsp_target.endpoints import Security, check, check_connect, is_local
+from zendsp_target.access.endpoints import Security, check, check_connect, is_local
 
 log = logging.getLogger(__name__)
 

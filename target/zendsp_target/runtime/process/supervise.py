@@ -8,8 +8,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from zendsp_target.layout import layout
-from zendsp_target.runner import RunnerProcess, ffi_address
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address
 
 _ROUND_S = 0.05
 

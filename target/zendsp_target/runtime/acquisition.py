@@ -24,9 +24,9 @@ from zendsp_protocol.kept import About, Kept, first_row
 from zendsp_protocol.messages import Held
 from zendsp_protocol.states import RecorderState
 from zendsp_target.api import AcquireConfig, AcquireStatus
-from zendsp_target.dictionary import Dictionary
-from zendsp_target.layout import layout, set_text
-from zendsp_target.shm import SharedFile
+from zendsp_target.runtime.memory.layout import layout, set_text
+from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.variables.dictionary import Dictionary
 
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h

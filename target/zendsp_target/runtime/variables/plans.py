@@ -12,14 +12,14 @@ import struct
 import threading
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp_target.api import Blank, Value
-from zendsp_target.dictionary import SCALARS, Place, value_of
-from zendsp_target.layout import layout
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 
 IN_MESSAGE = struct.Struct(">d")
 ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
@@ -27,18 +27,6 @@ _DOUBLE = SCALARS["double"].size
 _TICK = struct.Struct("<Q")
 _TYPES = {"double": 1, "float": 2, "int32": 3, "bool": 4}  # TYPE_… of layout.h
 _UNLIMITED = float("inf")
-_KEPT = 64  # plans of each kind; a host that asks for ever new names starts over
-
-Key = TypeVar("Key")
-Plan = TypeVar("Plan")
-
-
-def keep(plans: dict[Key, Plan], names: Key, plan: Plan) -> Plan:
-    """Remember a plan, and not too many."""
-    if len(plans) >= _KEPT:
-        plans.clear()
-    plans[names] = plan
-    return plan
 
 
 def set_part(part: Any, place: Place, rows: int | None = None) -> None:
