@@ -89,7 +89,7 @@ def test_the_monitor_survives_shared_memory_full_of_rubbish(
                 call()
             except ZendspError:
                 continue  # a clear refusal is a fine answer; anything else fails the test
-        return runtime._session is not None and runtime._session.crash != ""
+        return runtime.programs.session is not None and runtime.programs.session.crash != ""
 
     wait_for(ended)
     for call in calls:

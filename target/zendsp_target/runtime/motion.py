@@ -12,13 +12,22 @@ from zendsp_target.api import Limits, MachineInfo
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import ffi_address
-from zendsp_target.runtime.programs import Core, require_no_trip
+from zendsp_target.runtime.programs import Programs, require_no_trip
 
 MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
 
 
-class Motion(Core):
-    """Base of `Runtime`: everything that makes the machine move or stand still."""
+class Motion:
+    """Everything that makes the machine move or stand still.
+
+    Parameters
+    ----------
+    programs : Programs
+        Whose loaded program runs.
+    """
+
+    def __init__(self, programs: Programs) -> None:
+        self._programs = programs
 
     def start(self, ticks: int | None = None) -> None:
         """Let the samples run.
@@ -34,8 +43,8 @@ class Motion(Core):
             No program, a STOP or trip that is not acknowledged, or running already.
         """
         _, lib = layout()
-        with self._lock:
-            session = self._living()
+        with self._programs.lock:
+            session = self._programs.living()
             require_no_trip(session)
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs already: pause it first")
@@ -43,7 +52,7 @@ class Motion(Core):
                 raise Refused(
                     f"ticks = {ticks}: give 1 to {MOST_TICKS}, or none to run until a pause"
                 )
-            if self._drive_wish == "auto":
+            if self._programs.drive_wish == "auto":
                 session.control.drive = lib.MACHINE_TORQUE
             before = session.tick
             lib.monitor_store64(
@@ -65,8 +74,8 @@ class Motion(Core):
         hardware is made safe.
         """
         _, lib = layout()
-        with self._lock:
-            session = self._living()
+        with self._programs.lock:
+            session = self._programs.living()
             session.request_run(lib.RUN_PAUSED)
             session.until(lambda: session.running == lib.RUN_PAUSED, "pause")
 
@@ -81,7 +90,7 @@ class Motion(Core):
             The runner ended before.
         """
         _, lib = layout()
-        session = self._living()
+        session = self._programs.living()
         requested = ffi_address(session.control, "run")
         session.until(
             lambda: lib.monitor_load32(requested) == lib.RUN_PAUSED
@@ -107,7 +116,7 @@ class Motion(Core):
         _, lib = layout()
         if reason not in safety.REQUESTS:
             raise Refused(f"trip reason {reason!r}: give one of {', '.join(safety.REQUESTS)}")
-        session = self._session  # no lock: STOP never waits behind a load
+        session = self._programs.session  # no lock: STOP never waits behind a load
         if session is not None:
             lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
 
@@ -118,8 +127,8 @@ class Motion(Core):
         joint beyond its position limit may be moved back inside, and no further out.
         """
         _, lib = layout()
-        with self._lock:
-            session = self._living()
+        with self._programs.lock:
+            session = self._programs.living()
             session.request_run(lib.RUN_PAUSED)
             session.until(lambda: session.running == lib.RUN_PAUSED, "acknowledge")
             control = session.control
@@ -134,16 +143,16 @@ class Motion(Core):
         """
         if mode != "auto" and mode not in safety.DRIVE_MODES:
             raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
-        with self._lock:
+        with self._programs.lock:
             if mode in ("torque", "velocity"):
-                self._living()  # switching on needs somebody who obeys
-            self._drive_wish = mode
-            if self._session is not None:
+                self._programs.living()  # switching on needs somebody who obeys
+            self._programs.drive_wish = mode
+            session = self._programs.session
+            if session is not None:
+                control = session.control
                 if mode == "off":
-                    self._session.control.off = (int(self._session.control.off) + 1) & 0xFFFFFFFF
-                self._session.control.drive = safety.DRIVE_MODES.get(
-                    mode, int(self._session.control.drive)
-                )
+                    control.off = (int(control.off) + 1) & 0xFFFFFFFF
+                control.drive = safety.DRIVE_MODES.get(mode, int(control.drive))
 
     def home(self) -> None:
         """Start the machine's homing; ``status().homed`` tells when it is done, a trip when it
@@ -155,8 +164,8 @@ class Motion(Core):
             A trip stands, or the program runs.
         """
         _, lib = layout()
-        with self._lock:
-            session = self._living()
+        with self._programs.lock:
+            session = self._programs.living()
             require_no_trip(session)
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs: pause it before homing")
@@ -165,11 +174,11 @@ class Motion(Core):
 
     def machine(self) -> MachineInfo:
         """What the loaded machine says of itself."""
-        return self._loaded().machine
+        return self._programs.loaded().machine
 
     def limits(self) -> Limits:
         """Limits in force."""
-        _, values = self._loaded().read(safety.limit_names())
+        _, values = self._programs.loaded().read(safety.limit_names())
         return safety.limits_of(values)
 
     def set_limits(self, author: str, **changes: Any) -> int:
@@ -191,7 +200,7 @@ class Motion(Core):
         Refused
             Beyond what the machine bears, or not a limit.
         """
-        session = self._living()
+        session = self._programs.living()
         return session.set_settings(safety.check_limits(session.machine, changes), author)
 
     def set_ramp(self, seconds: float) -> None:
@@ -212,14 +221,14 @@ class Motion(Core):
         self._apply({"overrun.policy": safety.OVERRUN_POLICIES[policy], "overrun.limit": limit})
 
     def _apply(self, values: Mapping[str, object]) -> None:
-        session = self._living()
+        session = self._programs.living()
         session.updates.wait_applied(session.set_settings(values, "runtime"), 5.0)
 
     def set_inputs(self, bits: int) -> None:
         """Digital inputs of a simulated machine, one bit each: what a person at its panel would
         press.
         """
-        session = self._living()
+        session = self._programs.living()
         if not session.machine.simulated:
             raise Refused("digital inputs of real hardware cannot be set")
         session.control.simulated_din = bits & 0xFFFFFFFF

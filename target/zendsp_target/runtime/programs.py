@@ -1,4 +1,4 @@
-"""What a target holds: settings, shared memory, the loaded program; and how programs come and go.
+"""How programs come and go: compile, load, unload; and what stays between them.
 """
 
 from __future__ import annotations
@@ -39,8 +39,23 @@ def make_stop_page(folder: Path) -> SharedFile:
     return file
 
 
-class Core:
-    """Base of `Runtime`, where its parameters are described."""
+class Programs:
+    """How programs come and go on one machine. The parameters are described at `Runtime`.
+
+    Attributes
+    ----------
+    session : Session or None
+        The load of today.
+    lock : RLock
+        Held by whoever loads, starts or pauses; never by STOP.
+    folder : SharedFolder
+    log : ChangeLog
+        Of all loads.
+    settings : Settings
+        Of the next load.
+    drive_wish : str
+        ``"auto"`` (on at start), or what was asked for: ``"off"``, ``"torque"``, ``"velocity"``.
+    """
 
     def __init__(
         self,
@@ -56,22 +71,22 @@ class Core:
         config |= for_machine
         self._concealed = load_concealed(concealed, machine, config)
         config |= self._concealed.config()
-        self._settings = Settings(machine, config, rate_hz, clock, **own)
+        self.settings = Settings(machine, config, rate_hz, clock, **own)
         layout()
         build_runner()
         build_machine(machine)  # what does not compile shall say so now, not at the first load
-        self._folder = SharedFolder()
-        self._page = make_stop_page(self._folder.path)
+        self.folder = SharedFolder()
+        self._page = make_stop_page(self.folder.path)
         try:
-            self.title = look_at(self._settings, self._folder.path) if is_model(machine) else ""
+            self.title = look_at(self.settings, self.folder.path) if is_model(machine) else ""
         except BaseException:
-            self._folder.close()
+            self.folder.close()
             raise
-        self._lock = threading.RLock()
-        self._session: Session | None = None
-        self._log = ChangeLog()
+        self.lock = threading.RLock()
+        self.session: Session | None = None
+        self.log = ChangeLog()
         self._loads = 0
-        self._drive_wish = "auto"
+        self.drive_wish = "auto"
         self._closed = False
 
     def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult:
@@ -91,25 +106,25 @@ class Core:
             Its UserInit crashed or did not return.
         """
         path = program_path(key)
-        with self._lock:
+        with self.lock:
             self._require_open()
-            if self._session is not None and self._session.alive():
-                require_no_trip(self._session)
+            if self.session is not None and self.session.alive():
+                require_no_trip(self.session)
             self.unload()
-            if self._drive_wish != "auto":
+            if self.drive_wish != "auto":
                 # a fresh runner begins with its drives off, and is switched on deliberately
-                self._drive_wish = "off"
+                self.drive_wish = "off"
             self._loads += 1
-            self._session = Session(
-                key, self._settings, path, self._folder.path, self._loads, self._log
+            self.session = Session(
+                key, self.settings, path, self.folder.path, self._loads, self.log
             )
 
     def unload(self) -> None:
         """End the runner; acquired data and the log stay."""
-        with self._lock:
-            if self._session is not None:
-                self._session.close()
-                self._session = None
+        with self.lock:
+            if self.session is not None:
+                self.session.close()
+                self.session = None
 
     def stop_page(self) -> str:
         """Path of the file by which programs of this user stop the loop, past this process: see
@@ -119,7 +134,7 @@ class Core:
 
     def runner_pid(self) -> int:
         """Process id of the native runner, 0 where none runs."""
-        session = self._session
+        session = self.session
         return session.process.pid if session is not None and session.alive() else 0
 
     def configure(self, **changes: Any) -> None:
@@ -130,21 +145,37 @@ class Core:
         Refused
             A value out of range.
         """
-        with self._lock:
-            self._settings = Settings(**{**self._settings.__dict__, **changes})
+        with self.lock:
+            self.settings = Settings(**{**self.settings.__dict__, **changes})
 
     def _require_open(self) -> None:
         if self._closed:
             raise Refused("this runtime was closed")
 
-    def _loaded(self) -> Session:
-        session = self._session
+    def loaded(self) -> Session:
+        """The session, running or not.
+
+        Raises
+        ------
+        Refused
+            No program is loaded.
+        """
+        session = self.session
         if session is None:
             raise Refused("no program is loaded: compile and load one first")
         return session
 
-    def _living(self) -> Session:
-        session = self._loaded()
+    def living(self) -> Session:
+        """The session, whose runner lives.
+
+        Raises
+        ------
+        Refused
+            No program is loaded.
+        RunnerDied
+            Its runner ended.
+        """
+        session = self.loaded()
         session.require_alive()
         return session
 
@@ -162,8 +193,8 @@ class Core:
 
     def close(self) -> None:
         """End everything and remove the shared memory."""
-        with self._lock:
+        with self.lock:
             if not self._closed:
                 self.unload()
                 self._closed = True
-                self._folder.close()
+                self.folder.close()

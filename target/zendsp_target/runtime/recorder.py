@@ -38,11 +38,17 @@ class Recorder:
         self._files = 0
         self._lock = threading.Lock()
 
-    def configure(self, number: int, config: AcquireConfig) -> AcquireStatus:
-        """Set up a stream; see `Runtime.acquire_configure`."""
+    def configure(self, stream: int, config: AcquireConfig) -> AcquireStatus:
+        """Set up a stream (0: recorder; 1 … 7: live); what it held before is dropped.
+
+        Raises
+        ------
+        AcquisitionError
+            No program, an unknown channel, or more than fits into memory.
+        """
         _, lib = layout()
-        if not 0 <= number < lib.LAYOUT_STREAMS:
-            raise AcquisitionError(f"stream {number}: there are 0 … {lib.LAYOUT_STREAMS - 1}")
+        if not 0 <= stream < lib.LAYOUT_STREAMS:
+            raise AcquisitionError(f"stream {stream}: there are 0 … {lib.LAYOUT_STREAMS - 1}")
         with self._lock:
             session = self._current()
             if session is None or not session.alive():
@@ -50,7 +56,7 @@ class Recorder:
                     "no program is loaded: load one before configuring an acquisition"
                 )
             self._files += 1
-            path = self._folder.path / f"stream-{number}-{self._files}"
+            path = self._folder.path / f"stream-{stream}-{self._files}"
             fresh = acquisition.create(
                 path,
                 session.dictionary,
@@ -59,21 +65,28 @@ class Recorder:
                 self._folder.free_bytes(),
             )
             try:
-                acquisition.attach(fresh, session.control, number, session.alive)
+                acquisition.attach(fresh, session.control, stream, session.alive)
             except BaseException:
                 fresh.file.unlink()
                 raise
             # both sides have it mapped: only what may be salvaged keeps its name
-            (self._forget if number == RECORDER else fresh.file.unlink)()
-            self._streams[number] = (fresh, session)
+            (self._forget if stream == RECORDER else fresh.file.unlink)()
+            self._streams[stream] = (fresh, session)
             return acquisition.status(fresh, True)
 
-    def start(self, number: int, force: bool) -> None:
-        """Arm a stream, or fire the trigger of one that is armed."""
-        found, session = self._stream(number)
+    def start(self, stream: int, force: bool = False) -> None:
+        """Begin to acquire, or wait for the trigger; `force` fires the trigger of a stream that is
+        armed already.
+
+        Raises
+        ------
+        AcquisitionError
+            Not configured, or its program is no longer loaded.
+        """
+        found, session = self._stream(stream)
         if not self._fed(session):
             raise AcquisitionError(
-                f"stream {number} belongs to a program that is no longer loaded: configure it again"
+                f"stream {stream} belongs to a program that is no longer loaded: configure it again"
             )
         if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
             acquisition.request(found, "arm", session.alive)
@@ -81,7 +94,9 @@ class Recorder:
             acquisition.request(found, "force", session.alive)
 
     def keep(self, about: About) -> None:
-        """Leave word of what the recorder holds, for the case that this process is killed."""
+        """Have the rows of the recorder outlive this process if it is killed; see
+        `zendsp_protocol.kept`.
+        """
         found, session = self._stream(RECORDER)
         if self._fed(session):
             kept.write(self._folder.path, acquisition.note_of(found, about))
@@ -92,41 +107,41 @@ class Recorder:
         if RECORDER in self._streams:
             self._streams[RECORDER][0].file.unlink()
 
-    def stop(self, number: int) -> None:
-        """End an acquisition at the next sample."""
-        found, session = self._stream(number)
+    def stop(self, stream: int) -> None:
+        """End an acquisition at the next sample; its rows stay."""
+        found, session = self._stream(stream)
         if self._fed(session):
             acquisition.request(found, "disarm", session.alive)
 
-    def status(self, number: int) -> AcquireStatus:
+    def status(self, stream: int) -> AcquireStatus:
         """Where a stream stands."""
-        if number not in self._streams:
+        if stream not in self._streams:
             return AcquireStatus(RecorderState.IDLE, (), (), 1, 0, 0, 0, 0, 0, -1)
-        found, session = self._streams[number]
+        found, session = self._streams[stream]
         return acquisition.status(found, self._fed(session))
 
-    def held(self, number: int) -> Held:
+    def held(self, stream: int) -> Held:
         """Where the rows of a stream stand; an empty path where it is not configured."""
-        if number not in self._streams:
+        if stream not in self._streams:
             return Held()
-        found, session = self._streams[number]
+        found, session = self._streams[stream]
         return acquisition.held(found, self._fed(session))
 
     def read(
         self,
-        number: int,
+        stream: int,
         first: int,
         count: int,
         into: npt.NDArray[np.float64] | None = None,
         fold: bytearray | None = None,
     ) -> npt.NDArray[np.float64]:
-        """Rows of a stream, shape (rows, channels)."""
-        return acquisition.read(self._stream(number)[0], first, count, into, fold)
+        """Rows of a stream, shape (rows, channels). See `acquisition.read`."""
+        return acquisition.read(self._stream(stream)[0], first, count, into, fold)
 
-    def _stream(self, number: int) -> tuple[acquisition.Stream, Session]:
-        found = self._streams.get(number)
+    def _stream(self, stream: int) -> tuple[acquisition.Stream, Session]:
+        found = self._streams.get(stream)
         if found is None:
-            raise AcquisitionError(f"stream {number} is not configured: configure it first")
+            raise AcquisitionError(f"stream {stream} is not configured: configure it first")
         return found
 
     def _fed(self, session: Session) -> bool:

@@ -13,27 +13,16 @@ native runner.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from zendsp_isr.build import source_root
-from zendsp_protocol.errors import RunnerDied
-from zendsp_protocol.kept import About, Kept
-from zendsp_protocol.messages import Held
-from zendsp_target.api import (
-    AcquireConfig,
-    AcquireStatus,
-    Blank,
-    Change,
-    Status,
-    Value,
-    VariableInfo,
-)
+from zendsp_protocol.kept import Kept
+from zendsp_target.api import Status
+from zendsp_target.runtime.loaded_variables import LoadedVariables
 from zendsp_target.runtime.motion import Motion
+from zendsp_target.runtime.programs import Programs
 from zendsp_target.runtime.recorder import Recorder
 from zendsp_target.runtime.status import empty_status, status_of
 
@@ -58,8 +47,9 @@ def program_text(name: str) -> str:
     return (source_root() / "programs" / f"{name}.c").read_text()
 
 
-class Runtime(Motion):
-    """A machine, and what runs on it.
+class Runtime:
+    """A machine, and what runs on it: the rooms of the real-time side, and their methods under one
+    roof, as `RuntimeApi` names them.
 
     Parameters
     ----------
@@ -80,6 +70,17 @@ class Runtime(Motion):
         cpu, spin_us, speed, hang_s, load_s), also as text; and ``machine.KEY`` for settings of
         the machine.
 
+    Attributes
+    ----------
+    programs : Programs
+        Compile, load, unload.
+    motion : Motion
+        Start, pause, STOP, drives, limits.
+    loaded_variables : LoadedVariables
+        Read, write, the log.
+    recorder : Recorder
+        Acquisition streams.
+
     Raises
     ------
     CompileFailed
@@ -97,190 +98,48 @@ class Runtime(Motion):
         concealed: str | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(machine, rate_hz, clock, machine_config, concealed, **options)
-        self._recorder = Recorder(self._folder, lambda: self._session)
+        programs = Programs(machine, rate_hz, clock, machine_config, concealed, **options)
+        motion = Motion(programs)
+        variables = LoadedVariables(programs)
+        recorder = Recorder(programs.folder, lambda: programs.session)
+        self.programs, self.motion = programs, motion
+        self.loaded_variables, self.recorder = variables, recorder
+
+        self.title = programs.title
+        self.compile, self.configure = programs.compile, programs.configure
+        self.load, self.unload = programs.load, programs.unload
+        self.stop_page, self.runner_pid = programs.stop_page, programs.runner_pid
+        self.seal, self.reveal, self.close = programs.seal, programs.reveal, programs.close
+
+        self.start, self.pause, self.wait_paused = motion.start, motion.pause, motion.wait_paused
+        self.stop, self.trip, self.acknowledge = motion.stop, motion.trip, motion.acknowledge
+        self.set_drive, self.home, self.machine = motion.set_drive, motion.home, motion.machine
+        self.limits, self.set_limits = motion.limits, motion.set_limits
+        self.set_ramp, self.set_overrun = motion.set_ramp, motion.set_overrun
+        self.set_inputs = motion.set_inputs
+
+        self.variables, self.builtins = variables.declared, variables.builtins
+        self.read, self.repeat_read = variables.read, variables.repeat_read
+        self.write, self.repeat_write = variables.write, variables.repeat_write
+        self.check, self.wait_applied = variables.check, variables.wait_applied
+        self.ended, self.log = variables.ended, variables.log
+
+        self.acquire_configure, self.acquire_start = recorder.configure, recorder.start
+        self.acquire_keep, self.acquire_stop = recorder.keep, recorder.stop
+        self.acquire_status, self.acquire_held = recorder.status, recorder.held
+        self.acquire_read = recorder.read
 
     @property
     def left_behind(self) -> tuple[list[Kept], list[Kept]]:
         """What targets that were killed had recorded: what stays in shared memory, and what the
         start of this one removed.
         """
-        return self._folder.kept, self._folder.dropped
-
-    # ---- variables ----------------------------------------------------------------------------------------------------------  # noqa: E501
-
-    def variables(self) -> tuple[VariableInfo, ...]:
-        """Variables that the loaded program declares."""
-        return self._loaded().dictionary.infos("parameter", "signal", "table")
-
-    def builtins(self) -> tuple[VariableInfo, ...]:
-        """Signals that exist without being declared."""
-        return self._loaded().dictionary.infos("builtin")
-
-    def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
-        """Values of variables, elements and built-ins, all from one sample, and its tick.
-
-        Raises
-        ------
-        VariableError
-            One line for each unknown name.
-        """
-        return self._loaded().read(names)
-
-    def ended(self) -> str:
-        """Why the loaded program no longer runs although nobody paused it, in a sentence; empty
-        where it does or none is loaded.
-        """
-        session = self._session
-        return "" if session is None else session.ended()
-
-    def check(self, values: Mapping[str, Value]) -> None:
-        """Raise what :meth:`write` would raise for these values; nothing is written."""
-        self._loaded().updates.check(values)
-
-    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
-        """Commit a synchronous update: all values at the start of one sample, or none.
-
-        Parameters
-        ----------
-        values : mapping
-            A table takes an array of shape (rows, columns).
-        author : str
-        at_tick : int, optional
-            Not before this sample.
-
-        Returns
-        -------
-        int
-            Sequence number for `wait_applied`.
-
-        Raises
-        ------
-        VariableError
-            One line for each variable that is wrong; nothing was applied.
-        """
-        session = self._session
-        if session is None:
-            session = self._loaded()
-        try:
-            return session.updates.write(values, author, at_tick)
-        except RunnerDied:
-            session.require_alive()  # tells how it died
-            raise
-
-    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
-        """What reads the same doubles again, straight into a reply; None where there is no such
-        way.
-
-        Parameters
-        ----------
-        names : sequence of str
-            As they were read before.
-        reply : Blank
-
-        Returns
-        -------
-        callable or None
-            Takes the least tick that may be told. 0: nothing was read, `read` says why.
-        """
-        session = self._session
-        return None if session is None else session.repeat_read(names, reply)
-
-    def repeat_write(
-        self, name: str, author: str, value_at: int, reply: Blank
-    ) -> Callable[[bytes], int] | None:
-        """What writes the same double again, straight out of a request; None where there is no such
-        way.
-
-        Parameters
-        ----------
-        name : str
-            As it was written before.
-        author : str
-        value_at : int
-            Where the value stands in the request, bytes.
-        reply : Blank
-
-        Returns
-        -------
-        callable or None
-            Takes the request; returns the sequence number. 0: nothing was written, `write` says
-            why.
-        """
-        session = self._session
-        return None if session is None else session.repeat_write(name, author, value_at, reply)
-
-    def wait_applied(self, sequence: int, timeout: float) -> int:
-        """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`.
-        """
-        return self._loaded().updates.wait_applied(sequence, timeout)
-
-    def log(self, since: int = 0) -> tuple[Change, ...]:
-        """Changes from line number `since` on."""
-        session = self._session
-        if session is not None:
-            session.updates.harvest()
-        return self._log.since(since)
-
-    # ---- acquisition --------------------------------------------------------------------------------------------------------  # noqa: E501
-
-    def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus:
-        """Set up a stream (0: recorder; 1 … 7: live); what it held before is dropped.
-
-        Raises
-        ------
-        AcquisitionError
-            No program, an unknown channel, or more than fits into memory.
-        """
-        return self._recorder.configure(stream, config)
-
-    def acquire_start(self, stream: int, force: bool = False) -> None:
-        """Begin to acquire, or wait for the trigger; `force` fires the trigger of a stream that is
-        armed already.
-
-        Raises
-        ------
-        AcquisitionError
-            Not configured, or its program is no longer loaded.
-        """
-        self._recorder.start(stream, force)
-
-    def acquire_keep(self, about: About) -> None:
-        """Have the rows of the recorder outlive this process if it is killed; see
-        `zendsp_protocol.kept`.
-        """
-        self._recorder.keep(about)
-
-    def acquire_stop(self, stream: int) -> None:
-        """End an acquisition at the next sample; its rows stay."""
-        self._recorder.stop(stream)
-
-    def acquire_status(self, stream: int) -> AcquireStatus:
-        """Where a stream stands."""
-        return self._recorder.status(stream)
-
-    def acquire_held(self, stream: int) -> Held:
-        """Where the rows of a stream stand, for a reader of the same user; see `acquisition.held`.
-        """
-        return self._recorder.held(stream)
-
-    def acquire_read(
-        self,
-        stream: int,
-        first: int,
-        count: int,
-        into: npt.NDArray[np.float64] | None = None,
-        fold: bytearray | None = None,
-    ) -> npt.NDArray[np.float64]:
-        """Rows of a stream, shape (rows, channels). See `acquisition.read`."""
-        return self._recorder.read(stream, first, count, into, fold)
-
-    # ---- status -------------------------------------------------------------------------------------------------------------  # noqa: E501
+        return self.programs.folder.kept, self.programs.folder.dropped
 
     def status(self) -> Status:
         """Everything that a person wants to see at a glance."""
-        session = self._session
-        return empty_status(self._settings) if session is None else status_of(session)
+        session = self.programs.session
+        return empty_status(self.programs.settings) if session is None else status_of(session)
 
     def __enter__(self) -> Runtime:
         return self
