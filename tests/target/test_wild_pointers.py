@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from zendsp_protocol.errors import RunnerDied, ZendspError
-from zendsp_target.api import AcquireConfig, Trigger
+from zendsp_protocol.messages import Trigger
+from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
 # Finds the shared mappings in /proc/self/maps, and fills them at sample 50 with a byte, or with

@@ -21,9 +21,9 @@ import numpy.typing as npt
 from zendsp_protocol.chunks import KERNEL
 from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
 from zendsp_protocol.kept import About, Kept, first_row
-from zendsp_protocol.messages import Held
+from zendsp_protocol.messages import AcquireStatus, Held
 from zendsp_protocol.states import RecorderState
-from zendsp_target.api import AcquireConfig, AcquireStatus
+from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime.memory.layout import layout, set_text
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.variables.dictionary import Dictionary

@@ -15,7 +15,7 @@ from elftools.elf.sections import SymbolTableSection
 
 from zendsp_isr.build import Built, build, cache_root, source_root
 from zendsp_protocol.errors import Refused
-from zendsp_target.api import CompileResult, Diagnostic
+from zendsp_protocol.messages import CompileResult, Diagnostic
 
 _NAME = re.compile(r"^[A-Za-z0-9_][A-Za-z0-9_.+-]*\.[ch]$")
 _FLAG = re.compile(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from zendsp_protocol.errors import RunnerDied
-from zendsp_target.api import Blank, Change, Value, VariableInfo
+from zendsp_protocol.messages import Change, VariableInfo
+from zendsp_protocol.values import Value
+from zendsp_target.api import Blank
 from zendsp_target.runtime.programs import Programs
 
 

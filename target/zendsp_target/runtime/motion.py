@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from zendsp_protocol.errors import Refused
-from zendsp_target.api import Limits, MachineInfo
+from zendsp_protocol.messages import Limits, MachineInfo
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import ffi_address

@@ -11,7 +11,7 @@ from typing import Any
 from zendsp_isr.build import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused
-from zendsp_target.api import CompileResult
+from zendsp_protocol.messages import CompileResult
 from zendsp_target.concealed.load import load_concealed
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.compile_service import compile_program, program_path

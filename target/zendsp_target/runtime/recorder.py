@@ -13,9 +13,9 @@ import numpy.typing as npt
 from zendsp_protocol import kept
 from zendsp_protocol.errors import AcquisitionError
 from zendsp_protocol.kept import About
-from zendsp_protocol.messages import Held
+from zendsp_protocol.messages import AcquireStatus, Held
 from zendsp_protocol.states import RecorderState
-from zendsp_target.api import RECORDER, AcquireConfig, AcquireStatus
+from zendsp_target.api import RECORDER, AcquireConfig
 from zendsp_target.runtime import acquisition
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.memory.shm import SharedFolder

@@ -19,7 +19,7 @@ from typing import Any
 
 from zendsp_isr.build import source_root
 from zendsp_protocol.kept import Kept
-from zendsp_target.api import Status
+from zendsp_protocol.messages import Status
 from zendsp_target.runtime.loaded_variables import LoadedVariables
 from zendsp_target.runtime.motion import Motion
 from zendsp_target.runtime.programs import Programs

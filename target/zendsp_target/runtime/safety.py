@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused
-from zendsp_target.api import JointInfo, Limits, MachineInfo, Timing, Trip, Value
+from zendsp_protocol.messages import JointInfo, Limits, MachineInfo, Timing, Trip
+from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import layout, text_of
 
 DRIVE_MODES = {"off": 0, "torque": 1, "velocity": 2}

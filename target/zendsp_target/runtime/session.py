@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
-from zendsp_target.api import Blank, Value
+from zendsp_protocol.values import Value
+from zendsp_target.api import Blank
 from zendsp_target.bounded import keep
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout

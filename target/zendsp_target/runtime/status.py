@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState
-from zendsp_target.api import Status
+from zendsp_protocol.values import WireValue
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout, text_of
 from zendsp_target.runtime.process.settings import Settings
@@ -95,7 +95,7 @@ def _drive(state: ProgramState, reason: str, mode: str, homed: bool) -> DriveSta
     return DriveState.RUNNING if state == ProgramState.RUNNING else DriveState.ENABLED
 
 
-def _io(session: Session) -> dict[str, npt.NDArray[np.float64]]:
+def _io(session: Session) -> dict[str, WireValue]:
     names = [name for name in _IO if name in session.dictionary.entries]
     try:
         _, values = session.read(names)

@@ -30,8 +30,9 @@ from typing import Any
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.messages import Status
 from zendsp_protocol.states import DriveState, ProgramState
-from zendsp_target.api import RuntimeApi, Status
+from zendsp_target.api import RuntimeApi
 
 log = logging.getLogger(__name__)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_target.api import RuntimeApi
@@ -15,18 +13,18 @@ class MachineVerbs:
     def __init__(self, runtime: RuntimeApi) -> None:
         self.runtime = runtime
 
-    def do_machine(self, args: verbs.Nothing, by: str) -> Any:
+    def do_machine(self, args: verbs.Nothing, by: str) -> m.MachineInfo:
         return self.runtime.machine()
 
-    def do_limits(self, args: verbs.Nothing, by: str) -> Any:
+    def do_limits(self, args: verbs.Nothing, by: str) -> m.Limits:
         return self.runtime.limits()
 
-    def do_set_limits(self, args: verbs.SetLimits, by: str) -> dict[str, int]:
+    def do_set_limits(self, args: verbs.SetLimits, by: str) -> m.Written:
         given = {name: getattr(args, name) for name in args.__struct_fields__}
         changes = {
             n: tuple(v) if isinstance(v, list) else v for n, v in given.items() if v is not None
         }
-        return {"sequence": self.runtime.set_limits(by, **changes)}
+        return m.Written(sequence=self.runtime.set_limits(by, **changes))
 
     def do_set_drive(self, args: verbs.SetDrive, by: str) -> m.Empty:
         self.runtime.set_drive(args.mode)

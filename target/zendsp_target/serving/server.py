@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
+import msgspec
 import zenoh
 
 from zendsp_protocol import codec, keys, verbs
@@ -303,13 +304,7 @@ class Server:
                 log.exception("the status cannot be read")
                 continue
             now = time.monotonic()
-            shown = (
-                status["state"],
-                status["drive"],
-                status["crash"],
-                status["hosts"],
-                status["trip"],
-            )
+            shown = (status.state, status.drive, status.crash, status.hosts, status.trip)
             if shown != last or now >= due:
                 last, due = shown, now + PULSE_S
-                publisher.put(codec.encode({"v": PROTOCOL, **status}))
+                publisher.put(codec.encode({"v": PROTOCOL, **msgspec.structs.asdict(status)}))

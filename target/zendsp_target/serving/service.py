@@ -9,7 +9,7 @@ import platform
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
@@ -22,7 +22,7 @@ from zendsp_protocol.errors import Refused
 from zendsp_protocol.kept import About
 from zendsp_protocol.states import ProgramState, RecorderState
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.api import RECORDER, AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
+from zendsp_target.api import RECORDER, AcquireConfig, RuntimeApi
 from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.drives import Drives
 from zendsp_target.serving.live_streams import LiveStreams
@@ -99,16 +99,18 @@ class Service:
             instance=self.once.instance.hex(),
         )
 
-    def do_status(self, args: verbs.Nothing, by: str) -> Any:
+    def do_status(self, args: verbs.Nothing, by: str) -> m.Status:
         status = self.runtime.status()
         if status.state == ProgramState.CRASHED and not status.crash:
             raise Later(self._post_mortem)
         return self._shown(status)
 
-    def _shown(self, status: Status) -> Any:
-        return {**_with_hosts(status, self.present()), "drive": self.drives.state(status)}
+    def _shown(self, status: m.Status) -> m.Status:
+        return msgspec.structs.replace(
+            status, hosts=self.present(), drive=self.drives.state(status)
+        )
 
-    def _post_mortem(self) -> Any:
+    def _post_mortem(self) -> m.Status:
         """Status of a runner that is dead already, once it is known how it died."""
         deadline = time.monotonic() + POST_MORTEM_S
         status = self.runtime.status()
@@ -125,7 +127,7 @@ class Service:
         self.runtime.stop()
         return m.Empty()
 
-    def do_stopped(self, args: verbs.Nothing, by: str) -> Any:
+    def do_stopped(self, args: verbs.Nothing, by: str) -> m.Status:
         return self._shown(self.runtime.status())
 
     # what a simulated machine conceals
@@ -141,7 +143,7 @@ class Service:
     # programs
     # ----------------------------------------------------------------------------------------------
 
-    def do_compile(self, args: verbs.Compile, by: str) -> CompileResult:
+    def do_compile(self, args: verbs.Compile, by: str) -> m.CompileResult:
         result = self.runtime.compile(args.sources, args.flags)
         if result.ok:
             program = m.Program(
@@ -198,12 +200,9 @@ class Service:
     # acquisition
     # ----------------------------------------------------------------------------------------------
 
-    def do_acquire_configure(self, args: verbs.AcquireConfigure, by: str) -> Any:
-        trigger = None if args.trigger is None else Trigger(
-            args.trigger.source, args.trigger.level, args.trigger.edge, args.trigger.pre_s
-        )  # fmt: skip
+    def do_acquire_configure(self, args: verbs.AcquireConfigure, by: str) -> m.AcquireStatus:
         config = AcquireConfig(
-            tuple(args.channels), args.decimation, args.seconds, trigger, args.continuous
+            tuple(args.channels), args.decimation, args.seconds, args.trigger, args.continuous
         )
         with self._lock:
             owner = self._recorder_owner
@@ -247,7 +246,7 @@ class Service:
         self.runtime.acquire_stop(RECORDER)
         return m.Empty()
 
-    def do_acquire_status(self, args: verbs.Nothing, by: str) -> Any:
+    def do_acquire_status(self, args: verbs.Nothing, by: str) -> m.AcquireStatus:
         return self.runtime.acquire_status(RECORDER)
 
     def do_acquire_held(self, args: verbs.Nothing, by: str) -> m.Held:
@@ -287,10 +286,6 @@ def _version(package: str) -> str:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "unknown"
-
-
-def _with_hosts(status: Any, hosts: tuple[str, ...]) -> Mapping[str, Any]:
-    return {**{name: getattr(status, name) for name in status.__dataclass_fields__}, "hosts": hosts}
 
 
 def identity(name: str, machine: str) -> Identity:

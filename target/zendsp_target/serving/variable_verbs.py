@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
 from zendsp_protocol.errors import NotYet, VariableError
-from zendsp_target.api import RuntimeApi, VariableInfo
+from zendsp_target.api import RuntimeApi
 from zendsp_target.serving.deferred import Later
 from zendsp_target.serving.uploads import Uploads
 
@@ -33,10 +33,10 @@ class VariableVerbs:
         """A new program counts its samples from 0."""
         self.acknowledged = 0
 
-    def do_variables(self, args: verbs.Nothing, by: str) -> tuple[VariableInfo, ...]:
+    def do_variables(self, args: verbs.Nothing, by: str) -> tuple[m.VariableInfo, ...]:
         return tuple(_light(info) for info in self.runtime.variables())
 
-    def do_builtins(self, args: verbs.Nothing, by: str) -> tuple[VariableInfo, ...]:
+    def do_builtins(self, args: verbs.Nothing, by: str) -> tuple[m.VariableInfo, ...]:
         return self.runtime.builtins()
 
     def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
@@ -62,24 +62,24 @@ class VariableVerbs:
         self.runtime.check(self._given(args))
         return m.Empty()
 
-    def do_write(self, args: verbs.Write, by: str) -> dict[str, int]:
-        return {"sequence": self.runtime.write(self._given(args), by, args.at_tick)}
+    def do_write(self, args: verbs.Write, by: str) -> m.Written:
+        return m.Written(sequence=self.runtime.write(self._given(args), by, args.at_tick))
 
     def _given(self, args: verbs.Write) -> dict[str, Any]:
         given: Any = args.values
         return given if PLAIN.issuperset(map(type, given.values())) else self._unpacked(given)
 
-    def do_update(self, args: verbs.Write, by: str) -> dict[str, int]:
-        sequence = self.do_write(args, by)["sequence"]
+    def do_update(self, args: verbs.Write, by: str) -> m.Applied:
+        sequence = self.do_write(args, by).sequence
         try:
             return self._applied(sequence, APPLY_INLINE_S)
         except NotYet:
             raise Later(lambda: self._applied(sequence, APPLY_LIMIT_S)) from None
 
-    def do_wait_applied(self, args: verbs.Wait, by: str) -> dict[str, int]:
+    def do_wait_applied(self, args: verbs.Wait, by: str) -> m.Applied:
         return self._applied(args.sequence, min(args.timeout, 60.0))
 
-    def do_log(self, args: verbs.Log, by: str) -> Any:
+    def do_log(self, args: verbs.Log, by: str) -> tuple[m.Change, ...]:
         return self.runtime.log(args.since)
 
     def _unpacked(self, given: dict[str, Any]) -> dict[str, Any]:
@@ -106,10 +106,10 @@ class VariableVerbs:
         fits = [name for name in columns if given[name].size % columns[name] == 0]
         return {**given, **{name: given[name].reshape(-1, columns[name]) for name in fits}}
 
-    def _applied(self, sequence: int, timeout: float) -> dict[str, int]:
+    def _applied(self, sequence: int, timeout: float) -> m.Applied:
         tick = self.runtime.wait_applied(sequence, timeout)
         self.acknowledged = max(self.acknowledged, tick)
-        return {"sequence": sequence, "tick": tick}
+        return m.Applied(sequence=sequence, tick=tick)
 
     def do_table_begin(self, args: verbs.TableBegin, by: str) -> verbs.TableState:
         self._check_table(args.name, args.length)
@@ -120,11 +120,11 @@ class VariableVerbs:
         received = self.uploads.chunk(args.upload, args.offset, args.data, args.crc)
         return verbs.TableState(upload=args.upload, received=received)
 
-    def do_table_commit(self, args: verbs.TableCommit, by: str) -> dict[str, int]:
+    def do_table_commit(self, args: verbs.TableCommit, by: str) -> m.Applied:
         name, array = self.uploads.finish(args.upload)
         sequence = self.runtime.write(self._shaped({name: array}), by, args.at_tick)
         if args.at_tick is not None:
-            return {"sequence": sequence, "tick": args.at_tick}
+            return m.Applied(sequence=sequence, tick=args.at_tick)
         return self._applied(sequence, APPLY_LIMIT_S)
 
     def _check_table(self, name: str, length: int) -> None:
@@ -139,7 +139,7 @@ class VariableVerbs:
             )
 
 
-def _light(info: VariableInfo) -> VariableInfo:
+def _light(info: m.VariableInfo) -> m.VariableInfo:
     """Shorten the initial value of a large array that is one value throughout: a table of zeros is
     not worth megabytes.
     """
@@ -149,5 +149,5 @@ def _light(info: VariableInfo) -> VariableInfo:
         and initial.size > values.LIST_LIMIT
         and bool((initial == initial[0]).all())
     ):
-        return replace(info, initial=initial[0].item())
+        return msgspec.structs.replace(info, initial=initial[0].item())
     return info

@@ -11,7 +11,8 @@ from itertools import islice
 
 import msgspec
 
-from zendsp_target.api import Change, Value
+from zendsp_protocol.messages import Change
+from zendsp_protocol.values import Value
 from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 from zendsp_target.runtime.variables.plans import ENTRY
 

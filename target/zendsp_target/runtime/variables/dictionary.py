@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
-from zendsp_target.api import Value, VariableInfo
+from zendsp_protocol.messages import VariableInfo
+from zendsp_protocol.values import Value
 from zendsp_target.runtime.memory.layout import text_of
 
 SCALARS = {

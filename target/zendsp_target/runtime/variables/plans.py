@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_target.api import Blank, Value
+from zendsp_protocol.values import Value
+from zendsp_target.api import Blank
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
 
