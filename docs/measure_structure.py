@@ -1,6 +1,4 @@
-"""Prints files and lines of each room, and imports between rooms: ``measure_structure.py [REVISION]``.
-"""
-"""
+"""Prints files and lines of each room and the arrows between them; give a Git revision or none."""
 
 from __future__ import annotations
 
