@@ -1,4 +1,7 @@
-"""Prints files and lines of each room and the arrows between them; give a Git revision or none."""
+"""Print files and lines of each room, and imports between rooms.
+
+``python docs/measure_structure.py [REVISION]``
+"""
 
 from __future__ import annotations
 
