@@ -20,9 +20,10 @@ UP = np.array([0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0])  # a pose of the WAM in the 
 
 SHIM = b"""
 #include "wam7_dynamics.h"
-void inverse(const double *q, const double *qd, const double *qdd, double *tau) { wam7_inverse(q, qd, qdd, tau); }
-void forward(const double *q, const double *qd, const double *tau, double *qdd) { wam7_forward(q, qd, tau, qdd); }
-void mass(const double *q, double *M) { wam7_pose p; wam7_locate(q, &p); wam7_mass(&p, (double(*)[WAM7])M); }
+#define arm wam7_published
+void inverse(const double *q, const double *qd, const double *qdd, double *tau) { wam7_inverse(&arm, q, qd, qdd, tau); }
+void forward(const double *q, const double *qd, const double *tau, double *qdd) { wam7_forward(&arm, q, qd, tau, qdd); }
+void mass(const double *q, double *M) { wam7_pose p; wam7_locate(&arm, q, &p); wam7_mass(&p, (double(*)[WAM7])M); }
 """
 
 
