@@ -1,13 +1,16 @@
-"""What a search does with a step: equal directions are one, gaps are begun from the given numbers too, errors are compared under one observer."""
+"""What a search does with a step: equal directions are one, gaps are begun from the given numbers too, untouched recordings refuse what only the fit wants."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import reality
 
 from zendsp.diagnosis.candidates import as_given, simulated
-from zendsp.diagnosis.evidence import compare, compare_errors
+from zendsp.diagnosis.discrepancy import deviation
+from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
@@ -69,14 +72,22 @@ def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> N
     assert best(group) < best(plain) - 100.0
 
 
-def test_one_model_under_two_observers_differs_in_likelihood_and_not_by_the_errors_of_one_observer() -> None:
+def test_a_term_that_only_the_fit_wants_does_not_pass_an_untouched_recording() -> None:
     model = model_of(VISCOUS, COULOMB)
     data = data_of(reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 5), RATE), model)
-    slow = calibrate_joint(data, model, 1)
-    fast = Scored(slow.fit, data.at_bandwidth(1, 64.0), slow.deviance, (1,))
-    assert compare(fast, slow, data, 1).gain > 20.0
-    assert compare_errors(fast, slow, data, 1).gain == 0.0
+    other = data_of(reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 6), RATE, 6), model)
+    right = calibrate_joint(data, model, 1)
     without = model_of(VISCOUS)
-    worse = fit_scored(slow.data, without, joint_handles(data, without, 1), (1,))
-    by_errors = compare_errors(worse, slow, data, 1)
-    assert by_errors.gain > 100.0 and by_errors.z > 4.0
+    worse = fit_scored(right.data, without, joint_handles(data, without, 1), (1,))
+    seen = compare(worse, right, other, 1)
+    assert seen.gain > 100.0 and seen.z > 4.0
+    spoiled = Scored(right.fit, right.data, right.deviance, (1,))
+    spoiled = replace(spoiled, fit=replace(right.fit, model=model_of(VISCOUS, {**COULOMB, "level": 0.05})))
+    assert compare(right, spoiled, other, 1).gain < -100.0
+
+
+def test_neighbouring_blocks_that_resemble_each_other_count_for_less() -> None:
+    alone = np.random.default_rng(1).standard_normal(4000)
+    in_fives = np.repeat(alone[:800], 5)
+    assert deviation(alone) == pytest.approx(np.sqrt(4000), rel=0.1)
+    assert deviation(in_fives) > 1.8 * np.sqrt(4000)  # that of 800 sums of five: 2.2 times

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from zendsp.diagnosis.hypothesis import JointSearch
+from zendsp.diagnosis.decide import Decision
 from zendsp.diagnosis.score import Scored
 from zendsp.physics.convergence import with_step_error
 from zendsp.physics.fit import Data, Fit, fit, free_handles
@@ -68,7 +68,7 @@ def _merge(given: Model, parts: Sequence[Scored]) -> Model:
     )
 
 
-def assemble(train: Data, test: Data, given: Model, searches: Sequence[JointSearch], jobs: int) -> Assembled:
+def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
     """Put the joints together; parameters that joints share are refitted on all of them at once."""
     bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
     data = replace(train, bandwidth=bandwidth)

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.checks import check_signals
 from zendsp.diagnosis.findings import estimates, file_model, new_terms, sentence
+from zendsp.diagnosis.mechanisms import mechanism_of
 from zendsp.diagnosis.output_error import (
     BLOCK,
     Output,
@@ -269,7 +270,7 @@ def _findings(given: Model, base: Output, final: Output, steps: list[Any], train
         if not terms:
             continue
         term, joint = terms[0], claim.term.joint
-        values = estimates(final.fit, term, given.joint_kind(joint), given.actuator.unit)
+        values = estimates(final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint))
         same = tuple(c.term.effect for c in rivals if c is not claim and c.term.joint == joint and term.effect not in get_effect(c.term.effect).replaces and claim.gain - c.gain < max(5.0, 0.1 * claim.gain))
         margin = min([claim.gain - c.gain for c in rivals if c is not claim and c.term.effect not in same and term.effect not in get_effect(c.term.effect).replaces] or [claim.gain])
         # no cases have calibrated this figure for black boxes: kept below 0.9
@@ -280,7 +281,7 @@ def _findings(given: Model, base: Output, final: Output, steps: list[Any], train
         if same:
             text += f" This recording cannot tell it from {', '.join(same)}."
         share = float(np.clip((before.fit.cost - claim.output.fit.cost) / total, 0.0, 1.0))
-        out.append(Finding(term.effect, joint, values, sure, share, same, replaces, text))
+        out.append(Finding(term.effect, joint, values, sure, share, same, replaces, text, {}, mechanism_of(term.effect), {term.effect: 1.0}))
     return tuple(out), {(f.effect, f.joint) for f in out}
 
 

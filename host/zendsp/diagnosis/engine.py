@@ -15,18 +15,19 @@ from threadpoolctl import threadpool_limits
 
 from zendsp.diagnosis.assemble import Assembled, assemble
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.evidence import compare, compare_errors, torque_share, unmodelled_torque
-from zendsp.diagnosis.findings import NUMERIC, file_model, kernel_model
+from zendsp.diagnosis.decide import Decision, decide
+from zendsp.diagnosis.detectable import detectable
+from zendsp.diagnosis.evidence import compare
+from zendsp.diagnosis.findings import file_model, kernel_model
 from zendsp.diagnosis.fine import fine_ripples, fixed
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.naming import name_findings
+from zendsp.diagnosis.naming import left_over, name_findings
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.propose import propose
-from zendsp.diagnosis.reading import Signals, read_signals, split
-from zendsp.diagnosis.result import Diagnosis, FitTable
+from zendsp.diagnosis.reading import Parts, Signals, halves, read_signals, split
+from zendsp.diagnosis.result import Diagnosis, FitTable, Left
 from zendsp.diagnosis.score import Scored
-from zendsp.diagnosis.search import Searcher, calibrate_joint
-from zendsp.diagnosis.verdict import Outcome, judge, settled, uncurved
+from zendsp.diagnosis.search import WAIT, Searcher, calibrate_joint
 from zendsp.diagnosis.where import intervals, mismatch, regions
 from zendsp.diagnosis.windows import model_error, noise_floor
 from zendsp.errors import RecordingError
@@ -38,41 +39,19 @@ from zendsp.recording import Recording, Table
 Source = str | Path | Recording | Table
 Progress = Callable[[str], None]
 
-MIN_TRAIN_GAIN = 40.0  # deviance beyond the price of the parameters
-MIN_HELD_GAIN = 20.0
-MIN_Z = 2.5
-MIN_SIGN = 4.0  # a contact that comes a sample too early loses the track of a block
-PLAIN = 200.0
-MIN_SHARE = 0.0015  # of the RMS torque: smaller effects are called negligible (the figures are measured: docs/diagnosis.md)
 
 
 class Acceptance:
-    """The gates of a claim: likelihood beyond its price, held-out gain, z over blocks, and a size that matters."""
+    """What the search goes on with: a step that pays for its parameters, on the recordings to choose by too. No claim is made here."""
 
-    def __init__(self, test: Data) -> None:
-        self.test = test
+    def __init__(self, choose: Data) -> None:
+        self.choose = choose
 
     def __call__(self, before: Scored, rival: Rival) -> bool:
-        gain = before.deviance - rival.value
-        if gain < MIN_TRAIN_GAIN:
+        if before.deviance - rival.value < WAIT:
             return False
-        held = compare(before, rival.scored, self.test, rival.joint)
-        if held.gain < MIN_HELD_GAIN or held.z < MIN_Z:
-            fitted = sum(rec[0].n for rec in rival.scored.data.records)
-            tested = sum(rec[0].n for rec in self.test.records)
-            # active in a small part of the record: few blocks speak, but they say as much as in the fit
-            strong = held.gain > max(300.0, 0.1 * gain * tested / fitted) and (
-                held.z > 1.8 or compare_errors(before, rival.scored, self.test, rival.joint).z > MIN_Z
-            )
-            contact = rival.effect == "backlash" and held.gain > 300.0 and held.sign > MIN_SIGN
-            if gain < 1000 or not (strong or contact):
-                return False
-        share = torque_share(before, rival.scored, rival.joint)
-        if gain > PLAIN and held.gain > 0.5 * PLAIN and held.z > 4.0 and share > NUMERIC:
-            return True  # small as a torque, but plain above the noise: a bearing on a heavy pendulum
-        return share > max(
-            MIN_SHARE, 0.5 * unmodelled_torque(rival.scored, rival.joint) if gain < 400 else 0.0
-        )
+        held = compare(before, rival.scored, self.choose, rival.joint)
+        return held.gain > 0 and held.z > 1.0
 
 
 def diagnose(
@@ -140,43 +119,51 @@ def _diagnose(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
     tell("reading the recordings")
-    train_signals, test_signals, notes = _read(recordings, heldout, given)
+    fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
     tell("smoothing the motion")
-    train, test = prepare(train_signals, given, 64.0), prepare(test_signals, given, 64.0)
-    names = [s.name for s in (*train_signals, *test_signals)]
-    notes += check_motion(Data((*train.records, *test.records), train.bandwidth), given, names)
-    notes += check_excitation(train)
+    fit, choose, test = (prepare(s, given, 64.0) for s in (fit_signals, choose_signals, test_signals))
+    parts = Parts(fit, choose, choose if choose_signals is test_signals else test)
+    names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]
+    everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
+    notes += check_motion(everything, given, names)
+    notes += check_excitation(fit)
     tell("calibrating the given model")
-    searches, whole, outcome = _explain(train, test, given, given, jobs, tell)
+    searches, decisions, whole = _explain(parts, given, given, jobs, tell)
     tell("looking for what passes fast")
     fine = [
         ripple
-        for search, joint in zip(searches, outcome.joints, strict=True)
-        if joint.kind not in ("unexplained", "disturbance")
-        for ripple in fine_ripples(train, test, search, given.joint_kind(search.joint), jobs)
+        for search, decision in zip(searches, decisions, strict=True)
+        if decision.kind in ("complete", "missing")
+        for ripple in fine_ripples(parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs)
     ]
-    beneath = given  # what the search builds upon
     if fine:  # a ripple that nobody models lends itself to effects that are not there: search again upon it
         beneath = given.with_terms((*given.terms, *(fixed(ripple.term) for ripple in fine)))
-        searches, whole, outcome = _explain(train, test, given, beneath, jobs, tell)
-    findings, rejected = name_findings(train, test, beneath, searches, whole, outcome, jobs, tell)
+        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+    findings, refinements, rejected = name_findings(parts.test, given, decisions, whole)
     findings += tuple(ripple.finding for ripple in fine)
-    verdict = "missing" if findings else outcome.verdict if outcome.verdict != "missing" else "complete"
+    kinds = {d.kind for d in decisions}
+    verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
     improved = whole.improved if findings else whole.calibrated
-    lacking = {j: mismatch(train, whole.calibrated, j) for j in range(1, given.joints + 1)}
+    joints = range(1, given.joints + 1)
+    lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
     places, times = _where(lacking)
     tell("proposing the next recording")
-    proposal = propose(train_signals, given, whole, searches, findings, outcome, seed)
-    floor = noise_floor(test)
+    proposal = propose(fit_signals, given, whole, searches, findings, decisions, seed)
+    tell("asking what could have been seen")
+    seen = detectable(parts, given, decisions, jobs)
     return Diagnosis(
         verdict=verdict,
         findings=findings,
+        refinements=refinements,
         regions=places if verdict != "complete" else (),
         times=times if verdict != "complete" else (),
         unit="m" if given.joint_kind(1) == "linear" else "rad",
-        estimation=_table(train, given, whole.calibrated, improved),
-        heldout=_table(test, given, whole.calibrated, improved),
-        noise_floor=floor,
+        estimation=_table(parts.fit, given, whole.calibrated, improved),
+        heldout=_table(parts.held, given, whole.calibrated, improved),
+        test=_table(parts.test, given, whole.calibrated, improved),
+        noise_floor=noise_floor(parts.test),
+        discrepancy=tuple(Left(d.joint, d.after.value, (d.after.low, d.after.high)) for d in decisions),
+        detectable=seen,
         rejected=rejected,
         next_recording=proposal,
         seconds=time.perf_counter() - begin,
@@ -184,10 +171,10 @@ def _diagnose(
         given=given_file,
         calibrated=file_model(whole.calibrated),
         improved=file_model(improved),
-        unexplained=outcome.sentence,
+        unexplained=left_over(decisions, given),
         missing=lacking,
-        remaining={j: mismatch(train, improved, j) for j in range(1, given.joints + 1)},
-        details={"searches": searches, "whole": whole, "train": train, "test": test, "outcome": outcome},
+        remaining={j: mismatch(parts.fit, improved, j) for j in joints},
+        details={"searches": searches, "whole": whole, "train": parts.fit, "test": parts.test, "decisions": decisions},
     )
 
 
@@ -205,64 +192,68 @@ def _sources(given: Source | Sequence[Source] | None) -> list[Source]:
 
 def _read(
     recordings: Source | Sequence[Source], heldout: Source | Sequence[Source] | None, model: Model
-) -> tuple[list[Signals], list[Signals], list[str]]:
+) -> tuple[list[Signals], list[Signals], list[Signals], list[str]]:
+    """Recordings to fit to, to choose by and to test on, and what was done to them."""
     signals = [read_signals(source, model) for source in _sources(recordings)]
     if not signals:
         raise RecordingError("no recording given")
     held = [read_signals(source, model) for source in _sources(heldout)]
     notes = check_signals([*signals, *held], model)
-    if held:
-        return signals, held, notes
-    train, test, how = split(signals)
-    return train, test, [*notes, *how]
+    if not held:
+        signals, held, how = split(signals)
+        notes += how
+    choose, test, how = halves(held)
+    return signals, choose, test, [*notes, *how]
 
 
 def _explain(
-    train: Data, test: Data, given: Model, beneath: Model, jobs: int, tell: Progress
-) -> tuple[list[JointSearch], Assembled, Outcome]:
-    """Search every joint and put the machine together; ``beneath`` is the given model, with what is known of it by now."""
-    searches = _search(train, test, beneath, jobs, tell)
+    parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
+) -> tuple[list[JointSearch], list[Decision], Assembled]:
+    """Search and decide every joint, and put the machine together; ``beneath`` is the given model, with what is known of it by now."""
+    searches, decisions = _search(parts, given, beneath, jobs, tell)
     tell("fitting the improved model")
-    whole = assemble(train, test, beneath, searches, jobs)
-    outcome = judge(train, test, beneath, searches, whole, jobs)
+    whole = assemble(parts.fit, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
     known = tuple(t for t in whole.calibrated.terms if t not in added)
-    return searches, replace(whole, calibrated=whole.calibrated.with_terms(known)), outcome
+    return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
 
 
-def _search(train: Data, test: Data, given: Model, jobs: int, tell: Progress) -> list[JointSearch]:
+def _search(
+    parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
+) -> tuple[list[JointSearch], list[Decision]]:
     joints = range(1, given.joints + 1)
     if jobs == 1 or given.joints == 1:
-        return [_search_joint(train, test, given, joint, jobs, tell) for joint in joints]
+        done = [_search_joint(parts, beneath, joint, jobs, tell) for joint in joints]
+        return [s for s, _ in done], [d for _, d in done]
     # joints are independent: a process each, which inherits the recordings and the effects that a user has added
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(min(jobs, given.joints), context, _inherit, (train, test, given)) as pool:
+    with ProcessPoolExecutor(min(jobs, given.joints), context, _inherit, (parts, beneath)) as pool:
         out = []
-        for joint, search in zip(joints, pool.map(_search_inherited, joints), strict=True):
+        for joint, found in zip(joints, pool.map(_search_inherited, joints), strict=True):
             tell(f"joint {joint} of {given.joints}: searched")
-            out.append(search)
-    return out
+            out.append(found)
+    return [s for s, _ in out], [d for _, d in out]
 
 
 def _search_joint(
-    train: Data, test: Data, given: Model, joint: int, jobs: int, tell: Progress
-) -> JointSearch:
+    parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
+) -> tuple[JointSearch, Decision]:
     tell(f"joint {joint}: calibrating the given model")
-    base = calibrate_joint(train, given, joint, jobs)
-    searcher = Searcher(train, joint, Acceptance(test), jobs, tell, given)
-    return settled(test, uncurved(test, searcher.search(base), searcher.n, jobs))
+    base = calibrate_joint(parts.fit, given, joint, jobs)
+    search = Searcher(parts.fit, joint, Acceptance(parts.choose), jobs, tell, given).search(base)
+    return search, decide(parts, given, search, jobs, tell)
 
 
-_inherited: list[tuple[Data, Data, Model]] = []  # filled in the processes of _search only
+_inherited: list[tuple[Parts, Model]] = []  # filled in the processes of _search only
 
 
-def _inherit(train: Data, test: Data, given: Model) -> None:
-    _inherited[:] = [(train, test, given)]
+def _inherit(parts: Parts, given: Model) -> None:
+    _inherited[:] = [(parts, given)]
 
 
-def _search_inherited(joint: int) -> JointSearch:
-    train, test, given = _inherited[0]
-    return _search_joint(train, test, given, joint, 1, lambda _text: None)
+def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
+    parts, given = _inherited[0]
+    return _search_joint(parts, given, joint, 1, lambda _text: None)
 
 
 def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:

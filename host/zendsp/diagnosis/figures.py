@@ -12,14 +12,14 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from zendsp.diagnosis.result import Diagnosis, Finding
-from zendsp.diagnosis.where import Missing, energy, missing_torque
+from zendsp.diagnosis.where import Missing, energy, mismatch
 from zendsp.diagnosis.windows import window_error
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, run, trace
-from zendsp.physics.model import Model, Term
+from zendsp.physics.joint import run
 
 Array = npt.NDArray[np.float64]
 
@@ -66,8 +66,8 @@ def _style() -> None:
 
 
 def _units(d: Diagnosis, joint: int) -> dict[str, str]:
-    linear = d.given.joint_kind(joint) == "linear"
-    q, force = ("m", "N") if linear else ("rad", "N m")
+    q = "m" if d.given.joint_kind(joint) == "linear" else "rad"
+    force = d.given.torque_unit(joint)
     return {
         "position": q,
         "velocity": f"{q}/s",
@@ -111,8 +111,7 @@ def error_figure(d: Diagnosis, joint: int) -> Figure:
         title=f"Joint {joint}: held-out recording, free simulation over 0.25 s",
     )
     bottom.set(xlabel="time [s]", ylabel=f"RMS [{unit}]")
-    top.legend(loc="upper right", frameon=False)
-    bottom.legend(loc="upper right", frameon=False)
+    _legend(figure, top, bottom)
     return figure
 
 
@@ -127,26 +126,17 @@ def torque_figure(d: Diagnosis, joint: int) -> Figure:
         cut = _thin(len(a.time))
         t = a.time - a.time[0] + offset
         axis.plot(t[cut], a.torque[cut], color=BEFORE, lw=0.7, label="calibrated" if k == 0 else None)
-        if not _hidden(d, joint):
-            axis.plot(t[cut], b.torque[cut], color=AFTER, lw=0.7, label="improved" if k == 0 else None)
+        axis.plot(t[cut], b.torque[cut], color=AFTER, lw=0.7, label="improved" if k == 0 else None)
         offset += float(t[-1] - t[0])
     for start, stop in d.times[:4]:
         axis.axvspan(start - before[0].time[0], stop - before[0].time[0], color="#e8c39e", alpha=0.4, lw=0)
     axis.set(
         xlabel="time [s]",
-        ylabel=f"torque [{unit}]" if unit == "N m" else f"force [{unit}]",
+        ylabel=_torque_label(unit),
         title=f"Joint {joint}: what the model lacks along the recordings of the fit",
     )
-    axis.legend(loc="upper right", frameon=False)
+    _legend(figure, axis)
     return figure
-
-
-def _hidden(d: Diagnosis, joint: int) -> bool:
-    return any(
-        t.effect
-        in ("elasticity", "backlash", "presliding", "hysteresis", "delay", "lag", "encoder_eccentricity")
-        for t in d.improved.at(joint)
-    )
 
 
 def map_figure(d: Diagnosis, joint: int) -> Figure:
@@ -178,52 +168,48 @@ def map_figure(d: Diagnosis, joint: int) -> Figure:
     right.bar(centre, share, width=np.diff(edges), color=BEFORE, alpha=0.8, label="of the mismatch")
     right.step(centre, time, where="mid", color="black", lw=1, label="of the time")
     right.set(xlabel=f"velocity [{units['velocity']}]", ylabel="share")
-    right.legend(frameon=False, fontsize=8)
+    _legend(figure, right)
     return figure
 
 
 def law_figure(d: Diagnosis, finding: Finding) -> Figure:
-    """What does the law that was found look like over the data?"""
+    """What does the law that was found look like over the data, and what stays when it is there?"""
     whole, train = d.details["whole"], d.details["train"]
     joint, units = finding.joint, _units(d, finding.joint)
     name = axis_of(finding.effect)
     terms = [t for t in whole.improved.at(joint) if t.effect == finding.effect]
     without = whole.improved.with_terms(tuple(t for t in whole.improved.terms if t not in terms))
-    figure, axis = plt.subplots(figsize=(7.2, 3.2), layout="constrained")
-    xs, ys, laws = [], [], []
-    for rec in train.records:
-        record: JointRecord = rec[joint - 1]
-        missing = missing_torque(record, without)
-        x = missing.time if name == "time" else missing.variables[name]
-        xs.append(x)
-        ys.append(missing.torque)
-        laws.append(_law(record, whole.improved, without, tuple(terms)))
-    x, y, law = np.concatenate(xs), np.concatenate(ys), np.concatenate(laws)
+    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained", sharex=True, sharey=True)
+    lacks, left = mismatch(train, without, joint), mismatch(train, whole.improved, joint)
+    x = np.concatenate([m.time if name == "time" else m.variables[name] for m in lacks])
+    before, after = (np.concatenate([m.torque for m in found]) for found in (lacks, left))
     cut = _thin(len(x), 5000)
-    axis.plot(
-        x[cut],
-        y[cut],
-        ".",
-        color=DATA,
-        ms=1.5,
-        alpha=0.35,
-        rasterized=True,
-        label="torque lacking without it",
-    )
-    centre, mean, spread = _binned(x, y)
-    axis.errorbar(centre, mean, spread, color="black", fmt="o", ms=3, lw=0.8, label="mean of the data")
-    if np.any(law):
-        centre, mean, _ = _binned(x, law, 120)
-        axis.plot(centre, mean, color=AFTER, lw=1.8, label=f"{finding.effect}, as found")
-    low, high = np.quantile(y, [0.005, 0.995])
-    axis.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
-    axis.set(
-        xlabel=f"{name} [{units[name]}]",
-        ylabel=f"torque [{units['torque']}]" if units["torque"] == "N m" else "force [N]",
-        title=f"Joint {joint}: {finding.effect}",
-    )
-    axis.legend(frameon=False, fontsize=8)
+    for axis, y, colour, title in (
+        (panels[0], before, BEFORE, f"without {finding.effect}"),
+        (panels[1], after, AFTER, f"with {finding.effect}"),
+    ):
+        axis.plot(x[cut], y[cut], ".", color=DATA, ms=1.5, alpha=0.35, rasterized=True)
+        centre, mean, spread = _binned(x, y)
+        axis.errorbar(centre, mean, spread, color=colour, fmt="o", ms=3, lw=0.8, label="what the model lacks: samples, means")
+        axis.set(xlabel=f"{name} [{units[name]}]", title=title)
+    centre, mean, _ = _binned(x, before - after, 120)
+    panels[0].plot(centre, mean, color="black", lw=1.2, label=f"{finding.effect}, as found")
+    low, high = np.quantile(before, [0.005, 0.995])
+    panels[0].set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
+    panels[0].set_ylabel(_torque_label(units["torque"]))
+    figure.suptitle(f"Joint {joint}: torque that the model lacks", fontsize=10)
+    _legend(figure, panels[0])
     return figure
+
+
+def _torque_label(unit: str) -> str:
+    return f"{'force' if unit == 'N' else 'torque'} [{unit}]"
+
+
+def _legend(figure: Figure, *axes: Axes) -> None:
+    """Below the figure, where it covers no data."""
+    entries = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
 
 
 def _too_fine(d: Diagnosis, finding: Finding) -> bool:
@@ -231,16 +217,6 @@ def _too_fine(d: Diagnosis, finding: Finding) -> bool:
     order = finding.parameters.get("order")
     travel = max(rec[finding.joint - 1].scale.position for rec in d.details["train"].records)
     return order is not None and order.value * travel > 40 * 2 * np.pi
-
-
-def _law(record: JointRecord, improved: Model, without: Model, terms: tuple[Term, ...]) -> Array:
-    floor = 0.01 * record.scale.speed
-    if any(t.effect == "inertia" for t in terms):
-        out: Array = record.motion.states[2] * sum(t.value("amount") for t in terms)
-        return out
-    return trace(record, improved, improved.at(record.joint), floor) - trace(
-        record, without, without.at(record.joint), floor
-    )
 
 
 def _binned(x: Array, y: Array, count: int = 40) -> tuple[Array, Array, Array]:
@@ -284,7 +260,7 @@ def white_figure(d: Diagnosis, joint: int) -> Figure:
         ylabel="autocorrelation",
         title=f"Joint {joint}: one-step errors on the held-out recording (band: white noise)",
     )
-    axis.legend(frameon=False)
+    _legend(figure, axis)
     return figure
 
 

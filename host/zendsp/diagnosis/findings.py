@@ -31,7 +31,7 @@ def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
     return out
 
 
-def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, Estimate]:
+def estimates(fit: Fit, term: Term, kind: str, command_unit: str, torque_unit: str = "") -> dict[str, Estimate]:
     """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the Coulomb level."""
     effect = get_effect(term.effect)
     term = counterpart(fit.model.terms, term)
@@ -56,7 +56,7 @@ def estimates(fit: Fit, term: Term, kind: str, command_unit: str) -> dict[str, E
             if term.effect == "coupling" and p.name == "coefficient"
             else p.size
         )
-        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit))
+        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit, torque_unit))
     return out
 
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.evidence import compare, torque_share
+from zendsp.diagnosis.discrepancy import difference
+from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.findings import estimates, sentence
 from zendsp.diagnosis.hypothesis import JointSearch, price
 from zendsp.diagnosis.result import Finding
@@ -117,11 +118,12 @@ def _reported(search: JointSearch, before: Scored, after: Scored, kind: str) -> 
         name: replace(q, std=values[name].std) if name in values else q for name, q in term.parameters.items()
     }
     term = Term(term.effect, term.joint, noted)
-    own = torque_share(before, after, search.joint, before.data.bandwidth[search.joint - 1]) ** 2
-    whole = torque_share(search.base, search.final, search.joint) ** 2 if search.steps else 0.0
+    joint = search.joint
+    own = difference(before.data, before.model, after.model, joint, before.data.bandwidth[joint - 1]) ** 2
+    whole = difference(before.data, search.base.model, search.final.model, joint) ** 2 if search.steps else 0.0
     text = (
         sentence(term, values)
         + " It passes faster than the other effects; its phase holds for the position zero of these recordings."
     )
-    finding = Finding("ripple", search.joint, values, 0.9, own / max(own + whole, 1e-300), (), (), text)
+    finding = Finding("ripple", search.joint, values, 0.9, own / max(own + whole, 1e-300), (), (), text, {}, "position_torque", {"ripple": 1.0})
     return FineRipple(term, finding)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.findings import number
-from zendsp.diagnosis.result import Diagnosis, FitTable
+from zendsp.diagnosis.result import Diagnosis, Finding, FitTable
+from zendsp.diagnosis.summary import WORDS, headline
 
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
@@ -16,18 +18,11 @@ h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem;border-bott
 .missing{border-color:#b4451f}.complete{border-color:#3a7d44}.unexplained{border-color:#8a6d00}
 table{border-collapse:collapse;width:100%;margin:.5rem 0}th,td{text-align:left;padding:.25rem .6rem;border-bottom:1px solid #e2e2e2;vertical-align:top}
 td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;display:block;margin:.4rem 0}
-.small{color:#666;font-size:.85rem}figure{margin:.6rem 0;break-inside:avoid}@media print{body{margin:0;max-width:none}h2{break-after:avoid}}
+.small{color:#666;font-size:.85rem}figure{margin:.6rem 0;break-inside:avoid}@media print{body{margin:0;max-width:none}h2{break-after:avoid}.more{break-before:page}}
 """
 
-HEADLINES = {
-    "complete": "Complete: nothing significant is missing from this model.",
-    "missing": "Missing physics was found.",
-    "unexplained": "Unexplained: something is missing that no known effect explains; no physics is claimed.",
-}
-
-
 def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
-    """HTML of the whole report, pictures inside.
+    """HTML of the whole report, pictures inside: first what matters on one sheet, then everything else.
 
     Parameters
     ----------
@@ -38,30 +33,35 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
     -------
     str
     """
+    first = next((f for f in figures if f[0] == "law"), None) or next((f for f in figures if f[0] in ("where", "fit")), None)
+    rest = [f for f in figures if f is not first]
+    title = f"Diagnosis of the model “{escape(d.given.name)}”"
     parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'><title>Diagnosis: {escape(d.given.name)}</title>",
-        f"<style>{STYLE}</style><h1>Diagnosis of the model “{escape(d.given.name)}”</h1>",
-        f"<div class='verdict {d.verdict}'><b>{HEADLINES[d.verdict]}</b>{_sentences(d)}</div>",
-        "<h2>The fit</h2>",
-        _fit_table(d),
-        _pictures(figures, "fit"),
+        f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'><title>{title}</title>",
+        f"<style>{STYLE}</style><h1>{title}</h1>",
+        f"<div class='verdict {d.verdict}'><b>{escape(headline(d))}</b>{_sentences(d)}</div>",
+        _pictures([first] if first else [], first[0] if first else ""),
+        _untouched(d),
+        _left(d),
+        _could_not(d),
     ]
+    if d.next_recording:
+        parts.append(f"<p><b>Record next:</b> {escape(d.next_recording.sentence)}</p>")
+    parts += ["<div class=more><h2>The fit</h2>", _fit_table(d), _pictures(rest, "fit")]
     if d.findings:
-        parts += ["<h2>What was left out</h2>", _findings_table(d), _pictures(figures, "law")]
-    parts += ["<h2>Where the mismatch lives</h2>", _where(d), _pictures(figures, "where")]
-    parts += [
-        "<h2>What remains</h2>",
-        f"<p>{escape(d.unexplained) or 'Nothing that depends on the state of the machine.'}</p>",
-        _pictures(figures, "white"),
-    ]
+        parts += ["<h2>Findings</h2>", _findings_table(d.findings), _pictures(rest, "law")]
+    if d.refinements:
+        words = "What improves the fit further, and is not claimed as physics of its own."
+        parts += ["<h2>Refinements</h2>", f"<p>{words}</p>", _findings_table(d.refinements)]
+    parts += ["<h2>Where the mismatch lives</h2>", _where(d), _pictures(rest, "where")]
+    parts += ["<h2>What remains</h2>", _pictures(rest, "white")]
     if d.rejected:
         parts += ["<h2>Rejected rivals</h2>", _rejected(d)]
-    if d.next_recording:
-        parts += ["<h2>Record next</h2>", f"<p>{escape(d.next_recording.sentence)}</p>"]
     if d.notes:
         parts += ["<h2>About the data</h2><ul>", *[f"<li>{escape(n)}" for n in d.notes], "</ul>"]
     parts.append(
-        f"<p class=small>{d.seconds:.1f} s. Errors are judged on recordings that the models were not fitted to; calibrated = the given model with its free parameters refitted.</p></html>"
+        f"<p class=small>{d.seconds:.1f} s. Calibrated: the given model with its free parameters fitted again. "
+        "Untouched: recordings that neither the fit nor any choice has seen.</p></div></html>"
     )
     return "\n".join(parts)
 
@@ -76,22 +76,53 @@ def _sentences(d: Diagnosis) -> str:
     return f"<ul>{''.join(items)}</ul>" if items else ""
 
 
+def _untouched(d: Diagnosis) -> str:
+    t = d.test or d.heldout
+    if not d.findings:
+        return f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} {d.unit}; the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+    times = t.calibrated / t.improved if t.improved > 0 else float("inf")
+    return (
+        f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g} {d.unit} "
+        f"({times:.2g} times smaller); the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+    )
+
+
+def _left(d: Diagnosis) -> str:
+    items = [
+        f"joint {x.joint}: {100 * x.share:.2g} % of its torque ({100 * x.interval[0]:.2g} … {100 * min(x.interval[1], 9.99):.2g} %)"
+        for x in d.discrepancy
+    ]
+    return f"<p><b>What nothing named explains:</b> {'; '.join(items)}.</p>" if items else ""
+
+
+def _could_not(d: Diagnosis) -> str:
+    """Per joint, the smallest size of each effect that these recordings would have shown."""
+    joints = sorted({x.joint for x in d.detectable})
+    rows = []
+    for joint in joints:
+        sizes = ", ".join(
+            f"{escape(x.effect)} {x.size:.2g}{'' if x.unit == '1' else f' {escape(x.unit)}'}" for x in d.detectable if x.joint == joint
+        )
+        rows.append(f"<li>joint {joint}: {sizes}")
+    return f"<p><b>What would not have been seen</b> (90 of 100 times), below:</p><ul>{''.join(rows)}</ul>" if rows else ""
+
+
 def _fit_table(d: Diagnosis) -> str:
     def row(name: str, t: FitTable) -> str:
         return f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td class=n><b>{t.improved:.3g}</b><td class=n>{d.noise_floor:.3g}"
 
     head = f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th class=n>calibrated<th class=n>improved<th class=n>noise floor"
-    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}</table>"
+    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"
 
 
-def _findings_table(d: Diagnosis) -> str:
+def _findings_table(findings: Sequence[Finding]) -> str:
     rows = [
-        "<tr><th>effect<th>joint<th>parameters<th class=n>share<th class=n>confidence<th>cannot be told from<th>replaces"
+        "<tr><th>mechanism<th>law<th>joint<th>parameters<th class=n>share<th class=n>confidence<th>cannot be told from<th>replaces"
     ]
-    for f in d.findings:
+    for f in findings:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
         rows.append(
-            f"<tr><td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td class=n>{100 * f.share:.0f} %<td class=n>{100 * f.confidence:.0f} %"
+            f"<tr><td>{escape(WORDS.get(f.mechanism, f.mechanism))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td class=n>{100 * f.share:.0f} %<td class=n>{100 * f.confidence:.0f} %"
             f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"
         )
     return f"<table>{''.join(rows)}</table>"

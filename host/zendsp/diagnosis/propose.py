@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.decide import Decision
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
 from zendsp.diagnosis.result import Finding, Next
 from zendsp.diagnosis.score import deviance
-from zendsp.diagnosis.verdict import Outcome
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import JointRecord
@@ -78,7 +78,7 @@ def propose(
     whole: Assembled,
     searches: Sequence[JointSearch],
     findings: Sequence[Finding],
-    outcome: Outcome,
+    decisions: Sequence[Decision],
     seed: int,
 ) -> Next | None:
     """What to record next, where something is still open; None where nothing is.
@@ -90,7 +90,7 @@ def propose(
     whole : Assembled
     searches : sequence of JointSearch
     findings : sequence of Finding
-    outcome : Outcome
+    decisions : sequence of Decision
     seed : int
         Of the random phases.
 
@@ -100,11 +100,11 @@ def propose(
     """
     open_ones = [f for f in findings if f.indistinguishable]
     if not open_ones:
-        return _without_rival(given, findings, outcome, searches)
+        return _without_rival(findings, decisions)
     finding = open_ones[0]
     search = searches[finding.joint - 1]
     rival = _rival(search, finding)
-    experiment = get_effect(finding.effect).experiment if finding.effect != "disturbance" else ""
+    experiment = get_effect(finding.effect).experiment if finding.effect not in ("disturbance", "unknown") else ""
     names = ", ".join(finding.indistinguishable)
     if rival is None:
         return Next(
@@ -130,15 +130,15 @@ def propose(
 
 
 def _without_rival(
-    given: Model, findings: Sequence[Finding], outcome: Outcome, searches: Sequence[JointSearch]
+    findings: Sequence[Finding], decisions: Sequence[Decision]
 ) -> Next | None:
-    if outcome.verdict == "unexplained":
-        joint = next(j.joint for j in outcome.joints if j.kind == "unexplained")
+    joint = next((d.joint for d in decisions if d.kind == "unexplained"), 0)
+    if joint and not findings:
         return Next(
             f"Record joint {joint} again through the same states in another order and at other speeds: what repeats with the state is physics.",
             None,
         )
-    weak = [f for f in findings if f.confidence < 0.8 and f.effect != "disturbance"]
+    weak = [f for f in findings if f.confidence < 0.8 and f.effect not in ("disturbance", "unknown")]
     if weak:
         return Next(
             f"To confirm {weak[0].effect} at joint {weak[0].joint}: {get_effect(weak[0].effect).experiment}",

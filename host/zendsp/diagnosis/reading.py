@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from zendsp.errors import RecordingError
+from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Recording, Table, read_table
@@ -23,7 +24,6 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 # samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at least: the fastest observer has 10 Hz
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
-LITTLE = 0.05  # of the way: a last third with less is no test of a motion
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,22 @@ class Signals:
             extra={key: value[cut] for key, value in self.extra.items()},
             raw=None,
         )
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The three parts of the data: what models are fitted to, what choices are made by, and what neither has touched."""
+
+    fit: Data
+    choose: Data
+    test: Data
+
+    @property
+    def held(self) -> Data:
+        """Everything that no model is fitted to."""
+        if self.choose is self.test:
+            return self.test
+        return replace(self.test, records=(*self.choose.records, *self.test.records))
 
 
 def read_signals(source: str | Path | Recording | Table, model: Model) -> Signals:
@@ -322,7 +338,7 @@ def _decimate(signals: Signals) -> Signals:
 
 
 def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Hold out the last third of each recording: of its time, or of its motion where it has come to rest by then.
+    """Hold out the last third of each recording's motion.
 
     Returns
     -------
@@ -330,16 +346,33 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
     """
     train, test, notes = [], [], []
     for s in signals:
-        cut = 2 * len(s.time) // 3
-        way = _way(s)
-        if 1.0 - way[cut] < LITTLE:
-            cut = min(cut, max(MIN_SAMPLES, int(np.searchsorted(way, 2 / 3))))
-            notes.append(f"{s.name}: hardly moves in its last third; held out from {s.time[cut] - s.time[0]:.3g} s on, with the last third of its motion")
-        else:
-            notes.append(f"{s.name}: no other recording given to judge on; the last third is held out")
+        n = len(s.time)
+        cut = int(np.clip(np.searchsorted(_way(s), 2 / 3), min(MIN_SAMPLES, n // 2), n - min(MIN_SAMPLES, n // 3)))
+        from_time = f"{s.time[cut] - s.time[0]:.3g} s"
+        notes.append(f"{s.name}: no other recording given to judge on; held out from {from_time} on, the last third of its motion")
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     return train, test, notes
+
+
+def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
+    """Recordings to choose by and recordings to test on: whole ones where there are several, else the halves of the one.
+
+    Returns
+    -------
+    choose, test, notes
+    """
+    if len(held) > 1:
+        middle = len(held) // 2
+        return list(held[:middle]), list(held[middle:]), []
+    (s,) = held
+    n = len(s.time)
+    if n < 2 * MIN_SAMPLES:
+        note = f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the tested figures flatter"
+        return [s], [s], [note]
+    way = _way(s)
+    cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
+    return [s.part(0, cut, f"{s.name} (to choose by)")], [s.part(cut, n, f"{s.name} (to test on)")], []
 
 
 def _way(s: Signals) -> Array:

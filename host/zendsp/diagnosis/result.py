@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,32 @@ class Finding:
     indistinguishable: tuple[str, ...]
     replaces: tuple[str, ...]
     sentence: str
-    numbers: dict[str, int | str] = field(default_factory=dict)  # from_joint, law of a coupling
+    numbers: Mapping[str, Any] = field(default_factory=dict)  # from_joint and law of a coupling; intervals of a disturbance
+    mechanism: str = ""
+    laws: Mapping[str, float] = field(default_factory=dict)  # probabilities, given that the mechanism acts
+
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the report."""
+        numbers = {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()}
+        return {
+            "effect": self.effect,
+            "joint": self.joint,
+            "parameters": numbers,
+            "confidence": round(self.confidence, 4),
+            "share": round(self.share, 4),
+            "indistinguishable": list(self.indistinguishable),
+            "replaces": list(self.replaces),
+            "mechanism": self.mechanism,
+            "laws": {n: round(p, 4) for n, p in self.laws.items()},
+            "sentence": self.sentence,
+            **self.numbers,
+        }
+
+
+def _rounded(value: float) -> float:
+    """Four digits are more than any of these figures is sure of."""
+    return float(f"{value:.4g}")
 
 
 @dataclass(frozen=True)
@@ -55,6 +81,27 @@ class FitTable:
     def as_dict(self) -> dict[str, float]:
         """For the report."""
         return {"given": self.given, "calibrated": self.calibrated, "improved": self.improved}
+
+
+@dataclass(frozen=True)
+class Left:
+    """Torque that nothing named explains at a joint, as a part of the RMS torque, with its 95 % interval."""
+
+    joint: int
+    share: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest size of an effect at a joint that the recordings would have shown, with 90 % probability."""
+
+    joint: int
+    mechanism: str
+    effect: str
+    size: float
+    unit: str
+    share: float  # of the RMS torque
 
 
 @dataclass(frozen=True)
@@ -88,30 +135,27 @@ class Diagnosis:
     unexplained: str = ""
     missing: dict[int, list[Missing]] = field(default_factory=dict)  # torque that the calibrated model lacks
     remaining: dict[int, list[Missing]] = field(default_factory=dict)  # and what the improved one lacks
+    refinements: tuple[Finding, ...] = ()  # what improves the fit and is not claimed
+    discrepancy: tuple[Left, ...] = ()
+    detectable: tuple[Detectable, ...] = ()
+    test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
     details: dict[str, Any] = field(default_factory=dict)
     out: Path | None = None
 
     def report(self) -> dict[str, Any]:
         """report.json of the contract, as plain numbers and strings."""
-        found = []
-        for f in self.findings:
-            row: dict[str, Any] = {
-                "effect": f.effect,
-                "joint": f.joint,
-                "parameters": {
-                    n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in f.parameters.items()
-                },
-                "confidence": round(f.confidence, 4),
-                "share": round(f.share, 4),
-                "indistinguishable": list(f.indistinguishable),
-                "replaces": list(f.replaces),
-                "sentence": f.sentence,
-            }
-            row.update(f.numbers)
-            found.append(row)
         report: dict[str, Any] = {
             "verdict": self.verdict,
-            "findings": found,
+            "findings": [f.as_dict() for f in self.findings],
+            "refinements": [f.as_dict() for f in self.refinements],
+            "discrepancy": [
+                {"joint": d.joint, "share": _rounded(d.share), "interval": [_rounded(x) for x in d.interval]}
+                for d in self.discrepancy
+            ],
+            "detectable": [
+                {"joint": d.joint, "mechanism": d.mechanism, "effect": d.effect, "size": _rounded(d.size), "unit": d.unit}
+                for d in self.detectable
+            ],
             "where": {
                 "time": [[round(a, 4), round(b, 4)] for a, b in self.times],
                 "state": [
@@ -130,6 +174,7 @@ class Diagnosis:
                 "unit": self.unit,
                 "estimation": self.estimation.as_dict(),
                 "heldout": self.heldout.as_dict(),
+                "test": (self.test or self.heldout).as_dict(),
                 "noise_floor": self.noise_floor,
             },
             "rejected": [
@@ -153,8 +198,8 @@ class Diagnosis:
         lines += [f"  {f.sentence} (confidence {100 * f.confidence:.0f} %)" for f in self.findings]
         if self.unexplained:
             lines.append(f"  {self.unexplained}")
-        h = self.heldout
+        h = self.test or self.heldout
         lines.append(
-            f"  held out: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"
+            f"  untouched: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"
         )
         return "\n".join(lines)

@@ -11,8 +11,8 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from zendsp.diagnosis.assemble import Assembled
+from zendsp.diagnosis.decide import Decision
 from zendsp.diagnosis.evidence import compare
-from zendsp.diagnosis.hypothesis import JointSearch
 from zendsp.diagnosis.result import Estimate, Finding
 from zendsp.diagnosis.score import fit_scored
 from zendsp.physics.fit import Data, joint_handles
@@ -23,7 +23,7 @@ FAR = 3.0  # standard deviations
 
 
 def shifted(
-    given: Model, search: JointSearch, whole: Assembled, found: Collection[str], test: Data
+    given: Model, search: Decision, whole: Assembled, found: Collection[str], test: Data
 ) -> list[tuple[float, Finding]]:
     """Findings about mechanism parameters that moved far from their given values, with their z.
 
@@ -76,7 +76,7 @@ def shifted(
     return [(z, Finding("inertia", joint, values, sure, 0.0, tuple(same), (), text))]
 
 
-def _needed(given: Model, search: JointSearch, key: str, test: Data) -> bool:
+def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
     """Whether the recordings, held-out ones included, insist on the shift."""
     final, joint = search.final, search.joint
     items = given.mechanism[key]
@@ -99,8 +99,8 @@ def _gravity_only(
         return []
     ratio, z, amount, std = moves["gravity"]
     values = {
-        "torque": Estimate(abs(amount), std, "N m"),
+        "torque": Estimate(abs(amount), std, given.torque_unit(joint)),
         "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
     }
-    text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} N m), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
+    text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
     return [(z, Finding("gravity", joint, values, 0.7, 0.0, ("stiffness",), (), text))]

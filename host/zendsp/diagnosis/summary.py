@@ -4,15 +4,36 @@ from __future__ import annotations
 
 from zendsp.diagnosis.result import Diagnosis
 
+WORDS = {
+    "dry_friction": "dry friction",
+    "fluid_friction": "fluid friction",
+    "transmission": "a flexible or loose transmission",
+    "position_torque": "a torque that depends on position",
+    "inertia": "a mass or an inertia",
+    "actuator": "the actuator",
+    "measurement": "the measurement",
+    "disturbance": "a disturbance",
+}
+
+
+def headline(d: Diagnosis) -> str:
+    """The verdict in one sentence: the mechanism first."""
+    if d.verdict == "complete":
+        return "Complete: nothing is missing that these recordings could show."
+    if d.verdict == "unexplained":
+        return "Unexplained: something is missing that no known effect describes; no physics is claimed."
+    joints: dict[int, list[str]] = {}
+    for f in d.findings:
+        word = f"{WORDS.get(f.mechanism, f.effect)} ({f.effect})"
+        if word not in joints.setdefault(f.joint, []):
+            joints[f.joint].append(word)
+    where = [f"{' and '.join(words)} at joint {j}" for j, words in joints.items()]
+    return f"Missing physics: {'; '.join(where)}."
+
 
 def summary(d: Diagnosis) -> str:
-    """Text of at most a screen: verdict, findings, fit, where, what next."""
-    headline = {
-        "complete": "COMPLETE: nothing significant is missing from this model.",
-        "missing": f"MISSING PHYSICS: {len(d.findings)} finding{'s' if len(d.findings) != 1 else ''}.",
-        "unexplained": "UNEXPLAINED: something is missing that no known effect explains.",
-    }[d.verdict]
-    lines = [headline, ""]
+    """Text of at most a screen: verdict, findings, fit, what could not be seen, what next."""
+    lines = [headline(d), ""]
     for k, f in enumerate(d.findings, 1):
         lines.append(f"{k}. {f.effect}, joint {f.joint} (confidence {100 * f.confidence:.0f} %)")
         lines.append(f"   {f.sentence}")
@@ -23,7 +44,7 @@ def summary(d: Diagnosis) -> str:
     lines.append(
         f"position error within 0.25 s ({d.unit}, RMS)   given      calibrated  improved   noise floor"
     )
-    for name, table in (("  recordings of the fit", d.estimation), ("  held-out recordings", d.heldout)):
+    for name, table in (("  recordings of the fit", d.estimation), ("  untouched recordings", d.test or d.heldout)):
         lines.append(
             f"{name:<44} {table.given:<10.3g} {table.calibrated:<11.3g} {table.improved:<10.3g} {d.noise_floor:.3g}"
         )
@@ -31,6 +52,15 @@ def summary(d: Diagnosis) -> str:
         lines.append(
             f"mismatch: joint {r.joint}, {r.variable} {r.interval[0]:.3g} … {r.interval[1]:.3g}: {100 * r.share:.0f} % of it in {100 * r.time_share:.0f} % of the time"
         )
+    if d.refinements:
+        lines.append("refinements: " + ", ".join(f"{f.effect} (joint {f.joint})" for f in d.refinements[:6]))
+    for x in d.discrepancy[:7]:
+        if d.verdict != "complete" or x.interval[1] < 1.0:
+            high = f"{100 * min(x.interval[1], 9.99):.2g}"
+            lines.append(f"nothing named explains: joint {x.joint}, {100 * x.share:.2g} % of its torque (at most {high} %)")
+    if d.verdict == "complete" and d.detectable:
+        small = sorted(d.detectable, key=lambda x: -x.share)[:3]
+        lines.append("it would have shown: " + ", ".join(f"{x.effect} of {x.size:.2g} {x.unit} (joint {x.joint})" for x in small))
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:

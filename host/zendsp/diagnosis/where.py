@@ -1,7 +1,7 @@
 """Where the mismatch lives: in time, and in the space of velocity, position, acceleration and command.
 
-The torque that the calibrated model lacks is estimated by the smoother (a random walk beside the known acceleration); its energy
-above what the estimate's own variance explains is the mismatch.
+The torque that a model lacks is what corrects an observer that keeps the model on the motion (discrepancy.py); its energy above
+that of the sensor's noise is the mismatch.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from zendsp.diagnosis.discrepancy import BANDS, kept, lacking, noise
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, mechanism_value, trace
-from zendsp.physics.model import Model, per_joint
-from zendsp.physics.signals import smooth
+from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
@@ -43,24 +42,19 @@ class Missing:
     variables: dict[str, Array]
 
 
-def missing_torque(record: JointRecord, model: Model) -> Missing:
-    """Estimate the torque that a model without hidden states lacks along the measured motion."""
-    q, qd, qdd = record.motion.states
-    floor = max(2.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.005 * record.scale.speed)
-    inertia, bias = record.inertia_and_bias(model)
-    extra = sum(t.value("amount") for t in model.at(record.joint) if t.effect == "inertia")
-    inertia = inertia + extra
-    gravity = mechanism_value(model, "gravity", record.joint) * np.sin(q) if model.kind == "rotary" else 0.0
-    resist = trace(record, model, model.at(record.joint), floor)
-    applied = per_joint(model.actuator.gain, record.joint, 1.0) * record.command
-    known = np.ascontiguousarray((applied - resist - bias - gravity) / inertia)
-    motion = smooth(record.measurement, record.sample_time, known)
-    torque = -(motion.states[2] - known) * inertia
-    std = np.sqrt(motion.variances[2]) * inertia
-    time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
-    return Missing(
-        time, torque, std, {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
-    )
+def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
+    """Torque that a model lacks at one joint, along each recording: how an observer that keeps it on the motion corrects it."""
+    found = lacking(data, model, joint, BANDS[0])
+    out = []
+    for torque, rec in zip(found, data.records, strict=True):
+        record = rec[joint - 1]
+        q, qd, qdd = record.motion.states
+        use = kept(record, BANDS[0])
+        time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
+        std = np.full(record.n, np.sqrt(noise(record, model, BANDS[0])))
+        variables = {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
+        out.append(Missing(time[use], torque[use], std[use], {n: v[use] for n, v in variables.items()}))
+    return out
 
 
 def energy(missing: Missing) -> Array:
@@ -130,7 +124,3 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
     ]
     return sorted(out, key=lambda s: -s[2])[:most]
 
-
-def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
-    """Missing torque of each recording at one joint."""
-    return [missing_torque(rec[joint - 1], model) for rec in data.records]

@@ -140,6 +140,12 @@ class Model:
         """The same model with other effects."""
         return replace(self, terms=terms)
 
+    def torque_unit(self, joint: int) -> str:
+        """Unit of what moves a joint: N m, N for a linear one, or that of the command where its gain is one (A of a motor current)."""
+        if self.actuator.unit and abs(per_joint(self.actuator.gain, joint, 1.0)) == 1.0:
+            return self.actuator.unit
+        return "N" if self.joint_kind(joint) == "linear" else "N m"
+
     def at(self, joint: int) -> tuple[Term, ...]:
         """Effects of one joint (1-based)."""
         return tuple(term for term in self.terms if term.joint == joint)

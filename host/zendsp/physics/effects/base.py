@@ -55,7 +55,7 @@ UNITS = {
 }
 
 
-def unit_of(size: str, kind: str, command_unit: str = "") -> str:
+def unit_of(size: str, kind: str, command_unit: str = "", torque_unit: str = "") -> str:
     """Unit of a parameter for a rotary or a linear joint.
 
     Parameters
@@ -66,6 +66,8 @@ def unit_of(size: str, kind: str, command_unit: str = "") -> str:
         Kind of the joint.
     command_unit : str
         Unit of the command; torque or force where empty.
+    torque_unit : str
+        Unit of what moves the joint where it is neither N m nor N: A where a motor's current is taken as its torque.
 
     Returns
     -------
@@ -73,11 +75,14 @@ def unit_of(size: str, kind: str, command_unit: str = "") -> str:
         For example ``"N m s/rad"``.
     """
     linear = kind == "linear"
-    force = "N" if linear else "N m"
+    mechanical = "N" if linear else "N m"
+    force = torque_unit or mechanical
+    angle = "m" if linear else "rad"
+    inertia = "kg" if linear else "kg m²"
     words = {
         "F": force,
-        "q": "m" if linear else "rad",
-        "J": "kg" if linear else "kg m²",
+        "q": angle,
+        "J": inertia if force == mechanical else f"{force} s²/{angle}",
         "u": command_unit or force,
     }
     text = UNITS[size].format(**words)

@@ -1,0 +1,488 @@
+"""The decision: which mechanisms are claimed, by which law, and what is said of the rest.
+
+One principle (docs/diagnosis.md, "How it decides"): a recording is the named physics, a discrepancy that nobody has named, and the
+sensor. A finding is a mechanism without which the discrepancy must grow, on recordings that neither the fit nor any choice has
+touched. The search proposes; here every mechanism that it wrote down is taken away, everything else is fitted again, and what that
+costs decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.discrepancy import (
+    STRUCTURED,
+    Bursts,
+    Size,
+    Structure,
+    bursts,
+    difference,
+    discrepancy,
+    mean_square,
+    structure,
+)
+from zendsp.diagnosis.evidence import Evidence, block_scores, compare, settling
+from zendsp.diagnosis.findings import new_terms
+from zendsp.diagnosis.hypothesis import JointSearch, Rival, price
+from zendsp.diagnosis.mechanisms import LAWS_OF, mechanism_of
+from zendsp.diagnosis.reading import Parts
+from zendsp.diagnosis.score import Scored, fit_scored, informative
+from zendsp.diagnosis.search import Searcher
+from zendsp.physics.effects import get_effect, library
+from zendsp.physics.fit import Data, joint_handles
+from zendsp.physics.joint import run
+from zendsp.physics.model import Model, Term
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+# Every number that decides stands here; docs/diagnosis.md has the measurement behind each.
+FALSE_DISCOVERIES = 0.05  # of what is claimed, at most so much is nothing: e-values, over joints and mechanisms
+LAW_ERROR = 0.03  # no law describes its own mechanism better than to so much of its size
+LEFT_BY_A_LAW = 0.2  # of a mechanism's size, as a function of its own variables: a law that leaves more is none
+OWN_SHARE = 0.1  # of the explainable mismatch: a second law of one mechanism below is a refinement
+MACHINE = 0.025  # of the RMS torque: below, slow random torques that every machine has
+OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physics, whatever its name
+TIED = 0.05  # probability above which a law is still in the race
+DRAWS = 400  # of the Bayesian bootstrap
+SURE = 3.0  # standard deviations over blocks of time
+MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
+RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
+CURVE = 3  # so many laws of one mechanism at one joint draw a curve
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A mechanism at one joint as it stands in the model, and what taking it away costs on untouched recordings."""
+
+    mechanism: str
+    terms: tuple[Term, ...]
+    without: Scored
+    size: float  # RMS torque that nothing else gives, as a part of the RMS torque
+    evidence: Evidence
+    log_e: float  # logarithm of the e-value
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its laws."""
+        return tuple(t.effect for t in self.terms)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One law of one mechanism: claimed, or a refinement. ``effect`` is "unknown" where no law describes the mechanism."""
+
+    effect: str
+    mechanism: str
+    term: Term
+    size: float
+    evidence: Evidence
+    log_e: float
+    laws: dict[str, float]
+    same: tuple[str, ...]
+    replaces: tuple[str, ...]
+    lost: tuple[tuple[str, str, float], ...]  # rivals: effect, why not, log-likelihood against the law's
+    left: Structure | None = None  # what the law leaves in its own variables
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What one joint came to: "complete", "missing", "unexplained" or "disturbance"."""
+
+    joint: int
+    kind: str
+    claims: tuple[Claim, ...]
+    refinements: tuple[Claim, ...]
+    base: Scored
+    final: Scored
+    before: Size
+    after: Size
+    state: Structure  # what any function of state predicts of what is left
+    scale: float  # RMS torque of the recordings to test on, N m or N
+    bursts: Bursts | None = None
+    lost: tuple[tuple[str, str, float], ...] = ()  # hypotheses that were tried where nothing is claimed
+
+
+def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress) -> Decision:
+    """Decide what is claimed at one joint.
+
+    Parameters
+    ----------
+    parts : Parts
+        Recordings to fit to, to choose by, and to test on.
+    given : Model
+    search : JointSearch
+        What the search proposes.
+    jobs : int
+        Threads.
+    tell : callable
+        Receives a sentence at each stage.
+
+    Returns
+    -------
+    Decision
+    """
+    joint, base = search.joint, search.base
+    tell(f"joint {joint}: what each mechanism is worth")
+    final = _worth_choosing(parts, given, search, jobs)
+    before = discrepancy(parts.test, base.model, joint)
+    new = new_terms(given, final.model, joint)
+    if new:
+        pieces = [_piece(parts.test, given, final, joint, key, terms, jobs) for key, terms in _grouped(given, final.model, new).items()]
+        pieces.sort(key=lambda p: -p.size)
+        claimed, rest = _claimed(parts, given, final, joint, pieces)
+        if claimed:
+            decision = _named(parts, given, search, final, claimed, rest, before, jobs, tell)
+            if decision.claims:
+                return decision
+    return _nothing_named(parts, search, before)
+
+
+# --- which mechanisms
+
+
+def _grouped(given: Model, final: Model, terms: Sequence[Term]) -> dict[tuple[str, int], tuple[Term, ...]]:
+    """Terms by mechanism; couplings by the joint that they come from."""
+    out: dict[tuple[str, int], tuple[Term, ...]] = {}
+    for term in terms:
+        if weight_of_payload(given, final, term):
+            out["inertia", 0] = (*out.get(("inertia", 0), ()), term)
+            continue
+        key = (mechanism_of(term.effect), int(term.value("from_joint")) if term.effect == "coupling" else 0)
+        out[key] = (*out.get(key, ()), term)
+    return out
+
+
+def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
+    """Whether a gravity term is the weight of an inertia that was found with it: a payload is one finding, not two."""
+    found = {t.effect for t in new_terms(given, final, term.joint)}
+    hangs = any(q.value for q in given.mechanism.get("gravity", ()))
+    return term.effect == "gravity" and "inertia" in found and hangs and abs(math.sin(term.value("angle"))) < 0.2
+
+
+def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
+    """The model without some terms, with those of the given model that they had replaced, fitted again."""
+    gone = {id(t) for t in terms}
+    kept = tuple(t for t in final.model.terms if id(t) not in gone)
+    wanted = {m for t in terms for m in _kind(mechanism_of(t.effect))}
+    have = [t.effect for t in kept if t.joint == joint]
+    back = []
+    for term in given.at(joint):
+        if term.effect in have:
+            have.remove(term.effect)
+        elif mechanism_of(term.effect) in wanted:
+            back.append(term)
+    model = final.model.with_terms((*kept, *back))
+    return fit_scored(final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3)
+
+
+def _worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
+    """The proposed model without the terms that do not help on the recordings to choose by."""
+    joint, final = search.joint, search.final
+    while True:
+        new = new_terms(given, final.model, joint)
+        if len(new) < 2:
+            return final
+        worst: tuple[float, Scored] | None = None
+        for term in new:
+            if any(term.effect in get_effect(t.effect).needs for t in final.model.at(joint) if t is not term):
+                continue
+            without = _without(given, final, joint, (term,), jobs)
+            held = compare(without, final, parts.choose, joint)
+            if held.gain < 0 and (worst is None or held.gain < worst[0]):
+                worst = held.gain, without
+        if worst is None:
+            return final
+        final = worst[1]
+
+
+def _piece(test: Data, given: Model, final: Scored, joint: int, key: tuple[str, int], terms: tuple[Term, ...], jobs: int) -> Piece:
+    without = _without(given, final, joint, terms, jobs)
+    held = compare(without, final, test, joint)
+    size = difference(test, without.model, final.model, joint)
+    return Piece(key[0], terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint))
+
+
+def dependence(scored: Scored, test: Data, joint: int) -> float:
+    """By how much fewer independent samples a recording has than samples, from the innovations' correlation in time; 1 or more."""
+    total, worst = 0.0, 1.0
+    for rec in test.records:
+        record = rec[joint - 1]
+        r = run(record, scored.model, scored.data.bandwidth[joint - 1], inner=test.inner).innovations
+        r = np.clip(r[record.counted], -1e3, 1e3)
+        most = min(len(r) // 4, round(0.25 / record.sample_time))
+        energy = float(r @ r)
+        if most < 2 or energy <= 0:
+            continue
+        size = 1 << int(np.ceil(np.log2(2 * len(r))))
+        spectrum = np.abs(np.fft.rfft(r, size)) ** 2
+        correlation = np.fft.irfft(spectrum, size)[1:most] / energy
+        end = int(np.argmax(correlation < 0)) if (correlation < 0).any() else len(correlation)
+        worst = max(worst, 1.0 + 2.0 * float(np.sum(correlation[:end])))
+        total += energy
+    return worst
+
+
+def _claimed(
+    parts: Parts, given: Model, final: Scored, joint: int, pieces: Sequence[Piece]
+) -> tuple[list[Piece], list[Piece]]:
+    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of their size.
+
+    What a mechanism gives must be more than what stays unexplained in its own variables, and more than the laws of
+    the larger ones of its kind, found or given, may be wrong by.
+    """
+    needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
+    learn = together(parts.fit, parts.choose)
+    after = discrepancy(parts.test, final.model, joint).value
+    claimed: list[Piece] = []
+    rest: list[Piece] = []
+    for piece in pieces:
+        left = after
+        if piece.mechanism in STRUCTURED:
+            left = min(after, structure(learn, parts.test, final.model, joint, [piece.mechanism]).size)
+        larger = max((p.size for p in claimed), default=0.0)
+        kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
+        if kept_laws:
+            apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
+            larger = max(larger, difference(parts.test, apart, final.model, joint))
+        sure = piece.log_e > needed and piece.evidence.z > 2.0
+        (claimed if sure and piece.size > math.hypot(left, LAW_ERROR * larger) else rest).append(piece)
+    return claimed, rest
+
+
+def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
+    """Terms of the given model at a joint that are of a mechanism's kind and still stand in the final one."""
+    new = new_terms(given, final, joint)
+    return [t for t in final.at(joint) if not any(t is n for n in new) and mechanism_of(t.effect) in _kind(mechanism)]
+
+
+def _kind(mechanism: str) -> frozenset[str]:
+    """Mechanisms that are functions of the same variables."""
+    friction = frozenset({"dry_friction", "fluid_friction"})
+    return friction if mechanism in friction else frozenset({mechanism})
+
+
+# --- by which law
+
+
+def _named(
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    final: Scored,
+    claimed: Sequence[Piece],
+    rest: Sequence[Piece],
+    before: Size,
+    jobs: int,
+    tell: Progress,
+) -> Decision:
+    joint = search.joint
+    searcher = Searcher(parts.fit, joint, lambda *_: True, jobs, tell)
+    learn = together(parts.fit, parts.choose)
+    after = discrepancy(parts.test, final.model, joint)
+    state = structure(learn, parts.test, final.model, joint, STRUCTURED)
+    claims: list[Claim] = []
+    refinements: list[Claim] = []
+    for piece in claimed:
+        ranked = _ranked(parts.test, given, final, piece, joint, jobs)
+        first = ranked[0]
+        law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
+        left = structure(learn, parts.test, final.model, joint, [piece.mechanism]) if piece.mechanism in STRUCTURED else None
+        own = [first]
+        for other in ranked[1:]:
+            second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(after.value, LAW_ERROR * first.size)
+            if second and other.log_e > 0 and other.evidence.z > 2.0:
+                own.append(other)
+            else:
+                refinements.append(_plain(other))
+        kin = max(p.size for p in claimed if p.mechanism in _kind(piece.mechanism))  # a larger law's error is no lack of this one
+        poor = left is not None and left.z > SURE and left.size > LEFT_BY_A_LAW * kin and left.size > OF_STATE
+        if poor or len(own) >= CURVE:
+            refinements += [_plain(p) for p in own[1:]]
+            claims.append(replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0}))
+            continue
+        claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
+        claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
+    refinements += [_plain(p) for p in rest]
+    claims.sort(key=lambda c: -c.evidence.gain)
+    best = claims[0].size
+    if state.size > best and state.z > SURE:  # more is left that depends on the state than anything claimed explains
+        claims = []
+    return Decision(
+        joint, "missing", tuple(claims), tuple(refinements), search.base, final, before, after, state, rms_torque(parts.test, joint)
+    )
+
+
+def together(*data: Data) -> Data:
+    """Recordings of several parts as one."""
+    return replace(data[0], records=tuple(r for d in data for r in d.records))
+
+
+def _ranked(test: Data, given: Model, final: Scored, piece: Piece, joint: int, jobs: int) -> list[Piece]:
+    """Each law of a mechanism by itself, the one whose removal costs most first."""
+    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
+    if len(laws) == 1:
+        return [replace(piece, terms=tuple(laws))]
+    each = [_piece(test, given, final, joint, (piece.mechanism, 0), (t,), jobs) for t in laws]
+    return sorted(each, key=lambda p: -p.size)
+
+
+def _plain(piece: Piece) -> Claim:
+    term = piece.terms[0]
+    return Claim(term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, {}, (), (), ())
+
+
+def _law(
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    searcher: Searcher,
+    final: Scored,
+    piece: Piece,
+    first: Piece,
+    jobs: int,
+    tell: Progress,
+) -> Claim:
+    """The law of a mechanism with its probability: laws that could stand in its place are fitted, and compete block by block."""
+    joint, term = search.joint, first.terms[0]
+    tell(f"joint {joint}: what could stand in for {term.effect}")
+    known = library()
+    mates = {e for e in LAWS_OF.get(piece.mechanism, ()) if e in known}
+    names = frozenset(mates | set(get_effect(term.effect).rivals)) - {"coupling"} | {term.effect}
+    rivals = [r for r in searcher.stand_ins(first.without, names) if r.effect != term.effect and not contains(r, term)]
+    learn = together(parts.fit, parts.choose)
+    settle = max(settling(x, joint) for x in (final, *[r.scored for r in rivals]))
+    scores = np.stack([block_scores(x, learn, joint, settle) for x in (final, *[r.scored for r in rivals])])
+    own = price((term,), informative(parts.fit, joint))
+    scores += np.array([own, *[r.price for r in rivals]])[:, None] / scores.shape[1]
+    weights = _weights(scores)
+    after = discrepancy(parts.choose, final.model, joint).value
+    same, lost = [], []
+    for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
+        behind = float(score.sum() - scores[0].sum())
+        near = behind < 0.5 * first.evidence.gain and difference(parts.choose, rival.scored.model, final.model, joint) < after
+        if weight > TIED or near:
+            same.append(rival.effect)
+        else:
+            share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
+            why = f"explains {100 * max(0.0, min(share, 0.99)):.0f} % of it" if share > 0.1 else "does not explain the mismatch"
+            lost.append((rival.effect, why, -0.5 * behind))
+    laws: dict[str, float] = {}
+    for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
+        if mechanism_of(name) == piece.mechanism:
+            laws[name] = laws.get(name, 0.0) + float(weight)
+    total = sum(laws.values())
+    laws = {n: w / total for n, w in laws.items() if w / total > 1e-3} if total > 0 else {term.effect: 1.0}
+    gone = replaced(given, final.model, term)
+    return Claim(
+        term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, laws, tuple(dict.fromkeys(same)), gone, tuple(lost[:6])
+    )
+
+
+def rival_gain(piece: Piece, final: Scored) -> float:
+    """Deviance that a law gains on the recordings of the fit."""
+    return piece.without.deviance - final.deviance
+
+
+def _weights(scores: Array) -> Array:
+    """Probability of each law (a row of scores of blocks) to predict best, by the Bayesian bootstrap (pseudo-BMA+, Yao et al. 2018)."""
+    n = scores.shape[1]
+    draws = np.random.default_rng(0).dirichlet(np.ones(n), DRAWS) * n
+    totals = -0.5 * draws @ scores.T
+    totals -= totals.max(axis=1, keepdims=True)
+    weight = np.exp(totals)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(weight.mean(axis=0))
+
+
+def contains(rival: Rival, term: Term) -> bool:
+    """Whether the rival is the same effect with more freedom: a special case of it, or with a parameter at its bound."""
+    if term.effect in get_effect(rival.effect).replaces:
+        return True
+    own = sum(p.fitted for p in get_effect(term.effect).parameters)
+    more = sum(p.fitted for p in get_effect(rival.effect).parameters) > own
+    fitted = rival.scored.fit
+
+    def is_row(index: int) -> bool:
+        t = rival.scored.model.terms[index]
+        return t.joint == rival.joint and t.effect == rival.effect
+
+    bounded = (fitted.at_bound[i] for i, h in enumerate(fitted.handles) if h.place == "term" and is_row(h.index))
+    return more and any(bounded)
+
+
+def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
+    """Effects of the given model that are gone, and that this term stands for: laws of its own kind of friction, or of its mechanism."""
+    joint = term.joint
+    have = [t.effect for t in final.at(joint)]
+    gone = []
+    for old in given.at(joint):
+        if old.effect in have:
+            have.remove(old.effect)
+        else:
+            gone.append(old.effect)
+    own = mechanism_of(term.effect)
+    kind = _kind(own)
+    rubs = [t for t in new_terms(given, final, joint) if mechanism_of(t.effect) in kind]
+    mine = [e for e in gone if mechanism_of(e) in kind]
+    if len(kind) > 1 and len(rubs) > 1:  # each stands for its own kind where both are new
+        exact = [e for e in mine if mechanism_of(e) == own]
+        others = {mechanism_of(t.effect) for t in rubs if t is not term}
+        mine = exact + [e for e in mine if mechanism_of(e) not in others and e not in exact]
+    return tuple(sorted(set(mine)))
+
+
+# --- nothing is named
+
+
+def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
+    """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated model's discrepancy alone."""
+    joint, base = search.joint, search.base
+    learn = together(parts.fit, parts.choose)
+    state = structure(learn, parts.test, base.model, joint, STRUCTURED)
+    lost = tuple(_why(r, base) for r in search.tried[:6])
+    out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
+    of_state = state.size > OF_STATE and state.z > SURE
+    if before.low > OF_STATE and state.share < MOST:
+        here = bursts(parts.held, base.model, joint)
+        if here is not None:
+            return replace(out, kind="disturbance", bursts=here)
+    if of_state:
+        claim = _without_law(parts, learn, search, state)
+        if claim is not None:
+            return replace(out, kind="missing", claims=(claim,))
+    if of_state or before.value > MACHINE:
+        return replace(out, kind="unexplained")
+    return out
+
+
+def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:
+    gain = base.deviance - rival.value
+    why = "no more likely than the calibrated model" if gain < 40 else "is not what is missing, on the recordings held out"
+    return rival.effect, why, 0.5 * gain
+
+
+def rms_torque(data: Data, joint: int) -> float:
+    """RMS torque at a joint over recordings, N m or N."""
+    return float(np.sqrt(mean_square(data, joint)))
+
+
+def _without_law(parts: Parts, learn: Data, search: JointSearch, state: Structure) -> Claim | None:
+    """The one mechanism whose own variables predict most of what any function of state does; None where several do, or none."""
+    joint, base = search.joint, search.base
+    alone = {m: structure(learn, parts.test, base.model, joint, [m]) for m in STRUCTURED}
+    order = sorted(alone, key=lambda m: -alone[m].size)
+    best = alone[order[0]]
+    if best.z < SURE or best.size**2 < MOST * state.size**2 or best.share < MOST:
+        return None
+    other = next(alone[m] for m in order[1:] if m not in _kind(order[0]))
+    if other.size**2 > RIVAL * best.size**2:
+        return None
+    evidence = Evidence(0.0, best.z, np.zeros(1))
+    term = Term("unknown", joint, {})
+    return Claim("unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best)
