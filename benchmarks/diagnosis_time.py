@@ -22,9 +22,9 @@ import numpy as np
 
 from zendsp.proof.build_case import Request
 from zendsp.proof.cases import write_all
+from zendsp.proof.children import command
 from zendsp.proof.draft import Draft
 from zendsp.proof.machines import MACHINES
-from zendsp.proof.score import COMMAND
 
 GOALS = {1: 5.0, 7: 60.0}  # s
 CASES = (  # joints, seconds of each recording, what is concealed, case
@@ -76,7 +76,7 @@ def make(request: Request, seconds: float, folder: Path) -> Path:
 def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
     """What the command says, wall and CPU seconds."""
     listing = json.loads((case / "case.json").read_text(encoding="utf-8"))
-    line = [*COMMAND, *(str(case / n) for n in listing["train"]), "--model", str(case / listing["model"])]
+    line = [*command("diagnose"), *(str(case / n) for n in listing["train"]), "--model", str(case / listing["model"])]
     for name in listing["heldout"]:
         line += ["--heldout", str(case / name)]
     env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

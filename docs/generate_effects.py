@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from zendsp.physics.effects import Effect, library, unit_of
+from zendsp.physics.effects import MECHANISMS, Effect, library, mechanism_of, unit_of
 
 HEAD = """# Physical effects
 
@@ -21,9 +21,12 @@ SITE = {
     "viscous": "friction without a step",
     "dry": "dry friction, with sticking",
     "scale": "a factor on all friction of the joint",
+    "dry_scale": "a factor on the dry friction of the joint",
     "actuator": "between command and torque",
+    "drive": "between command and torque, with the speed",
     "sensor": "between joint and recording",
     "setup": "in the equation of the joint itself (states, timing, inertia)",
+    "body": "in the bodies of the whole machine: every joint that moves them",
 }
 
 ADD = """
@@ -38,6 +41,7 @@ from zendsp.physics.effects import Effect, Parameter
 FILM = Effect(
     name="film",
     site="torque",
+    mechanism="fluid_friction",
     parameters=(Parameter("strength", "torque/speed", lower=0),),
     c="return p[0] * s->qd / (1.0 + s->qd * s->qd);",
     equation="w q̇ / (1 + q̇²)",
@@ -52,26 +56,35 @@ FILM = Effect(
 
 | field | meaning |
 |---|---|
-| `site` | where it acts: `torque`, `viscous` (also scaled by a friction drift), `dry` (returns a level; `dir` is the direction, the kernel does the sticking), `scale` (a factor on friction), `actuator` (maps the command `u`), `sensor` (added to the measured position) |
-| `parameters` | name, what it measures (from which unit, scale and step follow: `torque`, `torque/speed`, `torque/speed2`, `torque/position`, `torque/position3`, `speed`, `position`, `time`, `ratio`, `angle`, `order`, `inertia`, `command`, `number`), bounds in SI units, default |
-| `c` | body of a C function: `p[0]`, `p[1]`, … are the parameters in order; `s->q`, `s->qd`, `s->t` [rad, rad/s, s], `s->u` the command, `s->tau` the actuator's torque. No state, no allocation, no branch on time |
+| `site` | where it acts: `torque`, `viscous` (also scaled by a friction drift), `dry` (returns a level; `dir` is the direction, the kernel does the sticking), `scale` (a factor on friction), `dry_scale` (on dry friction), `actuator` (maps the command `u`), `drive` (maps the actuator's torque `tau`, knows the speed), `sensor` (added to the measured position) |
+| `mechanism` | what of the machine it is a law of: {mechanisms}. Left out, it is a mechanism by itself |
+| `parameters` | name, what it measures (from which unit, scale and step follow: `torque`, `torque/speed`, `torque/speed2`, `torque/position`, `torque/position3`, `speed`, `position`, `time`, `ratio`, `angle`, `order`, `inertia`, `command`, `temperature`, `1/temperature`, `number`), bounds in SI units, default; `limits`: bounds in a given recording, a function of its `Facts` |
+| `c` | body of a C function: `p[0]`, `p[1]`, … are the parameters in order; `s->q`, `s->qd`, `s->t` [rad, rad/s, s], `s->u` the command, `s->tau` the actuator's torque, `s->temp` the recorded temperature [°C]. No state, no allocation, no branch on time |
 | `linear` | parameters in which it is linear: one least squares screens them |
-| `grid` | values of the other parameters to screen, in units of the recording's own scales |
-| `needs`, `replaces` | effects without which it means nothing; effects that it contains as special cases |
+| `grid` | values of the other parameters to screen, in units of the recording's own scales, or a function of its `Facts` |
+| `essence`, `shape` | parameters without which, at zero or at a bound, it is not itself (the one that it is linear in where empty); a parameter that means nothing without any size |
+| `needs`, `replaces` | effects without which it means nothing (`dry`: any dry friction, `friction`: also viscous); effects that it contains as special cases |
+| `reads` | optional columns of a recording (`temperature`) that it needs; where one is missing the report says so |
+| `slow` | a fast observer follows it: it is fitted under a slow one |
 | `sentence` | what the report says, parameters in braces |
 | `experiment` | what to record to confirm it |
-| `compensable` | C expression of the torque that cancels it (`q`, `qd`, `qdd`, `tau`, `sgn()`), empty where none can |
+| `compensable`, `inverse`, `why_not` | C expression of the torque that cancels it (`q`, `qd`, `qdd`, `tau`, `sgn()`); of what to send so that the torque `wanted` comes out; why neither can be |
 
-At most six parameters an effect. An effect with a state of its own (a bristle, a gap) belongs into `observer.c`.
+At most six parameters an effect. An effect with a state of its own (a bristle, a gap) belongs into `observer.c` and
+`simulate.c`; its file has `site="setup"`, sets their variables in `c`, and says with `column` what it resists along a measured motion, or with
+`scan` where its fit begins. `physics/effects/base.py` describes every field, `effects/axes.py` has grids and bounds that several share.
 """
 
 
 def page() -> str:
     """The whole page."""
-    parts = [HEAD, "| name | equation | acts as |\n|---|---|---|\n"]
-    parts += [f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {SITE[e.site]} |\n" for e in library().values()]
+    parts = [HEAD, "| name | equation | mechanism | acts as |\n|---|---|---|---|\n"]
+    parts += [
+        f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {mechanism_of(e.name)} | {SITE[e.site]} |\n"
+        for e in library().values()
+    ]
     parts += [_section(e) for e in library().values()]
-    return "".join([*parts, ADD])
+    return "".join([*parts, ADD.replace("{mechanisms}", ", ".join(f"`{m}`" for m in MECHANISMS))])
 
 
 def _cell(text: str) -> str:

@@ -19,7 +19,10 @@ BEGIN, END = "<!-- generated: {} -->", "<!-- end -->"
 
 def kind(annotation: object) -> str:
     """Write a type as a reader of any language understands it."""
-    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    if isinstance(annotation, type):
+        text = "str" if issubclass(annotation, str) else annotation.__name__
+    else:
+        text = str(annotation)
     for old, new in (
         ("zendsp_protocol.messages.", ""),
         ("zendsp_protocol.verbs.", ""),

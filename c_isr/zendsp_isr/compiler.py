@@ -29,6 +29,10 @@ _MAX_FILE = 256 << 20  # bytes of one file
 _MAX_MEMORY = 2 << 30  # bytes of one process; the shipped programs take a tenth
 _MAX_MEMORY_ZIG = 8 << 30  # it reserves more addresses than it uses
 _MAX_OUTPUT = 4 << 20  # bytes of messages
+_MAX_PROCESSES = 32  # of one compilation; gcc has three at a time, zig more
+_MAX_MEMORY_ALL = 3 << 30  # bytes in memory of all of them
+_MAX_FOLDER = 512 << 20  # bytes of all files
+_LOOK_S = 0.1  # between looks at these three
 _MAX_MESSAGES = 200
 _MAX_TEXT = 2000  # characters of one message
 # what a compiler is made of; nothing else can be read while an upload is compiled
@@ -196,6 +200,7 @@ def _run(command: Sequence[str], cwd: Path, environment: Mapping[str, str], time
     """The command to its end, or to a limit; nothing of its process group is left."""
     text = bytearray()
     deadline = time.monotonic() + timeout_s
+    look = time.monotonic() + _LOOK_S
     why = ""
     with subprocess.Popen(
         command, cwd=cwd, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
@@ -204,11 +209,15 @@ def _run(command: Sequence[str], cwd: Path, environment: Mapping[str, str], time
         assert process.stderr is not None
         try:
             while not why:
-                left = deadline - time.monotonic()
-                ready = select.select([process.stderr], [], [], max(0.0, left))[0]
-                if not ready:
+                ready = select.select([process.stderr], [], [], _LOOK_S)[0]
+                if time.monotonic() > deadline:
                     why = f"the compiler did not finish within {timeout_s:g} s and was stopped"
                     break
+                if time.monotonic() > look:
+                    why = _too_much(process.pid, cwd)
+                    look = time.monotonic() + _LOOK_S
+                if not ready:
+                    continue
                 part = os.read(process.stderr.fileno(), 1 << 16)
                 if not part:
                     break
@@ -225,6 +234,27 @@ def _run(command: Sequence[str], cwd: Path, environment: Mapping[str, str], time
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)
     return _Ended(process.returncode, text.decode(errors="replace"), why)
+
+
+def _too_much(session: int, cwd: Path) -> str:
+    """Which limit of a compilation as a whole is passed, in words; empty where none is."""
+    processes = pages = 0
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError, IndexError):
+            fields = stat.read_text(errors="replace").rpartition(")")[2].split()
+            if int(fields[3]) == session:
+                processes, pages = processes + 1, pages + int(fields[21])
+    size = 0
+    for path in cwd.rglob("*"):
+        with contextlib.suppress(OSError):
+            size += path.lstat().st_blocks * 512
+    if processes > _MAX_PROCESSES:
+        return f"the compiler started more than {_MAX_PROCESSES} processes and was stopped"
+    if pages * os.sysconf("SC_PAGE_SIZE") > _MAX_MEMORY_ALL:
+        return f"the compiler took more than {_MAX_MEMORY_ALL >> 20} MB and was stopped"
+    if size > _MAX_FOLDER:
+        return f"the compiler wrote files of more than {_MAX_FOLDER >> 20} MB and was stopped"
+    return ""
 
 
 def _toolchain(compiler: Compiler) -> list[str]:

@@ -12,6 +12,7 @@ _LAZY = {
     "connect": "zendsp.link",
     "local": "zendsp.link",
     "discover": "zendsp.link",
+    "find_salvage": "zendsp.link",
     "Target": "zendsp.link",
     "Trigger": "zendsp.link",
     "ParameterSet": "zendsp.link",
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from zendsp.link import Trigger as Trigger
     from zendsp.link import connect as connect
     from zendsp.link import discover as discover
+    from zendsp.link import find_salvage as find_salvage
     from zendsp.link import local as local
     from zendsp.link import rehearse as rehearse
     from zendsp.matdsp import MatDSPAcquireConfig as MatDSPAcquireConfig

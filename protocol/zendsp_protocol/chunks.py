@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-import numpy as np
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    np = Lazily("numpy")
+
 
 FOLD = 4096  # bytes
+KERNEL = "/proc/sys/kernel/random/boot_id"  # tells whether two processes share a memory
 CHUNK = 1 << 20  # bytes: measured best for request and reply on loopback, small enough not to hold up a STOP
 
 

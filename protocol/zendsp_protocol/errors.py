@@ -3,14 +3,17 @@
     ZendspError
     ├── LinkError (ConnectionError)        the link: no target, no answer, wrong version
     │   ├── NoAnswer (TimeoutError)
+    │   │   └── NotApplied                 certainly not: it may be sent anew
     │   ├── NotStopped                     STOP was asked and nothing says that the machine stands
-    │   │   └── NotApplied          certainly not: it may be sent anew
     │   └── VersionMismatch
     ├── Refused (RuntimeError)             the target says no, and why
+    ├── NotYet (TimeoutError)              accepted, and still waiting for its sample
     ├── VariableError (ValueError)         unknown name, wrong type, outside limits, NaN; one line per variable
     ├── CompileFailed (RuntimeError)       the user's C code: file, line, column of each message
     ├── RunnerDied (RuntimeError)          user code crashed or hung; signal and last sample
     ├── AcquisitionError (RuntimeError)    no such channel, nothing acquired, data lost
+    │   ├── TooLarge                       more than the memory of the target holds
+    │   └── Incomplete                     it ended early: acquire_load() brings home what there is
     ├── RecordingError (ValueError)        a file or a table that is not a recording
     ├── ModelError (ValueError)            a model file: which key, what was expected
     └── ReferenceError_ (ValueError)       a reference outside the machine's limits or badly posed
@@ -76,6 +79,10 @@ class Refused(ZendspError, RuntimeError):
     """The target understood the request and declines it; the message says which condition fails."""
 
 
+class NotYet(ZendspError, TimeoutError):
+    """An update was accepted, and its sample has not come."""
+
+
 class VariableError(ZendspError, ValueError):
     """One or more variables were named, typed or valued wrongly; nothing was applied."""
 
@@ -94,6 +101,14 @@ class RunnerDied(ZendspError, RuntimeError):
 
 class AcquisitionError(ZendspError, RuntimeError):
     """An acquisition cannot be configured, filled or loaded as asked."""
+
+
+class TooLarge(AcquisitionError):
+    """An acquisition needs more memory than the target gives."""
+
+
+class Incomplete(AcquisitionError):
+    """A recording ended before it had all its rows; ``acquire_load`` brings home those it has."""
 
 
 class RecordingError(ZendspError, ValueError):

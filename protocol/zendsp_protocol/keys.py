@@ -28,11 +28,15 @@ def rpc(target: str, lane: str, user: str = "") -> str:
     A host that the target knows by name (password or certificate) asks under that name, and can ask under no other: the
     target's access control sees to it. A host of the target's own user, through its socket, has none.
     """
-    return f"{ROOT}/{target}/as/{user}/rpc/{lane}" if user else f"{ROOT}/{target}/rpc/{lane}"
+    return f"{_room(target, user)}/rpc/{lane}"
+
+
+def _room(target: str, user: str) -> str:
+    return f"{ROOT}/{target}/as/{user}" if user else f"{ROOT}/{target}"
 
 
 def user_of(key: str) -> str:
-    """Name under which a request was sent, empty for the target's own user."""
+    """Name under which something was asked, empty for the target's own user."""
     parts = key.split("/")
     return parts[3] if parts[2] == "as" else ""
 
@@ -52,14 +56,14 @@ def info(target: str = "*") -> str:
     return f"{ROOT}/{target}/info"
 
 
-def variable(target: str, name: str = "*") -> str:
+def variable(target: str, name: str = "*", user: str = "") -> str:
     """Queryable: the value of one variable; array elements are read whole."""
-    return f"{ROOT}/{target}/var/{name}"
+    return f"{_room(target, user)}/var/{name}"
 
 
-def live(target: str, stream: int | str = "*") -> str:
-    """Publication: newest samples of a live stream."""
-    return f"{ROOT}/{target}/live/{stream}"
+def live(target: str, stream: int | str = "*", user: str = "") -> str:
+    """Publication: newest samples of a live stream; a host that is known by name gets them under its name."""
+    return f"{_room(target, user)}/live/{stream}"
 
 
 def event(target: str = "*") -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_protocol.values import WireValue
 
 
@@ -100,7 +101,7 @@ class Trip(Message, frozen=True, kw_only=True):
 class Status(Message, frozen=True, kw_only=True):
     """The state of the target now."""
 
-    state: str  # empty, loaded, running, paused, stopped or crashed
+    state: ProgramState  # empty, loaded, running, paused, stopped or crashed
     tick: int = 0  # samples since the program was loaded
     t: float = 0.0  # s since the program was loaded
     rate_hz: float = 0.0  # samples a second
@@ -110,7 +111,7 @@ class Status(Message, frozen=True, kw_only=True):
     joints: int = 0  # number
     program: str = ""  # key of the loaded program
     timing: Timing = Timing()  # see Timing
-    drive: str = "off"  # off, ready, homed, enabled, running, stopped or tripped
+    drive: DriveState = DriveState.OFF  # off, ready, homed, enabled, running, stopped or tripped
     trip: Trip | None = None  # latched until acknowledged
     crash: str = ""  # empty, or how the runner died and at which sample
     io: dict[str, WireValue] = {}  # raw inputs and outputs: enc, aout, adc, din, dout
@@ -175,7 +176,7 @@ class Condition(Message, frozen=True, kw_only=True):
 class DriveStatus(Message, frozen=True, kw_only=True):
     """Where the drives are in the safe sequence."""
 
-    state: str  # off | ready | homed | enabled | running | stopped | tripped
+    state: DriveState  # off | ready | homed | enabled | running | stopped | tripped
     mode: str = "off"  # what the drives are told: off | torque | velocity
     managed: bool = False  # the sequence cannot be left (--managed)
     explicit: bool = False  # the sequence is in use; else the drives go on at start and off at pause
@@ -214,7 +215,7 @@ class Trigger(Message, frozen=True, kw_only=True):
 class AcquireStatus(Message, frozen=True, kw_only=True):
     """State of one acquisition stream."""
 
-    state: str  # idle, armed, running or done
+    state: RecorderState  # idle, armed, running or done
     channels: tuple[str, ...] = ()  # one for each column
     units: tuple[str, ...] = ()  # one for each column
     decimation: int = 1  # samples per row
@@ -224,6 +225,20 @@ class AcquireStatus(Message, frozen=True, kw_only=True):
     lost: int = 0  # rows that were overwritten or never stored
     start_tick: int = 0  # sample of row 0
     trigger_row: int = -1  # row at which the trigger fired; -1 where none
+
+
+class Held(Message, frozen=True, kw_only=True):
+    """Where the recorder keeps its rows, for a host of the target's own user on the same computer."""
+
+    kernel: str = ""  # boot of the computer, as in /proc/sys/kernel/random/boot_id
+    path: str = ""  # of the file; empty where nothing is configured
+    device: int = 0  # of the file, st_dev; with the next two, to know it again
+    inode: int = 0  # of the file, st_ino
+    offset: int = 0  # bytes; where row 0 stands
+    columns: int = 0  # float64, little endian, in each row
+    capacity: int = 0  # rows; row k stands where row k + capacity will
+    first: int = 0  # index of the oldest row still held
+    count: int = 0  # rows written so far
 
 
 class Reading(Message, frozen=True, kw_only=True):

@@ -22,6 +22,8 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     protocol: int
     user: str = ""  # of the token where it listens on a port that other users of this machine can reach
     password: str = ""
+    instance: str = ""  # of this run, as in Info: the next of the same name has another
+    stop: str = ""  # path of its stop page, see stop_page.py
 
 
 def folder(environment: Mapping[str, str] = os.environ) -> str:

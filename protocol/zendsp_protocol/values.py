@@ -7,11 +7,20 @@ Short arrays travel as lists so that any client can read them; long ones packed,
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
+
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Value = bool | int | float | npt.NDArray[Any]
+else:
+    np = Lazily("numpy")
+    Value = Any
 
 LIST_LIMIT = 64  # elements; longer arrays are packed
 DTYPES = ("<f8", "<f4", "<i4", "<i8", "|b1")
@@ -26,7 +35,6 @@ class Packed(msgspec.Struct, frozen=True):
 
 
 WireValue = bool | int | float | list[bool | int | float] | Packed
-Value = bool | int | float | npt.NDArray[Any]
 
 
 def to_wire(value: Any) -> WireValue:

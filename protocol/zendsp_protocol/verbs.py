@@ -162,6 +162,7 @@ _ROWS = (
     Verb("info", Nothing, m.Info, "quick", role="observe"),
     Verb("status", Nothing, m.Status, "quick", role="observe"),
     Verb("stop", Nothing, m.Empty, "stop", role="observe"),
+    Verb("stopped", Nothing, m.Status, "stop", role="observe"),  # as `status`, past whatever holds up the other lanes
     Verb("compile", Compile, m.CompileResult, "slow", 120.0, role="download"),
     Verb("load", Load, m.Empty, "slow", 30.0, repeatable=False, role="download"),
     Verb("unload", Nothing, m.Empty, "slow", 30.0, role="download"),
@@ -193,6 +194,7 @@ _ROWS = (
     Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False, role="tune"),
     Verb("acquire_stop", Nothing, m.Empty, "quick", role="tune"),
     Verb("acquire_status", Nothing, m.AcquireStatus, "quick", role="observe"),
+    Verb("acquire_held", Nothing, m.Held, "quick", role="observe"),
     Verb("acquire_read", AcquireRead, m.Empty, "bulk", 60.0, role="observe"),
     Verb("table_begin", TableBegin, TableState, "bulk", repeatable=False, role="tune"),
     Verb("table_chunk", TableChunk, TableState, "bulk", 20.0, role="tune"),

@@ -19,6 +19,11 @@ AS_ROOT = (
     "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
     "an ordinary user is enough (docs/security.md)"
 )
+LEFT = (
+    "zendsp target: {name} was killed while it held a recording of {columns} signals, which is kept in memory: "
+    "'zendsp salvage -t {name} -o run.mat' saves it, 'zendsp salvage -t {name} --drop' frees the memory"
+)
+DROPPED = "zendsp target: an older recording of {name}, killed as well and never saved, was removed from memory"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -48,10 +53,11 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
                    help="setting of the machine, e.g. its start position; may be repeated")  # fmt: skip
     p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
-    p.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_FIFO, locked memory and a CPU")
-    p.add_argument("--priority", type=int, default=80, help="of SCHED_FIFO (default: 80)")
+    p.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_RR, locked memory and a CPU")
+    p.add_argument("--priority", type=int, default=80, help="of SCHED_RR (default: 80)")
     p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
     p.add_argument("--spin", type=float, default=60.0, metavar="US", help="waited awake before each sample, in µs")
+    p.add_argument("--memory", type=float, default=1000.0, metavar="MB", help="that user code may take (default: 1000)")
     p.add_argument("--speed", type=float, default=0.0, help="fast clock: at most so many machine seconds a second")
     p.add_argument("--managed", action="store_true",
                    help="enforce the safe sequence: power, home and enable before anything moves")  # fmt: skip
@@ -71,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users, args.roles)
     listen = args.listen or []
     try:
-        settle(args.name or machine_title(args.machine), listen, args.connect, security)  # before the machine is touched
+        doors = settle(args.name or machine_title(args.machine), listen, args.connect, security)  # before the machine is touched
+        if doors.sentence:
+            print(f"zendsp target: {doors.sentence}", file=sys.stderr, flush=True)
         if os.getuid() == 0:
             print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)
@@ -98,6 +106,7 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
         cpu=args.cpu,
         spin_us=args.spin,
         speed=args.speed,
+        memory_mb=args.memory,
     )
     try:
         monitor = Monitor(
@@ -107,6 +116,12 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     except BaseException:
         runtime.close()
         raise
+    kept, dropped = runtime.left_behind
+    for note in kept:
+        if note.about.target == name:
+            print(LEFT.format(columns=len(note.columns), name=name), file=sys.stderr)
+    for note in dropped:
+        print(DROPPED.format(name=note.about.target), file=sys.stderr)
 
     def announce() -> None:
         where = ", ".join(monitor.endpoints)

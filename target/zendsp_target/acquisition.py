@@ -6,6 +6,7 @@ configured again.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -16,14 +17,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import AcquisitionError, VariableError
+from zendsp_protocol.chunks import KERNEL
+from zendsp_protocol.errors import AcquisitionError, TooLarge, VariableError
+from zendsp_protocol.kept import About, Kept, first_row
+from zendsp_protocol.messages import Held
+from zendsp_protocol.states import RecorderState
 from zendsp_target.api import AcquireConfig, AcquireStatus
 from zendsp_target.dictionary import Dictionary
 from zendsp_target.layout import layout, set_text
 from zendsp_target.shm import SharedFile
 
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
-_STATES = {0: "idle", 1: "armed", 2: "running", 3: "done"}
+_STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
 _LARGEST = 2_000_000_000  # bytes of a stream: its pages are made present at once, which takes about a second for so many
 _ANSWER_S = 5.0  # the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
 
@@ -41,6 +46,7 @@ class Stream:
     pre: int  # rows before the trigger
     capacity: int  # rows held
     offset: int  # of row 0 in the file, bytes
+    reader: Path  # for hosts of this user
     lost: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -131,7 +137,9 @@ def create(
     Raises
     ------
     AcquisitionError
-        Unknown channel, nothing to store, or more than fits into memory.
+        Unknown channel, or nothing to store.
+    TooLarge
+        More than fits into memory.
     """
     ffi, lib = layout()
     plan = _plan(dictionary, config, rate_hz)
@@ -141,7 +149,7 @@ def create(
     size = head_bytes + capacity * len(plan.sources) * 8
     allowed = min(free_bytes // 2, _LARGEST)  # the rest of the computer needs memory too
     if size > allowed:
-        raise AcquisitionError(
+        raise TooLarge(
             f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of shared memory, "
             f"{allowed / 1e6:.0f} MB are given here: shorten it, raise the decimation, or record fewer channels"
         )
@@ -156,7 +164,9 @@ def create(
         head.trigger.variable, head.trigger.element = plan.trigger
     for i, (variable, element) in enumerate(plan.sources):
         head.channel[i].variable, head.channel[i].element = variable, element
-    return Stream(file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes)
+    return Stream(
+        file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes, file.reader()
+    )
 
 
 def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool]) -> None:
@@ -204,6 +214,18 @@ def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:
     return True
 
 
+def note_of(stream: Stream, about: About) -> Kept:
+    """What to leave beside the rows, for the case that this process is killed."""
+    ffi, _ = layout()
+    at = {word: ffi.offsetof("stream_head", word) for word in ("count", "first_tick", "fired", "missed")}
+    return Kept(
+        about=about, file=stream.file.path.name, rows_at=stream.offset, capacity=stream.capacity, columns=stream.channels,
+        units=stream.units, decimation=stream.config.decimation, rows=stream.rows, pre=stream.pre, ring=stream.config.continuous,
+        triggered=stream.config.trigger is not None, count_at=at["count"], start_at=at["first_tick"], fired_at=at["fired"],
+        missed_at=at["missed"],
+    )  # fmt: skip
+
+
 def status(stream: Stream, alive: bool) -> AcquireStatus:
     """Where a stream stands.
 
@@ -215,22 +237,31 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     """
     ffi, lib = layout()
     head = stream.head
-    state = _STATES.get(lib.monitor_load32(ffi.addressof(head[0], "state")), "done")
+    state = _STATES.get(lib.monitor_load32(ffi.addressof(head[0], "state")), RecorderState.DONE)
     count, fired = int(lib.monitor_load64(ffi.addressof(head[0], "count"))), int(head.fired)
-    if not alive and state in ("armed", "running"):
-        state = "done"
-    wanted = 0 if stream.config.continuous else stream.rows
-    if fired >= 0:
-        first = max(0, fired - min(stream.pre, fired))
-        if wanted == 0:
-            first = max(first, count - stream.rows)
-    elif wanted == 0 or stream.config.trigger is not None:
-        first = max(0, count - stream.rows)
-    else:
-        first = 0
+    if not alive and state in (RecorderState.ARMED, RecorderState.RUNNING):
+        state = RecorderState.DONE
+    ring = stream.config.continuous
+    first = first_row(count, fired, stream.rows, stream.pre, ring, stream.config.trigger is not None)
     return AcquireStatus(
         state=state, channels=stream.channels, units=stream.units, decimation=stream.config.decimation, first=first, count=count,
-        wanted=wanted, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
+        wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
+    )  # fmt: skip
+
+
+def held(stream: Stream, alive: bool) -> Held:
+    """Where the rows of a stream stand, and which of them are there.
+
+    Parameters
+    ----------
+    stream : Stream
+    alive : bool
+        Whether the loop that fills it still runs.
+    """
+    file, now = os.stat(stream.reader), status(stream, alive)
+    return Held(
+        kernel=Path(KERNEL).read_text().strip(), path=str(stream.reader), device=file.st_dev, inode=file.st_ino,
+        offset=stream.offset, columns=len(stream.channels), capacity=stream.capacity, first=now.first, count=now.count,
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from zendsp_isr.confine import landlock_version
 from zendsp_protocol import keys, registry
 from zendsp_protocol.errors import Refused, did_you_mean
 from zendsp_protocol.verbs import ROLES, Verb
@@ -25,7 +26,8 @@ log = logging.getLogger(__name__)
 
 _USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
-OPEN = ("stop", "status", "info")  # need no role: without the others, nobody could connect to stop it, and see that it stopped
+OPEN = ("stop", "stopped", "status", "info")  # need no role: without the others, nobody could connect to stop it, and see that it stopped
+ENCRYPTED = ("tls", "quic")
 OWNER = "owner"  # name that goes with the token of a loopback port
 
 
@@ -149,6 +151,8 @@ class Doors:
         None: everyone who is let in may do everything.
     token : tuple of str
         User and password that only this user can read; empty where no port needs one.
+    routed : bool
+        Hosts come through a router as well.
     """
 
     endpoints: tuple[str, ...]
@@ -156,12 +160,51 @@ class Doors:
     users: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] | None = None
     token: tuple[str, str] = ("", "")
+    routed: bool = False
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Users or certificates that are let in by name."""
+        return tuple(self.roles) if self.roles is not None else tuple(user for user in self.users if user != OWNER)
+
+    @property
+    def sentence(self) -> str:
+        """Who is let in by name, and what for; empty where nobody is."""
+        who = ", ".join(f"{name} ({self.role_of(name)})" for name in self.named)
+        return f"lets in: {who}" if who else ""
 
     def role_of(self, user: str) -> str:
         """The role of a user whom the access control let in, empty where there is none."""
         if not user or user == OWNER or self.roles is None:
             return ROLES[-1]
         return self.roles.get(user, "")
+
+    def check_upload(self, user: str) -> None:
+        """Refuse to compile the code of others where the kernel cannot keep the compiler from files of the target's user.
+
+        Parameters
+        ----------
+        user : str
+            Whom the access control let in; empty for the target's own user, and for all where nobody is known by name.
+
+        Raises
+        ------
+        Refused
+            There is no Landlock, and this may be somebody else. The target's own user may read these files anyway.
+        """
+        nameless = self.roles is None and not set(self.users) - {OWNER}
+        beyond = self.routed or any(e.startswith(("tls/", "quic/")) for e in self.endpoints)
+        own = user == OWNER or (not user and not (nameless and beyond))
+        if not own and landlock_version() < 1:
+            raise Refused(
+                f"this target does not compile for {user or 'others'}: its kernel has no Landlock (Linux 5.13), so .incbin could take in "
+                "files of the target's user. Compile on the target's own computer with --listen here alone, or use a newer kernel"
+            )
+
+
+def may(role: str, verb: Verb) -> bool:
+    """Whether a role includes a verb; an empty one includes what is open to everyone who was let in."""
+    return verb.name in OPEN or (role in ROLES and ROLES.index(role) >= ROLES.index(verb.role))
 
 
 def check_role(user: str, role: str, verb: Verb) -> None:
@@ -172,9 +215,7 @@ def check_role(user: str, role: str, verb: Verb) -> None:
     Refused
         Naming the role that is needed, the one there is, and who can change it.
     """
-    if verb.name in OPEN:
-        return
-    if not role or ROLES.index(role) < ROLES.index(verb.role):
+    if not may(role, verb):
         has = f"has the role {role!r}" if role else "has none"
         raise Refused(
             f"{verb.name!r} needs the role {verb.role!r}; {user} {has}. Roles are in the file given to the target with --roles"
@@ -220,10 +261,21 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
-    if both and (users or roles is not None):
+    if both and users:
         raise Refused(
             f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host could not be told from the router, "
-            "for which --users and --roles do not hold. Listen there or connect to the router, not both; the router has rules of its own"
+            "for which --users does not hold. Listen there or connect to the router, not both; the router has rules of its own"
+        )
+    if connect and roles is not None:
+        raise Refused(
+            f"--roles with --connect {', '.join(connect)}: roles do not hold behind a router, since the target cannot see who "
+            "asks there. Leave out --roles and let the router decide who comes in, or have hosts connect to the target itself"
+        )
+    if roles is None and not users and security.authority and any(_protocol(e) in ENCRYPTED for e in endpoints):
+        raise Refused(
+            "--tls-ca without --roles: whoever has a certificate of that authority could do everything, under any name. "
+            "Name those who may come in, and what for, in a file: --roles FILE with lines like anna = \"download\" "
+            "('zendsp keys' makes it)"
         )
     sockets = [e for e in endpoints if e.startswith("unixsock-stream/")]
     certified = [e for e in endpoints if e.startswith(("tls/", "quic/")) and security.authority]
@@ -235,15 +287,15 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
             "out, and listen with --listen here on the socket that only you can open"
         )
     token = (OWNER, os.urandom(24).hex()) if users or exposed else ("", "")
-    return Doors(endpoints, security, {**users, token[0]: token[1]} if token[0] else {}, roles, token)
+    return Doors(endpoints, security, {**users, token[0]: token[1]} if token[0] else {}, roles, token, bool(connect))
 
 
 def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict[str, object]:
     """Zenoh's access control for the session of a target.
 
     Hosts may ask, listen, and show that they are there; whatever else comes from them is dropped. A host that is known by
-    name may ask, and be there, under that name only. Without this, a client could answer for the target, and publish
-    false rows to the other hosts.
+    name may ask, be there, and hear live rows under that name only. Without this, a client could answer for the target,
+    publish false rows to the other hosts, and go on reading when its role is taken away.
 
     Parameters
     ----------
@@ -270,28 +322,29 @@ def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict
 
     everywhere = f"{keys.ROOT}/**"
     common = [
-        rule("say", "egress", ("put", "delete", "reply", "liveliness_token", "declare_queryable", "declare_subscriber",
+        rule("say", "egress", ("reply", "liveliness_token", "declare_queryable", "declare_subscriber",
                                "declare_liveliness_subscriber", "liveliness_query"), (everywhere,)),
         rule("listen", "ingress", ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"), (everywhere,)),
-        rule("look", "ingress", ("query",), (keys.info(), keys.variable("*", "**"))),
     ]  # fmt: skip
 
-    def admit(number: str, who: Mapping[str, object], asked: Sequence[str], there: Sequence[str]) -> None:
-        ask = rule(f"ask {number}", "ingress", ("query",), asked)
-        show = rule(f"show {number}", "ingress", ("liveliness_token",), there)
+    def admit(number: str, who: Mapping[str, object], asked: Sequence[str], there: str, told: Sequence[str]) -> None:
+        rights = [
+            rule(f"ask {number}", "ingress", ("query",), (keys.info(), *asked)),
+            rule(f"show {number}", "ingress", ("liveliness_token",), (there,)),
+            rule(f"tell {number}", "egress", ("put", "delete"), told),
+        ]
         subjects.append({"id": number, **who})
-        policies.append({"rules": [*common, ask, show], "subjects": [number]})
+        policies.append({"rules": [*common, *rights], "subjects": [number]})
 
-    everyone = (keys.rpc(name, "*"), keys.rpc(name, "*", "*"))
+    everything = (keys.rpc(name, "*"), keys.rpc(name, "*", "*"), keys.variable("*", "**"))
     own = {"link_protocols": ["unixsock-stream"]} if not doors.users else {"usernames": [OWNER]}
-    admit(OWNER, own, everyone, (keys.host(name),))
-    named = doors.roles if doors.roles is not None else {u: "" for u in doors.users if u != OWNER}
-    for user in named:
+    admit(OWNER, own, everything, keys.host(name), (everywhere,))
+    for user in doors.named:
+        asked = (keys.rpc(name, "*", user), keys.variable(name, "**", user))
+        told = (keys.event(name), keys.live(name, user=user))
         for field_name in ("usernames", "cert_common_names"):
-            admit(f"{field_name} {user}", {field_name: [user]}, (keys.rpc(name, "*", user),), (keys.host(name, f"{user}@$*"),))
-    if doors.roles is None and doors.security.authority and not doors.users:
-        admit("certificates", {"link_protocols": ["tls", "quic"]}, everyone, (keys.host(name),))
+            admit(f"{field_name} {user}", {field_name: [user]}, asked, keys.host(name, f"{user}@$*"), told)
     if connect:
         protocols = sorted({endpoint.partition("/")[0] for endpoint in connect})
-        admit("routers", {"link_protocols": protocols}, everyone, (keys.host(name),))
+        admit("routers", {"link_protocols": protocols}, everything, keys.host(name), (everywhere,))
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}

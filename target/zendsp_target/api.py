@@ -14,6 +14,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol.kept import About
+from zendsp_protocol.messages import Held
+from zendsp_protocol.states import DriveState, ProgramState, RecorderState
+
+RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
 Value = bool | int | float | npt.NDArray[Any]
 
 
@@ -132,7 +137,7 @@ class Trip:
 
 @dataclass(frozen=True)
 class Status:
-    state: str  # "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
+    state: ProgramState
     tick: int
     t: float  # s since start
     rate_hz: float
@@ -142,7 +147,7 @@ class Status:
     joints: int
     program: str  # key of the loaded program, "" if none
     timing: Timing
-    drive: str  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"
+    drive: DriveState
     trip: Trip | None
     crash: str  # "" or a sentence: signal, last sample
     io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)  # enc, aout, adc, din, dout
@@ -169,7 +174,7 @@ class AcquireConfig:
 
 @dataclass(frozen=True)
 class AcquireStatus:
-    state: str  # "idle" | "armed" | "running" | "done"
+    state: RecorderState
     channels: tuple[str, ...]
     units: tuple[str, ...]
     decimation: int
@@ -209,6 +214,7 @@ class RuntimeApi(Protocol):
     def load(self, key: str) -> None: ...  # slow: starts a fresh runner, runs UserInit, state "loaded"
     def start(self, ticks: int | None = None) -> None: ...  # ticks: run so many samples, then pause
     def pause(self) -> None: ...
+    def stop_page(self) -> str: ...  # path of the file by which this user's own programs stop it; "" where there is none
     def stop(self) -> None: ...  # STOP: outputs safe at the next sample, latched until acknowledged
     def acknowledge(self) -> None: ...  # end a STOP or a trip; nothing moves before the next start
     def unload(self) -> None: ...
@@ -233,12 +239,14 @@ class RuntimeApi(Protocol):
     def repeat_write(  # takes a request, in which the value stands from byte `value_at` on, as in a reply
         self, name: str, author: str, value_at: int, reply: Blank
     ) -> Callable[[bytes], int] | None: ...
-    def wait_applied(self, sequence: int, timeout: float) -> int: ...  # -> tick at which it took effect
+    def wait_applied(self, sequence: int, timeout: float) -> int: ...  # its tick; NotYet: not within the timeout
     def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live
     def acquire_start(self, stream: int, force: bool = False) -> None: ...
+    def acquire_keep(self, about: About) -> None: ...  # the recorder's rows can be salvaged when this process is killed
     def acquire_stop(self, stream: int) -> None: ...
     def acquire_status(self, stream: int) -> AcquireStatus: ...
+    def acquire_held(self, stream: int) -> Held: ...  # where its rows stand, for a reader of the same user
     def acquire_read(  # (rows, channels), in the memory of `into` where given; their bytes are folded into `fold`
         self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
     ) -> npt.NDArray[np.float64]: ...

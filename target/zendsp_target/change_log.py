@@ -64,7 +64,7 @@ class ChangeLog:
         self.settle(2 * _MAX_LOG)
         with self._lock:
             dropped = self._worded - len(self._lines)
-            return tuple(islice(self._lines, max(0, number - dropped), None))
+            return tuple(islice(self._lines, min(max(0, number - dropped), len(self._lines)), None))
 
 
 def _changes(flight: Flight, tick: int, old: bytes) -> list[Change]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from zendsp_isr.build import build_machine, build_runner, is_model
+from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused
 from zendsp_target import safety
 from zendsp_target.api import CompileResult
@@ -17,7 +19,7 @@ from zendsp_target.layout import layout
 from zendsp_target.runner import look_at
 from zendsp_target.session import Session
 from zendsp_target.settings import Settings, split_options
-from zendsp_target.shm import SharedFolder
+from zendsp_target.shm import SharedFile, SharedFolder
 
 
 def require_no_trip(session: Session) -> None:
@@ -25,6 +27,15 @@ def require_no_trip(session: Session) -> None:
     trip = safety.trip_of(session.control, session.machine)
     if trip is not None:
         raise Refused(f"{trip.text}: acknowledge it first")
+
+
+def make_stop_page(folder: Path) -> SharedFile:
+    """Make the file by which programs of this user stop the loop."""
+    ffi, lib = layout()
+    file = SharedFile(folder / stop_page.NAME, ffi.sizeof("stop_page"))
+    head = file.pointer("stop_page")
+    head.magic, head.version = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION
+    return file
 
 
 class Core:
@@ -49,6 +60,7 @@ class Core:
         build_runner()
         build_machine(machine)  # what does not compile shall say so now, not at the first load
         self._folder = SharedFolder()
+        self._page = make_stop_page(self._folder.path)
         try:
             self.title = look_at(self._settings, self._folder.path) if is_model(machine) else ""
         except BaseException:
@@ -92,6 +104,10 @@ class Core:
             if self._session is not None:
                 self._session.close()
                 self._session = None
+
+    def stop_page(self) -> str:
+        """Path of the file by which programs of this user stop the loop, past this process: see `zendsp_protocol.stop_page`."""
+        return str(self._page.path)
 
     def runner_pid(self) -> int:
         """Process id of the native runner, 0 where none runs."""

@@ -28,6 +28,7 @@ from typing import Any
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.states import DriveState, ProgramState
 from zendsp_target.api import RuntimeApi, Status
 
 log = logging.getLogger(__name__)
@@ -81,20 +82,21 @@ class Drives:
 
     # -- what is ------------------------------------------------------------------------------------------------------
 
-    def state(self, status: Status) -> str:
+    def state(self, status: Status) -> DriveState:
         """Return where in the sequence a status is."""
         with self._lock:
             if status.trip is not None:
                 self._enabled = False
-                return "stopped" if status.trip.reason in STOPS else "tripped"
-            running = status.state == "running"
+                return DriveState.STOPPED if status.trip.reason in STOPS else DriveState.TRIPPED
+            running = status.state == ProgramState.RUNNING
+            resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
             if not self._explicit:
-                return "running" if running else "homed" if status.homed and _loaded(status) else "ready"
+                return DriveState.RUNNING if running else resting
             if not self._powered:
-                return "off"
+                return DriveState.OFF
             if self._enabled:
-                return "running" if running else "enabled"
-            return "homed" if status.homed and _loaded(status) else "ready"
+                return DriveState.RUNNING if running else DriveState.ENABLED
+            return resting
 
     def conditions(self, status: Status) -> tuple[Condition, ...]:
         """Return everything that enabling needs."""
@@ -173,7 +175,7 @@ class Drives:
             self.commander = ""
             policy = self._policy
             try:
-                if self._runtime.status().state != "running" or policy == "finish":
+                if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
                     return
                 if policy == "hold" and self._hold():
                     return
@@ -238,7 +240,7 @@ class Drives:
         failing = [c for c in self.conditions(status) if not c.met and c.name in ("power", "program", "no trip")]
         if failing:
             raise Refused(_refusal("homing", failing))
-        if status.state == "running":
+        if status.state == ProgramState.RUNNING:
             raise Refused("homing is refused: the program runs; pause it first")
         self._explicit = self._powered = True
         self._off()  # what acts while homing is the machine's own routine
@@ -246,7 +248,7 @@ class Drives:
         end = time.monotonic() + BEGIN_S
         while time.monotonic() < end:  # so that who asks next for the status sees it homing, not about to
             now = self._runtime.status()
-            if now.state == "running" or now.tick != status.tick or now.trip is not None:
+            if now.state == ProgramState.RUNNING or now.tick != status.tick or now.trip is not None:
                 break
             time.sleep(0.0005)
         return "homing"
@@ -345,7 +347,7 @@ class Drives:
 
 
 def _loaded(status: Status) -> bool:
-    return status.state in ("loaded", "running", "paused", "stopped")
+    return status.state not in (ProgramState.EMPTY, ProgramState.CRASHED)
 
 
 def _finite(values: Any) -> bool:

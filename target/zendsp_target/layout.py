@@ -10,29 +10,6 @@ from cffi import FFI
 
 from zendsp_isr.build import build_monitor, source_root
 
-_MONITOR = """
-int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride, uint64_t from,
-                     uint64_t bytes, unsigned char *values, uint64_t *tick);
-int monitor_ended(int pidfd);
-int monitor_commit(control *c, batch *b, uint32_t index, int pidfd);
-int monitor_write(control *c, int pidfd, const batch_entry *entry, const double *limits, const double *values, uint32_t entries, batch *b,
-                  uint32_t index, uint64_t sequence, uint64_t at_tick);
-int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data, uint64_t slots_at, uint64_t stride, uint64_t from,
-                       uint64_t bytes, unsigned char *values, uint32_t count, const uint32_t *places, unsigned char *reply,
-                       uint32_t tick_at, uint64_t least);
-int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const batch_entry *entry, const double *limits, uint32_t value_at,
-                        unsigned char *reply, uint32_t sequence_at, const unsigned char *request, batch *b, uint32_t index,
-                        uint64_t sequence);
-uint32_t monitor_load32(const uint32_t *word);
-uint64_t monitor_load64(const uint64_t *word);
-void monitor_store32(uint32_t *word, uint32_t value);
-void monitor_store64(uint64_t *word, uint64_t value);
-void monitor_run(control *c, uint32_t run);
-int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns);
-uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity, uint64_t channels, uint64_t first,
-                      uint64_t count, double *to, uint64_t *fold);
-"""
-
 
 def _declarations(text: str) -> str:
     """A header without preprocessor lines and static asserts: what cffi can parse."""
@@ -57,9 +34,8 @@ def layout() -> tuple[Any, Any]:
     """
     root = source_root()
     ffi = FFI()
-    for header in ("include/machine.h", "runtime/layout.h"):
+    for header in ("include/machine.h", "runtime/layout.h", "runtime/monitor.h"):
         ffi.cdef(_declarations((root / header).read_text()))
-    ffi.cdef(_MONITOR)
     return ffi, ffi.dlopen(str(build_monitor()))
 
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from zendsp_protocol import messages as m
 from zendsp_protocol.codec import encode
 from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.states import RecorderState
 from zendsp_protocol.version import PROTOCOL
 from zendsp_target.api import AcquireConfig, RuntimeApi
 
@@ -33,9 +34,9 @@ UNWATCHED_S = 5.0  # then a stream ends: its viewer went without saying so
 
 
 class Send(Protocol):
-    """Publish one message of a stream."""
+    """Publish one message of a stream to those who look, by the names under which they are known."""
 
-    def __call__(self, stream: int, payload: bytes, header: bytes) -> None: ...
+    def __call__(self, stream: int, users: frozenset[str], payload: bytes, header: bytes) -> None: ...
 
 
 @dataclass
@@ -46,7 +47,8 @@ class Stream:
     config: AcquireConfig
     interval: float
     window: int
-    viewers: set[str] = field(default_factory=set)
+    viewers: dict[str, str] = field(default_factory=dict)  # hosts, and the names under which they are known
+    users: frozenset[str] = frozenset()  # these names; an empty one for the target's own user
     session: int = 0
     columns: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
@@ -61,7 +63,7 @@ class Stream:
 class LiveStreams:
     """Polls the runtime's rings from one thread and publishes what is new."""
 
-    def __init__(self, runtime: RuntimeApi, send: Send, watched: Callable[[int], bool]) -> None:
+    def __init__(self, runtime: RuntimeApi, send: Send, watched: Callable[[int, frozenset[str]], bool]) -> None:
         self._runtime = runtime
         self._send = send
         self._watched = watched
@@ -73,8 +75,24 @@ class LiveStreams:
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
         self._thread.start()
 
-    def open(self, channels: list[str], decimation: int, interval: float, window: int, viewer: str) -> Stream:
+    def open(
+        self, channels: list[str], decimation: int, interval: float, window: int, viewer: str, user: str = ""
+    ) -> Stream:
         """Open a stream, or join one of the same channels.
+
+        Parameters
+        ----------
+        channels : list of str
+        decimation : int
+            Samples per row.
+        interval : float
+            s between messages at the least.
+        window : int
+            Rows of one message at the most.
+        viewer : str
+            The host.
+        user : str
+            Name under which it is known; empty for the target's own user.
 
         Raises
         ------
@@ -93,7 +111,7 @@ class LiveStreams:
         with self._lock:
             for stream in self._streams.values():
                 if stream.config.channels == config.channels and stream.config.decimation == decimation:
-                    stream.viewers.add(viewer)
+                    self._look(stream, {**stream.viewers, viewer: user})
                     stream.watched = time.monotonic()
                     stream.interval = min(stream.interval, interval)
                     stream.window = max(stream.window, window)
@@ -102,7 +120,8 @@ class LiveStreams:
             if not free:
                 users = sorted({viewer for stream in self._streams.values() for viewer in stream.viewers})
                 raise Refused(f"all {len(STREAMS)} live streams are in use by {', '.join(users)}; close one")
-            stream = Stream(free[0], config, interval, window, {viewer})
+            stream = Stream(free[0], config, interval, window)
+            self._look(stream, {viewer: user})
             self._start(stream)
             self._streams[stream.number] = stream
         self._wake.set()
@@ -114,16 +133,27 @@ class LiveStreams:
             stream = self._streams.get(number)
             if stream is None:
                 return
-            stream.viewers.discard(viewer)
-            if not stream.viewers:
-                del self._streams[number]
-                self._stop(number)
+            self._look(stream, {other: user for other, user in stream.viewers.items() if other != viewer})
 
     def forget(self, viewer: str) -> None:
         """Leave all streams of a host that is gone."""
         with self._lock:
             for number in list(self._streams):
                 self.close_stream(number, viewer)
+
+    def keep(self, may_look: Callable[[str], bool]) -> None:
+        """End the looking of those who may not any more."""
+        with self._lock:
+            for stream in list(self._streams.values()):
+                kept = {viewer: user for viewer, user in stream.viewers.items() if may_look(user)}
+                if len(kept) < len(stream.viewers):
+                    self._look(stream, kept)
+
+    def _look(self, stream: Stream, viewers: dict[str, str]) -> None:
+        """Set who looks at a stream; it ends with its last viewer."""
+        stream.viewers, stream.users = viewers, frozenset(viewers.values())
+        if not viewers and self._streams.pop(stream.number, None) is not None:
+            self._stop(stream.number)
 
     def close(self) -> None:
         """End the thread and all streams."""
@@ -168,7 +198,7 @@ class LiveStreams:
     def _abandoned(self, stream: Stream, now: float) -> bool:
         """Tell whether nobody has subscribed for long enough; looks once in a while only."""
         stream.look = now + LOOK_S
-        if self._watched(stream.number):
+        if self._watched(stream.number, stream.users):
             stream.watched = now
         return now - stream.watched > UNWATCHED_S
 
@@ -178,7 +208,7 @@ class LiveStreams:
             if stream.broken:
                 self._start(stream)
             status = self._runtime.acquire_status(stream.number)
-            if status.state in ("idle", "done"):  # a new program was loaded: its rings are new as well
+            if status.state in (RecorderState.IDLE, RecorderState.DONE):  # a new program was loaded: its rings are new as well
                 stream.broken = True
                 return RETRY_S
             first = max(stream.next_row, status.first, status.count - stream.window)
@@ -206,4 +236,4 @@ class LiveStreams:
             decimation=status.decimation,
             lost=stream.skipped,
         )
-        self._send(stream.number, rows.tobytes(), encode(header))
+        self._send(stream.number, stream.users, rows.tobytes(), encode(header))

@@ -53,9 +53,11 @@ class Monitor:
         doors = settle(who.name, options.listen, options.connect, options.security)
         self._runtime = runtime
         self._session, self.endpoints = _open(options, doors)
-        self._server = Server(runtime, who, self._session, options.managed, doors.role_of)
+        self._server = Server(runtime, who, self._session, options.managed, doors)
         self.token = doors.token
-        self._entry = register(who.name, self.endpoints, options.machine, doors.token)
+        self._entry = register(
+            who.name, self.endpoints, options.machine, doors.token, self._server.service.once.instance.hex(), runtime.stop_page()
+        )
         self._closed = False
 
     def close(self) -> None:

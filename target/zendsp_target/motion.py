@@ -12,6 +12,8 @@ from zendsp_target.core import Core, require_no_trip
 from zendsp_target.layout import layout
 from zendsp_target.runner import ffi_address
 
+MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
+
 
 class Motion(Core):
     """Base of `Runtime`: everything that makes the machine move or stand still."""
@@ -35,8 +37,8 @@ class Motion(Core):
             require_no_trip(session)
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs already: pause it first")
-            if ticks is not None and ticks < 1:
-                raise Refused(f"ticks = {ticks}: give 1 or more")
+            if ticks is not None and not 1 <= ticks <= MOST_TICKS:
+                raise Refused(f"ticks = {ticks}: give 1 to {MOST_TICKS}, or none to run until a pause")
             if self._drive_wish == "auto":
                 session.control.drive = lib.MACHINE_TORQUE
             before = session.tick

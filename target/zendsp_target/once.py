@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,11 +14,12 @@ from zendsp_protocol import codec
 from zendsp_protocol.errors import LinkError, NotApplied
 from zendsp_protocol.once import FIRST, SETTLE, read_stamp
 
-LINKS = 256  # connections that are remembered; the one that was quiet longest goes first
+LINKS = 256  # connections of one user that are remembered
+QUIET_S = 120.0  # a connection that was quiet for so long has given up every request: a host sends one again for 30 s at most
 RESULTS = 256  # of one connection: many times what its threads can have under way
 
 
-Ticket = tuple[bytes, int]  # connection and number of a request
+Ticket = tuple[str, bytes, int]  # user, connection and number of a request
 
 
 @dataclass
@@ -25,10 +28,27 @@ class _Memory:
 
     results: dict[int, bytes | list[Any]] = field(default_factory=dict)
     forgotten: int = -1  # largest number whose reply was dropped
+    begun: int = 0  # requests under way
+    last: float = 0.0  # when it was heard of, s
+
+
+@dataclass
+class _Links:
+    """Of one user: connections, the one that was quiet longest first."""
+
+    memories: OrderedDict[bytes, _Memory] = field(default_factory=OrderedDict)
+    unsure: float = 0.0  # until then, one that is not known may be one that was dropped too early, s
 
 
 class Once:
     """Outcomes of requests by their identity; safe from any thread.
+
+    Each user has room of his own, so that nobody can push out what others may ask for again.
+
+    Parameters
+    ----------
+    now : callable
+        The clock, s.
 
     Attributes
     ----------
@@ -36,12 +56,13 @@ class Once:
         Of this run of the target.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self.instance = os.urandom(8)
+        self._now = now
         self._lock = threading.Lock()
-        self._links: OrderedDict[bytes, _Memory] = OrderedDict()
+        self._users: dict[str, _Links] = {}
 
-    def begin(self, data: bytes, who: Any) -> tuple[Ticket | None, bytes | None]:
+    def begin(self, data: bytes, who: Any, user: str = "") -> tuple[Ticket | None, bytes | None]:
         """Enter a request.
 
         Parameters
@@ -50,6 +71,8 @@ class Once:
             Its attachment.
         who : object
             Is handed back by :meth:`finish` if the same request is being carried out now.
+        user : str
+            Name under which the host is known.
 
         Returns
         -------
@@ -68,11 +91,12 @@ class Once:
                 "and what it changed is gone with the program that ran; it is not applied now"
             ))  # fmt: skip
         with self._lock:
-            memory = self._links.get(link)
+            memory = self._memory(user, link, attempt)
             if memory is None:
-                memory = self._links[link] = _Memory()
-                if len(self._links) > LINKS:
-                    self._links.popitem(last=False)
+                return None, codec.encode_error(LinkError(
+                    f"more than {LINKS} connections of the same user asked at once: whether the request was applied before "
+                    "cannot be known; it is not applied now"
+                ))  # fmt: skip
             results = memory.results
             known = results.get(number)
             if known is None:
@@ -82,20 +106,50 @@ class Once:
                     known = results[number] = codec.encode_error(NotApplied("the request did not arrive in time: it was not applied, and will not be"))
                     return None, known
                 results[number] = []
-                return (link, number), None
+                memory.begun += 1
+                return (user, link, number), None
             if type(known) is list:
                 known.append(who)
                 return None, None
             assert isinstance(known, bytes)
             return None, known
 
+    def _memory(self, user: str, link: bytes, attempt: int) -> _Memory | None:
+        """Of a connection; None where it may have been dropped while its host still asks again."""
+        now = self._now()
+        links = self._users.setdefault(user, _Links())
+        known = links.memories
+        memory = known.get(link)
+        if memory is None:
+            if attempt != FIRST and now < links.unsure:
+                return None
+            memory = known[link] = _Memory()
+            self._make_room(links, now)
+        known.move_to_end(link)
+        memory.last = now
+        return memory
+
+    def _make_room(self, links: _Links, now: float) -> None:
+        """Drop connections that have long given up, then the quietest while there are too many; none with work under way."""
+        for link, memory in list(links.memories.items())[:-1]:
+            quiet = now - memory.last > QUIET_S
+            if memory.begun or not (quiet or len(links.memories) > LINKS):
+                continue
+            del links.memories[link]
+            if not quiet:
+                links.unsure = now + QUIET_S
+
+    def remembered(self, user: str = "") -> tuple[bytes, ...]:
+        """Connections of a user that are remembered."""
+        with self._lock:
+            return tuple(self._users[user].memories) if user in self._users else ()
+
     def finish(self, ticket: Ticket, reply: bytes | bytearray) -> list[Any]:
         """Remember the reply of a request that was carried out; returns who asked for it meanwhile."""
-        link, number = ticket
+        user, link, number = ticket
         with self._lock:
-            memory = self._links.get(link)
-            if memory is None:  # many others came in the time that it took
-                return []
+            memory = self._users[user].memories[link]
+            memory.begun -= 1
             results = memory.results
             waiting = results.get(number)
             results[number] = bytes(reply)
@@ -104,5 +158,4 @@ class Once:
                 if type(results[oldest]) is bytes:
                     del results[oldest]
                     memory.forgotten = max(memory.forgotten, oldest)
-                self._links.move_to_end(link)
             return waiting if type(waiting) is list else []

@@ -1,7 +1,7 @@
 """Work made ready for names that come again and again: a host that tunes or watches asks for the same ones thousands of times.
 
-A plan holds what does not change while a program is loaded: where each value stands, its limits, the bytes around it. What a plan
-cannot do plainly right goes the long way (``values``, ``dictionary``), which finds the words for what is wrong.
+A plan holds what does not change while a program is loaded: where each value stands, its limits, the bytes around it. Every update
+goes through one; a reading that no plan fits goes the long way (``dictionary``).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from zendsp_target.api import Blank, Value
 from zendsp_target.dictionary import SCALARS, Place, value_of
@@ -22,7 +23,8 @@ IN_MESSAGE = struct.Struct(">d")
 ENTRY = struct.Struct("<iiii")  # batch_entry: variable, offset, size, reserved
 _DOUBLE = SCALARS["double"].size
 _TICK = struct.Struct("<Q")
-_LARGEST = float(np.finfo(np.float64).max)
+_TYPES = {"double": 1, "float": 2, "int32": 3, "bool": 4}  # TYPE_… of layout.h
+_UNLIMITED = float("inf")
 _KEPT = 64  # plans of each kind; a host that asks for ever new names starts over
 
 Key = TypeVar("Key")
@@ -37,23 +39,49 @@ def keep(plans: dict[Key, Plan], names: Key, plan: Plan) -> Plan:
     return plan
 
 
+def set_part(part: Any, place: Place, rows: int | None = None) -> None:
+    """Describe one variable of an update.
+
+    Parameters
+    ----------
+    part : cffi struct update_part
+    place : Place
+    rows : int, optional
+        Of a table: numbers of its rows, to be checked. Default: its bank and number of rows, as two int32.
+    """
+    _, lib = layout()
+    entry, info = place.entry, place.entry.info
+    part.entry.variable, part.entry.offset = entry.index, place.offset
+    if info.kind == "table" and rows is None:
+        part.type, part.count, size, limits = lib.TYPE_INT32, 2, 4, (-_UNLIMITED, _UNLIMITED)
+    else:
+        part.type, size, limits = _TYPES[info.type], entry.dtype.itemsize, (info.minimum, info.maximum)
+        part.count = rows if rows is not None else 1 if place.scalar else info.length
+    part.entry.size = part.count * size
+    part.least, part.greatest = limits
+
+
 class WritePlan:
-    """An update of double parameters only, always the same ones.
+    """An update of always the same variables.
 
     Parameters
     ----------
     places : iterable of (name, Place)
-        All of them plain.
     control : cffi struct control *
     handle : int
         The runner's pidfd, or -1.
 
     Attributes
     ----------
+    tables : bool
+        Whether tables are among them: of these the update holds bank and rows.
+    scalar : bool
+        Whether every one is a single number.
     fill : callable
-        Takes the new values, one argument for each; one caller at a time.
+        Takes the new numbers, one argument for each; one caller at a time.
     commit : callable
-        Takes batch, slot, sequence and sample, fills the batch and commits it; what it returns stands at ``monitor_write``.
+        Takes batch, slot, sequence and sample, checks the numbers, fills the batch and commits it; what it returns stands
+        at ``monitor_write``.
     """
 
     # Both are made once and stay in C: a monitor that wakes up for a request pays for every Python function on the way several times over.
@@ -62,39 +90,46 @@ class WritePlan:
 
     def __init__(self, places: Iterable[tuple[str, Place]], control: Any, handle: int) -> None:
         self.places = tuple(places)
-        count = len(self.places)
-        infos = [place.entry.info for _, place in self.places]
-        where = b"".join(ENTRY.pack(place.entry.index, place.offset, _DOUBLE, 0) for _, place in self.places)
-        self.size = len(where) + _DOUBLE * count  # of the batch's entries, bytes
         ffi, lib = layout()
-        limits = [x for i in infos for x in (max(i.minimum, -_LARGEST), min(i.maximum, _LARGEST))]
-        given = bytearray(_DOUBLE * count)
-        self._lib = lib
-        self._fixed = control, handle, ffi.from_buffer("batch_entry[]", where), ffi.new("double[]", limits)
-        self.fill = partial(struct.Struct(f"<{count}d").pack_into, given, 0)
-        self.commit = partial(
-            lib.monitor_write,
-            *self._fixed,
-            ffi.from_buffer("double[]", given),
-            count,
-        )
+        parts = ffi.new("update_part[]", len(self.places))
+        count = self.size = 0  # of the batch's entries, bytes
+        for part, (_, place) in zip(parts, self.places, strict=True):
+            set_part(part, place)
+            count += part.count
+            self.size += ENTRY.size + part.entry.size + -part.entry.size % _DOUBLE
+        self.tables = any(place.entry.info.kind == "table" for _, place in self.places)
+        self.scalar = all(place.scalar for _, place in self.places)
+        self._lib, self._ffi = lib, ffi
+        self._given = bytearray(_DOUBLE * count)
+        self._fixed = control, handle, parts
+        self.fill = partial(struct.Struct(f"<{count}d").pack_into, self._given, 0)
+        self.commit = partial(lib.monitor_write, *self._fixed, len(parts), ffi.from_buffer("double[]", self._given))
 
-    def again(self, ended: Any, value_at: int, reply: Blank) -> Callable[[bytes, Any, int, int], int]:
-        """Make ``commit`` for requests that differ in the one value: takes request, batch, slot and sequence, and fills the reply."""
-        data = layout()[0].from_buffer("unsigned char[]", reply.data)
+    def put(self, numbers: Iterable[npt.NDArray[np.float64]]) -> None:
+        """As ``fill``, for variables that may be arrays; of a table, its bank and rows."""
+        self._given[:] = np.concatenate(list(numbers), dtype="<f8").tobytes()
+
+    def given(self) -> Callable[[], bytes]:
+        """Return what makes the batch's entries, for the log, of the numbers that were filled in last."""
+        return partial(self._entries, bytes(self._given))
+
+    def _entries(self, numbers: bytes) -> bytes:
+        entries = bytearray(self.size)
+        parts = self._fixed[2]
+        numbers_at, entries_at = self._ffi.from_buffer("double[]", numbers), self._ffi.from_buffer("unsigned char[]", entries)
+        self._lib.monitor_pack(parts, len(parts), numbers_at, entries_at)
+        return bytes(entries)
+
+    def again(self, ended: Any, value_at: int, reply: Blank) -> Callable[[bytes, Any, int, int], int] | None:
+        """Make ``commit`` for requests that differ in their one double: takes request, batch, slot and sequence, and fills the reply."""
+        if len(self.places) != 1 or not self.places[0][1].plain:
+            return None
+        data = self._ffi.from_buffer("unsigned char[]", reply.data)
         return partial(self._lib.monitor_write_again, ended, *self._fixed, value_at, data, reply.count)
 
     def entries_of(self, value_at: int, request: bytes) -> bytes:
         """The batch's entries, for the log, of a request that came again."""
-        return self.entries(IN_MESSAGE.unpack_from(request, value_at))
-
-    def entries(self, values: Iterable[float]) -> bytes:
-        """The batch's entries, for the log."""
-        each = zip(self.places, values, strict=True)
-        return b"".join(
-            ENTRY.pack(place.entry.index, place.offset, _DOUBLE, 0) + SCALARS["double"].pack(v)
-            for (_, place), v in each
-        )
+        return self._entries(SCALARS["double"].pack(*IN_MESSAGE.unpack_from(request, value_at)))
 
 
 class ReadPlan:

@@ -8,9 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from zendsp_protocol import kept
 from zendsp_protocol.errors import AcquisitionError
+from zendsp_protocol.kept import About
+from zendsp_protocol.messages import Held
+from zendsp_protocol.states import RecorderState
 from zendsp_target import acquisition
-from zendsp_target.api import AcquireConfig, AcquireStatus
+from zendsp_target.api import RECORDER, AcquireConfig, AcquireStatus
 from zendsp_target.layout import layout
 from zendsp_target.session import Session
 from zendsp_target.shm import SharedFolder
@@ -46,8 +50,11 @@ class Recorder:
             fresh = acquisition.create(path, session.dictionary, config, session.settings.rate_hz, self._folder.free_bytes())
             try:
                 acquisition.attach(fresh, session.control, number, session.alive)
-            finally:
-                fresh.file.unlink()  # both sides have it mapped; nobody needs its name any more
+            except BaseException:
+                fresh.file.unlink()
+                raise
+            # both sides have it mapped: only what may be salvaged keeps its name
+            (self._forget if number == RECORDER else fresh.file.unlink)()
             self._streams[number] = (fresh, session)
             return acquisition.status(fresh, True)
 
@@ -56,10 +63,22 @@ class Recorder:
         found, session = self._stream(number)
         if not self._fed(session):
             raise AcquisitionError(f"stream {number} belongs to a program that is no longer loaded: configure it again")
-        if not (force and acquisition.status(found, True).state == "armed"):
+        if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
             acquisition.request(found, "arm", session.alive)
         if force:
             acquisition.request(found, "force", session.alive)
+
+    def keep(self, about: About) -> None:
+        """Leave word of what the recorder holds, for the case that this process is killed."""
+        found, session = self._stream(RECORDER)
+        if self._fed(session):
+            kept.write(self._folder.path, acquisition.note_of(found, about))
+
+    def _forget(self) -> None:
+        """What the recorder held before is not to be salvaged."""
+        (self._folder.path / kept.NOTE).unlink(missing_ok=True)
+        if RECORDER in self._streams:
+            self._streams[RECORDER][0].file.unlink()
 
     def stop(self, number: int) -> None:
         """End an acquisition at the next sample."""
@@ -70,9 +89,16 @@ class Recorder:
     def status(self, number: int) -> AcquireStatus:
         """Where a stream stands."""
         if number not in self._streams:
-            return AcquireStatus("idle", (), (), 1, 0, 0, 0, 0, 0, -1)
+            return AcquireStatus(RecorderState.IDLE, (), (), 1, 0, 0, 0, 0, 0, -1)
         found, session = self._streams[number]
         return acquisition.status(found, self._fed(session))
+
+    def held(self, number: int) -> Held:
+        """Where the rows of a stream stand; an empty path where it is not configured."""
+        if number not in self._streams:
+            return Held()
+        found, session = self._streams[number]
+        return acquisition.held(found, self._fed(session))
 
     def read(
         self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None

@@ -51,7 +51,9 @@ def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
         path.unlink(missing_ok=True)
 
 
-def register(name: str, endpoints: list[str], machine: str, token: tuple[str, str] = ("", "")) -> Path:
+def register(
+    name: str, endpoints: list[str], machine: str, token: tuple[str, str] = ("", ""), instance: str = "", stop: str = ""
+) -> Path:
     """Write the entry of this process; only this user may read the folder.
 
     Raises
@@ -71,6 +73,8 @@ def register(name: str, endpoints: list[str], machine: str, token: tuple[str, st
         protocol=PROTOCOL,
         user=token[0],
         password=token[1],
+        instance=instance,
+        stop=stop,
     )
     temporary = path.with_suffix(f".{os.getpid()}.part")
     temporary.write_bytes(msgspec.json.encode(entry))

@@ -25,7 +25,7 @@ _PROBE = -0.1  # likewise
 
 
 class Repeats:
-    """Answers to requests that came before; of one thread, since a reply is filled in where the last one stood.
+    """Answers to requests that came before; of one user and one thread, since a reply is filled in where the last one stood.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ class Repeats:
                 return reply if write(request) else None
         return None
 
-    def learn(self, request: bytes, verb: verbs.Verb, args: Any, author: str) -> None:
-        """Make ready for a request that went the whole way, and well."""
+    def learn(self, request: bytes, verb: verbs.Verb, args: Any, said: str, author: str) -> None:
+        """Make ready for a request that went the whole way, and well: from whom, as it says, and as the target knows."""
         if verb.name == "read":
             self._learn_read(request, args)
         elif verb.name == "write":
-            self._learn_write(request, args, author)
+            self._learn_write(request, args, said, author)
 
     def forget(self) -> None:
         """Let go of what was made ready for a program that is gone."""
@@ -76,7 +76,7 @@ class Repeats:
         read = self._runtime.repeat_read(args.names, Blank(data, data.index(_COUNT.pack(_LARGEST)), places))
         keep(self._reads, request, None if read is None else (read, data))
 
-    def _learn_write(self, request: bytes, args: verbs.Write, author: str) -> None:
+    def _learn_write(self, request: bytes, args: verbs.Write, said: str, author: str) -> None:
         key = request[: -_FLOAT.size]
         if key in self._writes or args.at_tick is not None or len(args.values) != 1:
             return
@@ -87,7 +87,7 @@ class Repeats:
             verb, other, by = codec.decode_request(key + _FLOAT.pack(_PROBE), self._lane)
         except LinkError:
             return
-        if (verb.name, other, by) != ("write", verbs.Write(values={name: _PROBE}), author):
+        if (verb.name, other, by) != ("write", verbs.Write(values={name: _PROBE}), said):
             return
         data = bytearray(codec.encode_result({"sequence": _LARGEST}))
         write = self._runtime.repeat_write(name, author, len(key), Blank(data, data.index(_COUNT.pack(_LARGEST))))

@@ -9,15 +9,18 @@ import shutil
 import signal
 import subprocess
 import time
+import uuid
 import weakref
 from pathlib import Path
 from typing import Any
 
 from zendsp_isr.build import build_machine, build_runner, is_model
+from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.layout import layout, set_text, text_of
 from zendsp_target.settings import Settings
 from zendsp_target.shm import SharedFile
+from zendsp_target.strays import MARK, Strays
 
 _WITHIN = {
     1: "while the program was being loaded",
@@ -42,12 +45,14 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
     control.priority, control.cpu = settings.priority, settings.cpu
     control.monitor = os.getpid()
     control.spin_us, control.speed = settings.spin_us, settings.speed
+    control.memory = round(settings.memory_mb * 1e6)
     given = dict(settings.machine_config)
     if is_model(settings.machine):
         given |= {"model": os.path.abspath(settings.machine), "clock": settings.clock}
     config = "".join(f"{key} = {value}\n" for key, value in given.items())
     for name, text in (
         ("data_path", str(data)),
+        ("stop_path", str(data.with_name(stop_page.NAME))),
         ("program_path", str(program)),
         ("machine_path", str(build_machine(settings.machine))),
         ("machine_config", config),
@@ -122,16 +127,20 @@ class RunnerProcess:
         self.control: Any = self.control_file.pointer("control")[0]
         data_path = folder / f"data-{number}"
         self._program = program
+        self._contained = False  # not known yet
         self.simulated = False  # not known yet: a crash while loading makes even a simulated machine safe, which does no harm
         try:
             _fill(self.control, settings, program, data_path)
+            mark = uuid.uuid4().hex
             self._process = subprocess.Popen(
                 [str(build_runner()), str(self.control_file.path)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True, cwd="/",
+                env={**os.environ, MARK: mark},
             )  # fmt: skip
         except BaseException:
             self.control_file.unlink()
             raise
+        self._strays = Strays(self.pid, mark)
         self.handle = os.pidfd_open(self.pid) if hasattr(os, "pidfd_open") else -1
         if self.handle >= 0:
             # not before the last that may ask: a number that is given anew would stand for another file
@@ -139,6 +148,8 @@ class RunnerProcess:
         try:
             self._wait_ready()
             self.data_file = SharedFile(data_path)
+            self._contained = bool(self.control.contained)  # kept here: a wild pointer may change it
+            self.look()
             self.simulated = bool(self.control.info.simulated)
         except BaseException:
             self.kill()
@@ -265,13 +276,22 @@ class RunnerProcess:
 
     def kill(self) -> None:
         """End it at once."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGSTOP)  # it starts nothing more
         self.end_group()
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
 
+    def look(self) -> None:
+        """Note what it started, where the system could not refuse that."""
+        if not self._contained:
+            self._strays.look()
+
     def end_group(self) -> None:
-        """End what is left of its process group: what it started, where the system could not refuse that."""
+        """End what it started, where the system could not refuse that: its process group, and what left it."""
+        if not self._contained:
+            self._strays.end()
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
 

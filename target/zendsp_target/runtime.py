@@ -21,6 +21,8 @@ import numpy.typing as npt
 
 from zendsp_isr.build import source_root
 from zendsp_protocol.errors import RunnerDied
+from zendsp_protocol.kept import About, Kept
+from zendsp_protocol.messages import Held
 from zendsp_target.api import AcquireConfig, AcquireStatus, Blank, Change, Status, Value, VariableInfo
 from zendsp_target.motion import Motion
 from zendsp_target.recorder import Recorder
@@ -85,6 +87,11 @@ class Runtime(Motion):
     ) -> None:
         super().__init__(machine, rate_hz, clock, machine_config, concealed, **options)
         self._recorder = Recorder(self._folder, lambda: self._session)
+
+    @property
+    def left_behind(self) -> tuple[list[Kept], list[Kept]]:
+        """What targets that were killed had recorded: what stays in shared memory, and what the start of this one removed."""
+        return self._folder.kept, self._folder.dropped
 
     # ---- variables ----------------------------------------------------------------------------------------------------------
 
@@ -215,6 +222,10 @@ class Runtime(Motion):
         """
         self._recorder.start(stream, force)
 
+    def acquire_keep(self, about: About) -> None:
+        """Have the rows of the recorder outlive this process if it is killed; see `zendsp_protocol.kept`."""
+        self._recorder.keep(about)
+
     def acquire_stop(self, stream: int) -> None:
         """End an acquisition at the next sample; its rows stay."""
         self._recorder.stop(stream)
@@ -222,6 +233,10 @@ class Runtime(Motion):
     def acquire_status(self, stream: int) -> AcquireStatus:
         """Where a stream stands."""
         return self._recorder.status(stream)
+
+    def acquire_held(self, stream: int) -> Held:
+        """Where the rows of a stream stand, for a reader of the same user; see `acquisition.held`."""
+        return self._recorder.held(stream)
 
     def acquire_read(
         self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None

@@ -15,22 +15,23 @@ import zenoh
 from zendsp_protocol import codec, keys, verbs
 from zendsp_protocol.errors import LinkError, ZendspError
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.admission import check_role
-from zendsp_target.api import RuntimeApi
+from zendsp_target.admission import Doors, check_role, may
+from zendsp_target.api import RECORDER, RuntimeApi
 from zendsp_target.bulk import send_rows
 from zendsp_target.hosts import Hosts
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
 from zendsp_target.once import Ticket
 from zendsp_target.repeats import Repeats
-from zendsp_target.service import RECORDER, Identity, Service
+from zendsp_target.service import Identity, Service
 
 log = logging.getLogger(__name__)
 
 # Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile, a wait for a sample or a large transfer must
 # neither hold these up nor each other.
 THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
-WAITING = 1024  # requests that may wait in a lane before the link holds back the sender
+WRITE = verbs.VERBS["write"]
+WAITING = 1024  # requests that may wait in a lane
 JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
 PULSE_S = 0.5
 PULSE_POLL_S = 0.1
@@ -45,13 +46,13 @@ class Server:
         identity: Identity,
         session: zenoh.Session,
         managed: bool = False,
-        role_of: Callable[[str], str] = lambda _user: verbs.ROLES[-1],
+        doors: Doors | None = None,
     ) -> None:
         self.name = identity.name
-        self._role_of = role_of
+        self._doors = doors or Doors(())
         self._session = session
         self._end = threading.Event()
-        self._publishers: dict[int, zenoh.Publisher] = {}
+        self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
         self.live = LiveStreams(runtime, self._send_live, self._live_watched)
         self.service = Service(runtime, identity, self.live, managed)
         self._hosts = Hosts(session, self.name, self.service.host_gone)
@@ -60,12 +61,13 @@ class Server:
         self._threads: list[threading.Thread] = []
         self._queryables: list[Any] = []
         for lane, count in THREADS.items():
-            repeating = lane == "quick"
-            answers = [partial(self._request, lane, self.service.repeats(lane) if repeating else None) for _ in range(count)]
-            self._serve(keys.rpc(self.name, lane), answers)
-            self._serve(keys.rpc(self.name, lane, "*"), [partial(self._request, lane, None)])
+            self._serve(keys.rpc(self.name, lane), [self._answerer(lane, False) for _ in range(count)])
+            # STOP of each waits in a queue of its own, behind nobody else's requests
+            for user in self._doors.named if lane == "stop" else ("*",):
+                self._serve(keys.rpc(self.name, lane, user), [self._answerer(lane, True)])
         self._serve(keys.info(self.name), [self._info])
-        self._serve(keys.variable(self.name), [self._variable])
+        for user in ("", "*"):
+            self._serve(keys.variable(self.name, user=user), [self._variable])
         self._thread("pulse", self._pulse)
         # Last, so that whoever sees the token finds everything in place.
         self._token = session.liveliness().declare_token(keys.alive(self.name))
@@ -84,8 +86,12 @@ class Server:
     # requests --------------------------------------------------------------------------------------------------------
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
-        """Answer what comes for a key, in as many threads."""
-        queryable = self._session.declare_queryable(key, zenoh.handlers.FifoChannel(WAITING), complete=True)
+        """Answer what comes for a key, in as many threads.
+
+        A queue that is full lets go of its oldest request, whose sender asks again. One that held back the sender would
+        hold back others too: the few threads in which Zenoh receives would all wait there, and STOP with them.
+        """
+        queryable = self._session.declare_queryable(key, zenoh.handlers.RingChannel(WAITING), complete=True)
         self._queryables.append(queryable)
         waiting = queryable.handler
 
@@ -105,13 +111,23 @@ class Server:
         thread.start()
         self._threads.append(thread)
 
-    def _request(self, lane: str, repeats: Repeats | None, query: zenoh.Query) -> None:
+    def _answerer(self, lane: str, named: bool) -> Callable[[zenoh.Query], None]:
+        """Make what answers the requests of a lane in one thread; of hosts that are known by name, or of the target's own user."""
+        made: dict[str, Repeats] = {}
+
+        def of(user: str) -> Repeats:
+            return made.get(user) or made.setdefault(user, self.service.repeats(lane))
+
+        return partial(self._request, lane, named, of if lane == "quick" else None)
+
+    def _request(self, lane: str, named: bool, repeats_of: Callable[[str], Repeats] | None, query: zenoh.Query) -> None:
         """Answer one request, whatever happens: silence would look like a dead target."""
         reply: bytes | bytearray
         ticket: Ticket | None = None
+        user = keys.user_of(str(query.key_expr)) if named else ""
         attachment = query.attachment
         if attachment is not None:
-            ticket, known = self.service.once.begin(attachment.to_bytes(), query)
+            ticket, known = self.service.once.begin(attachment.to_bytes(), query, user)
             if ticket is None:
                 if known is not None:
                     self._reply(query, known)
@@ -121,20 +137,24 @@ class Server:
             if payload is None:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             request = payload.to_bytes()
-            user = "" if repeats is not None else keys.user_of(str(query.key_expr))
+            # a role that may write may read as well; who has less goes the whole way, where each verb asks for its own
+            repeats = repeats_of(user) if repeats_of and (not user or may(self._doors.role_of(user), WRITE)) else None
             short = None if repeats is None else repeats.answer(request)
             if short is not None:
                 reply = short
             else:
-                verb, args, by = codec.decode_request(request, lane)
+                verb, args, said = codec.decode_request(request, lane)
+                by = said
                 if user:  # known by name: its role decides, and its name is what the log says
-                    check_role(user, self._role_of(user), verb)
+                    check_role(user, self._doors.role_of(user), verb)
                     by = by if by.startswith(f"{user}@") else user
+                if verb.name == "compile":
+                    self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
-                result = self._special(verb, args, query) if handler is None else handler(args, by)
+                result = self._special(verb, args, by, user, query) if handler is None else handler(args, by)
                 reply = codec.encode_result(result)
                 if repeats is not None:
-                    repeats.learn(request, verb, args, by)
+                    repeats.learn(request, verb, args, said, by)
         except Later as later:
             self._waiters.submit(self._finish, query, ticket, later.rest)
             return
@@ -145,9 +165,11 @@ class Server:
             reply = codec.encode_error(error)
         self._answered(query, ticket, reply)
 
-    def _special(self, verb: verbs.Verb, args: Any, query: zenoh.Query) -> Any:
+    def _special(self, verb: verbs.Verb, args: Any, by: str, user: str, query: zenoh.Query) -> Any:
         if verb.name == "acquire_read":
             return send_rows(self.service.runtime, RECORDER, args, query)
+        if verb.name == "live_open":
+            return self.service.open_live(args, by, user)
         raise LinkError(f"this target does not know the verb {verb.name!r}")
 
     def _finish(self, query: zenoh.Query, ticket: Ticket | None, rest: Callable[[], Any]) -> None:
@@ -183,16 +205,19 @@ class Server:
         self._answer(query, lambda: self._values(query.key_expr))
 
     def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
+        user = keys.user_of(str(wanted))
+        if user:
+            check_role(user, self._doors.role_of(user), verbs.VERBS["read"])
         runtime = self.service.runtime
         infos = {info.name: info for info in runtime.variables()}
-        found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n)))]
+        found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n, user)))]
         if not found:
             raise LinkError(
                 f"no variable matches {wanted}; there are: {', '.join(infos) or 'none (no program loaded)'}"
             )
         tick, read = runtime.read(found)
         return {
-            keys.variable(self.name, name): {
+            keys.variable(self.name, name, user): {
                 "v": PROTOCOL, "name": name, "value": value, "unit": infos[name].unit, "tick": tick,
             }
             for name, value in read.items()
@@ -209,27 +234,32 @@ class Server:
         except zenoh.ZError as error:
             log.debug("reply was not delivered: %s", error)
 
-    def _send_live(self, stream: int, payload: bytes, header: bytes) -> None:
-        self._publisher(stream).put(payload, attachment=header)
+    def _send_live(self, stream: int, users: frozenset[str], payload: bytes, header: bytes) -> None:
+        for user in users:
+            self._publisher(stream, user).put(payload, attachment=header)
 
-    def _live_watched(self, stream: int) -> bool:
-        status: Any = self._publisher(stream).matching_status  # declared a bool, is a MatchingStatus
-        return bool(status.matching)
+    def _live_watched(self, stream: int, users: frozenset[str]) -> bool:
+        found: list[Any] = [self._publisher(stream, user).matching_status for user in users]
+        return any(status.matching for status in found)  # declared a bool, is a MatchingStatus
 
-    def _publisher(self, stream: int) -> zenoh.Publisher:
-        if stream not in self._publishers:
-            self._publishers[stream] = self._session.declare_publisher(
-                keys.live(self.name, stream),
+    def _publisher(self, stream: int, user: str) -> zenoh.Publisher:
+        if (stream, user) not in self._publishers:
+            self._publishers[stream, user] = self._session.declare_publisher(
+                keys.live(self.name, stream, user),
                 congestion_control=zenoh.CongestionControl.DROP,  # a viewer that hangs must not hold up the others
                 express=True,
             )
-        return self._publishers[stream]
+        return self._publishers[stream, user]
+
+    def _may_look(self, user: str) -> bool:
+        return not user or may(self._doors.role_of(user), verbs.VERBS["live_open"])
 
     def _pulse(self) -> None:
-        """Publish the status at every change of state and twice a second."""
+        """Publish the status at every change of state and twice a second; end live views whose role was taken away."""
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0
         while not self._end.wait(PULSE_POLL_S):
+            self.live.keep(self._may_look)
             try:
                 status = self.service.do_status(verbs.Nothing(), "")
             except Later:

@@ -17,8 +17,10 @@ import msgspec
 from zendsp_protocol import keys, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused
+from zendsp_protocol.kept import About
+from zendsp_protocol.states import ProgramState, RecorderState
 from zendsp_protocol.version import PROTOCOL
-from zendsp_target.api import AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
+from zendsp_target.api import RECORDER, AcquireConfig, CompileResult, RuntimeApi, Status, Trigger
 from zendsp_target.drives import Drives
 from zendsp_target.later import Later
 from zendsp_target.live import LiveStreams
@@ -27,7 +29,7 @@ from zendsp_target.once import Once
 from zendsp_target.repeats import Repeats
 from zendsp_target.variable_verbs import VariableVerbs
 
-RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
+SPECIAL = ("acquire_read", "live_open")  # answered by the server: they need more than arguments and author
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
 
@@ -74,7 +76,7 @@ class Service:
 
     def do_info(self, args: verbs.Nothing, by: str) -> m.Info:
         status = self.runtime.status()
-        packages = ("zendsp", "eclipse-zenoh", "numpy", "msgspec", "cffi")
+        packages = ("zendsp", "eclipse-zenoh", "numpy", "msgpack", "msgspec", "cffi")
         versions = {"python": platform.python_version(), "kernel": platform.release()}
         versions |= {name: _version(name) for name in packages}
         return m.Info(
@@ -87,14 +89,14 @@ class Service:
             pid=os.getpid(),
             hostname=platform.node(),
             versions=versions,
-            verbs=[name for name in verbs.VERBS if name in self.handlers or name == "acquire_read"],
+            verbs=[name for name in verbs.VERBS if name in self.handlers or name in SPECIAL],
             started=self.identity.started,
             instance=self.once.instance.hex(),
         )
 
     def do_status(self, args: verbs.Nothing, by: str) -> Any:
         status = self.runtime.status()
-        if status.state == "crashed" and not status.crash:
+        if status.state == ProgramState.CRASHED and not status.crash:
             raise Later(self._post_mortem)
         return self._shown(status)
 
@@ -105,7 +107,7 @@ class Service:
         """Status of a runner that is dead already, once it is known how it died."""
         deadline = time.monotonic() + POST_MORTEM_S
         status = self.runtime.status()
-        while status.state == "crashed" and not status.crash and time.monotonic() < deadline:
+        while status.state == ProgramState.CRASHED and not status.crash and time.monotonic() < deadline:
             time.sleep(0.005)
             status = self.runtime.status()
         return self._shown(status)
@@ -113,6 +115,9 @@ class Service:
     def do_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.stop()
         return m.Empty()
+
+    def do_stopped(self, args: verbs.Nothing, by: str) -> Any:
+        return self._shown(self.runtime.status())
 
     # what a simulated machine conceals ----------------------------------------------------------------------------------
 
@@ -185,7 +190,7 @@ class Service:
         config = AcquireConfig(tuple(args.channels), args.decimation, args.seconds, trigger, args.continuous)
         with self._lock:
             owner = self._recorder_owner
-            busy = self.runtime.acquire_status(RECORDER).state in ("armed", "running") if owner else False
+            busy = self.runtime.acquire_status(RECORDER).state in (RecorderState.ARMED, RecorderState.RUNNING) if owner else False
             if busy and owner != by and owner in self.present() and not args.take:
                 raise Refused(f"{owner} is recording; wait, or take the recorder over (take=True)")
             status = self.runtime.acquire_configure(RECORDER, config)
@@ -194,7 +199,23 @@ class Service:
 
     def do_acquire_start(self, args: verbs.AcquireStart, by: str) -> m.Empty:
         self.runtime.acquire_start(RECORDER, args.force)
+        self.runtime.acquire_keep(self._about())
         return m.Empty()
+
+    def _about(self) -> About:
+        """Circumstances of a recording that begins, for the case that this process is killed."""
+        status, info = self.runtime.status(), self.do_info(verbs.Nothing(), "")
+        names = [v.name for v in self.runtime.variables() if v.kind == "parameter"]
+        return About(
+            target=info.name,
+            machine=info.machine,
+            rate_hz=info.rate_hz,
+            begun=time.time(),
+            program=self.do_program(verbs.Nothing(), ""),
+            parameters=self.runtime.read(names)[1] if names else {},
+            versions={**info.versions, "protocol": str(PROTOCOL)},
+            extra={"program": status.program, "scheduling": status.scheduling, "clock": status.clock},
+        )
 
     def do_acquire_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
         self.runtime.acquire_stop(RECORDER)
@@ -203,14 +224,18 @@ class Service:
     def do_acquire_status(self, args: verbs.Nothing, by: str) -> Any:
         return self.runtime.acquire_status(RECORDER)
 
+    def do_acquire_held(self, args: verbs.Nothing, by: str) -> m.Held:
+        return self.runtime.acquire_held(RECORDER)
+
     # live ------------------------------------------------------------------------------------------------------------
 
-    def do_live_open(self, args: verbs.LiveOpen, by: str) -> m.LiveOpened:
-        stream = self.live.open(args.channels, args.decimation, args.interval, args.window, by)
+    def open_live(self, args: verbs.LiveOpen, by: str, user: str) -> m.LiveOpened:
+        """Answer ``live_open``: the key is that of the name under which the host is known."""
+        stream = self.live.open(args.channels, args.decimation, args.interval, args.window, by, user)
         rate = self.runtime.status().rate_hz
         return m.LiveOpened(
             stream=stream.number,
-            key=keys.live(self.identity.name, stream.number),
+            key=keys.live(self.identity.name, stream.number, user),
             channels=stream.columns,
             units=stream.units,
             sample_time=args.decimation / rate,

@@ -26,19 +26,21 @@ class Settings:
     clock : str
         ``"real"`` or ``"fast"``.
     realtime : bool
-        Ask for SCHED_FIFO, locked memory and a CPU of its own.
+        Ask for SCHED_RR, locked memory and a CPU of its own.
     priority : int
-        Of SCHED_FIFO, 1 … 99.
+        Of SCHED_RR, 1 … 99.
     cpu : int
         CPU of the loop, -1: the last one.
     spin_us : float
-        Stretch before each deadline that is waited awake (only under SCHED_FIFO, at most 0.6 of the period), µs.
+        Stretch before each deadline that is waited awake (only under SCHED_RR, at most 0.6 of the period), µs.
     speed : float
         Fast clock: at most so many machine seconds a second; 0: no limit.
     hang_s : float
         A sample that does not return within so many seconds ends the runner.
     load_s : float
         UserInit that does not return within so many seconds ends the runner.
+    memory_mb : float
+        That user code may take beside what the machine has, shared memory aside, 50 MB or more; beyond it `malloc` returns NULL.
     """
 
     machine: str
@@ -52,6 +54,7 @@ class Settings:
     speed: float = 0.0
     hang_s: float = 1.0
     load_s: float = 10.0
+    memory_mb: float = 1000.0
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate_hz <= 100_000.0:
@@ -59,7 +62,9 @@ class Settings:
         if self.clock not in ("real", "fast"):
             raise Refused(f"clock {self.clock!r}: give 'real' or 'fast'")
         if not 1 <= self.priority <= 99:
-            raise Refused(f"priority {self.priority}: SCHED_FIFO has 1 … 99")
+            raise Refused(f"priority {self.priority}: SCHED_RR has 1 … 99")
+        if not self.memory_mb >= 50.0:
+            raise Refused(f"{self.memory_mb:g} MB for user code: give 50 or more")
         for key, value in self.machine_config.items():
             if "\n" in f"{key}{value}" or "=" in key:
                 raise Refused(f"machine setting {key!r}: neither newline nor '=' may be in it")

@@ -10,31 +10,34 @@ import fcntl
 import mmap
 import os
 import shutil
-import tempfile
 import uuid
+import weakref
 from pathlib import Path
 from typing import Any
 
+from zendsp_protocol import kept
+from zendsp_protocol.kept import Kept
 from zendsp_target.layout import layout
 
-_PREFIX = "zendsp-"
 
-
-def _base() -> Path:
-    shm = Path("/dev/shm")
-    return shm if shm.is_dir() and os.access(shm, os.W_OK) else Path(tempfile.gettempdir())
-
-
-def _remove_abandoned(base: Path) -> None:
-    """Folders whose owner is gone: nobody holds their lock any more."""
-    for folder in base.glob(f"{_PREFIX}*"):
-        lock = folder / "lock"
-        try:
-            with lock.open("r+") as handle:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _clear_abandoned() -> tuple[list[Kept], list[Kept]]:
+    """Remove what targets left that were killed; recorded rows of the last few stay. Returns what stays and what went of these."""
+    with kept.abandoned() as folders:
+        found: list[tuple[float, Path, Kept]] = []
+        for folder in folders:
+            note = kept.read(folder)
+            if note is None:
                 shutil.rmtree(folder, ignore_errors=True)
-        except OSError:
-            continue  # alive, another user's, or not ours at all
+                continue
+            found.append((note.about.begun, folder, note))
+            for path in folder.iterdir():
+                if path.name not in (kept.LOCK, kept.NOTE, note.file):
+                    path.unlink(missing_ok=True)
+        found.sort(key=lambda one: one[0], reverse=True)
+        for _, folder, _ in found[kept.MOST :]:
+            shutil.rmtree(folder, ignore_errors=True)
+    notes = [note for _, _, note in found]
+    return notes[: kept.MOST], notes[kept.MOST :]
 
 
 def _available_memory() -> int:
@@ -47,15 +50,22 @@ def _available_memory() -> int:
 
 
 class SharedFolder:
-    """A folder in shared memory that lives as long as its owner."""
+    """A folder in shared memory that lives as long as its owner.
+
+    Attributes
+    ----------
+    kept, dropped : list of Kept
+        What targets that were killed had recorded: what stays in shared memory, and what was removed now.
+    """
 
     def __init__(self) -> None:
-        base = _base()
-        _remove_abandoned(base)
-        self.path = base / f"{_PREFIX}{os.getpid()}-{uuid.uuid4().hex[:8]}"
-        self.path.mkdir(mode=0o700)
-        self._lock = (self.path / "lock").open("w")
+        self.kept, self.dropped = _clear_abandoned()
+        self.path = kept.base() / f"{kept.PREFIX}{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        making = self.path.with_name(f".{self.path.name}")  # nobody may find it before it is locked
+        making.mkdir(mode=0o700)
+        self._lock = (making / kept.LOCK).open("w")
         fcntl.flock(self._lock, fcntl.LOCK_EX)
+        making.rename(self.path)
 
     def free_bytes(self) -> int:
         """Bytes that still fit, into the file system and into memory, which it is made of."""
@@ -100,6 +110,12 @@ class SharedFile:
         """Address within the file as a cffi pointer; keep this object alive while it is used."""
         ffi, _ = layout()
         return ffi.cast(f"{type_name} *", self._buffer + offset)
+
+    def reader(self) -> Path:
+        """A path by which other processes of this user can read the file, also without its name."""
+        file = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
+        weakref.finalize(self, os.close, file)
+        return Path(f"/proc/{os.getpid()}/fd/{file}")
 
     def unlink(self) -> None:
         """Remove the name; the memory stays until it is dropped."""

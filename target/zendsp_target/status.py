@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_protocol.states import DriveState, ProgramState
 from zendsp_target import safety
 from zendsp_target.api import Status
 from zendsp_target.layout import layout, text_of
@@ -25,8 +26,8 @@ def empty_status(settings: Settings) -> Status:
         Of the next load.
     """
     return Status(
-        state="empty", tick=0, t=0.0, rate_hz=settings.rate_hz, clock=settings.clock, scheduling="", machine=settings.machine,
-        joints=0, program="", timing=safety.no_timing(), drive="off", trip=None, crash="",
+        state=ProgramState.EMPTY, tick=0, t=0.0, rate_hz=settings.rate_hz, clock=settings.clock, scheduling="", machine=settings.machine,
+        joints=0, program="", timing=safety.no_timing(), drive=DriveState.OFF, trip=None, crash="",
     )  # fmt: skip
 
 
@@ -51,25 +52,25 @@ def status_of(session: Session) -> Status:
     )  # fmt: skip
 
 
-def _state(session: Session, tripped: bool) -> str:
+def _state(session: Session, tripped: bool) -> ProgramState:
     _, lib = layout()
     if not session.alive():
-        return "crashed"
+        return ProgramState.CRASHED
     if tripped:
-        return "stopped"
+        return ProgramState.STOPPED
     if session.running != lib.RUN_PAUSED:
-        return "running"
-    return "paused" if session.started else "loaded"
+        return ProgramState.RUNNING
+    return ProgramState.PAUSED if session.started else ProgramState.LOADED
 
 
-def _drive(state: str, reason: str, mode: str, homed: bool) -> str:
-    if state == "crashed":
-        return "off"
+def _drive(state: ProgramState, reason: str, mode: str, homed: bool) -> DriveState:
+    if state == ProgramState.CRASHED:
+        return DriveState.OFF
     if reason:
-        return "stopped" if reason in safety.STOPS else "tripped"
+        return DriveState.STOPPED if reason in safety.STOPS else DriveState.TRIPPED
     if mode == "off":
-        return "homed" if homed else "ready"
-    return "running" if state == "running" else "enabled"
+        return DriveState.HOMED if homed else DriveState.READY
+    return DriveState.RUNNING if state == ProgramState.RUNNING else DriveState.ENABLED
 
 
 def _io(session: Session) -> dict[str, npt.NDArray[np.float64]]:

@@ -44,6 +44,7 @@ class Supervisor:
         heartbeat = ffi_address(self._process.control, "heartbeat")
         seen, stalled, last = -1, 0.0, time.monotonic()
         while not self._process.wait_death(_ROUND_S):
+            self._process.look()
             self._each_round()
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
             # a computer that stood still (or starved this thread) must not look like a program that did

@@ -6,27 +6,23 @@ nothing. The loop exchanges values when it applies a batch, so the old ones come
 
 from __future__ import annotations
 
-import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from zendsp_protocol.errors import Refused, RunnerDied, VariableError
+from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
 from zendsp_target.api import Blank
 from zendsp_target.change_log import ChangeLog, Flight
 from zendsp_target.dictionary import Dictionary, Place
 from zendsp_target.layout import layout
-from zendsp_target.plans import ENTRY, WritePlan, keep
+from zendsp_target.plans import WritePlan, keep
 from zendsp_target.shm import SharedFile
-from zendsp_target.values import encode, encode_table
+from zendsp_target.values import FloatArray, check_kind, numbers_of
 
-_HEAD = struct.Struct("<IQQ")  # batch: entries, sequence, at_tick
-_HEAD_AT = 4  # behind its state
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
 _SHORT_NS = 100_000  # periods up to this one are waited for awake: falling asleep and waking take as long
 _TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
@@ -35,12 +31,6 @@ _LAST_TICK = 2**64 - 1
 _GONE = "the runner is gone, so nothing can be written: load the program again"
 _NUMBERS = frozenset((float, int))
 _WORDED_AT_ONCE = 128  # lines of the log at each harvest: a fraction of a millisecond
-
-
-class _Piece(NamedTuple):
-    name: str
-    place: Place
-    data: bytes
 
 
 class Updates:
@@ -77,7 +67,8 @@ class Updates:
         self._view = memoryview(data.map)
         self._dictionary, self._log, self._alive, self._handle = dictionary, log, alive, handle
         self._lock = threading.RLock()
-        self._plans: dict[tuple[str, ...], WritePlan] = {}
+        # by names: of the program's variables, and of the runtime's settings
+        self._plans: tuple[dict[tuple[str, ...], WritePlan], ...] = ({}, {})
         self._free = list(range(lib.LAYOUT_BATCHES))[::-1]
         self._flights: dict[int, Flight] = {}
         self._applied: dict[int, int] = {}
@@ -112,66 +103,68 @@ class Updates:
         """
         if at_tick is not None and not 0 <= at_tick <= _LAST_TICK:
             raise Refused(f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next")
-        names = tuple(values)
-        plan = self._plans.get(names)
-        if plan is not None and not settings and (
-            sequence := self._write_planned(plan, tuple(values.values()), author, at_tick or 0)
-        ):
-            return sequence
         if not values:
             raise Refused("an update needs at least one variable")
-        pieces, tables = self._checked(values, settings)
-        if plan is None and not tables and all(piece.place.plain for piece in pieces):
-            plan = WritePlan([(piece.name, piece.place) for piece in pieces], self._pointer, self._handle)
-            if plan.size <= self._room:
-                keep(self._plans, names, plan)
+        plan = self._plan(values, settings)
+        given = tuple(values.values())
+        # What has to be looked at one by one is so before others are kept waiting; single numbers are judged as they are committed.
+        numbers = None if plan.scalar and _NUMBERS.issuperset(map(type, given)) else self._numbers(values, settings)
         with self._lock:
-            if tables:
-                self._harvest()  # the last download of a table may be in effect by now
-            slot = self._take_slot()
+            slot = self._take_slot(plan.tables)
             try:
-                for name, place, rows in tables:
-                    pieces.append(self._fill_bank(name, place, rows))
-                body = self._body(pieces)
-                start = self._starts[slot]
-                _HEAD.pack_into(self._view, start + _HEAD_AT, len(pieces), self._sequence + 1, at_tick or 0)
-                first = start + self._entries_at
-                self._view[first : first + len(body)] = body
-            except BaseException:
+                if numbers is None:
+                    plan.fill(*given)
+                else:
+                    plan.put(self._banked(plan, numbers) if plan.tables else numbers)
+                done = plan.commit(self._batches[slot], slot, self._sequence + 1, at_tick or 0)
+                if done < 0:
+                    raise VariableError("; ".join(f"{name}: {value!r} does not fit" for name, value in values.items()))
+            except BaseException as error:
                 self._free.append(slot)
+                if isinstance(error, VariableError | OverflowError):
+                    self._numbers(values, settings)  # has the words
                 raise
-            places = tuple((piece.name, piece.place) for piece in pieces)
-            flight = Flight(slot, places, len(body), lambda: body, author, time.time())
-            done = self._lib.monitor_commit(self._pointer, self._batches[slot], slot, self._handle)
+            flight = Flight(slot, plan.places, plan.size, plan.given(), author, time.time())
             return self._committed(flight, done == 1)
 
-    def _write_planned(self, plan: WritePlan, numbers: tuple[Any, ...], author: str, at_tick: int) -> int:
-        """The sequence number, or 0 where something is wrong: then the long way says what."""
-        if not _NUMBERS.issuperset(map(type, numbers)):
-            return 0
-        with self._lock:
+    def _plan(self, values: Mapping[str, object], settings: bool) -> WritePlan:
+        """What is ready for these names, or is made so."""
+        names = tuple(values)
+        plan = self._plans[settings].get(names)
+        if plan is None:
+            self._numbers(values, settings)  # says all that is wrong, not only with the names
+            plan = WritePlan([(name, self._dictionary.place(name)) for name in names], self._pointer, self._handle)
+            if plan.size > self._room:
+                raise Refused(f"the update takes {plan.size} bytes, {self._room} fit: write whole arrays in place of their elements")
+            keep(self._plans[settings], names, plan)
+        return plan
+
+    def _numbers(self, values: Mapping[str, object], settings: bool) -> list[FloatArray]:
+        """The numbers of every variable, or one line for each that is wrong."""
+        found: list[FloatArray] = []
+        problems: list[str] = []
+        for name, value in values.items():
             try:
-                plan.fill(*numbers)
-            except OverflowError:
-                return 0
-            slot = self._take_slot()
-            done = plan.commit(self._batches[slot], slot, self._sequence + 1, at_tick)
-            if done < 0:
-                self._free.append(slot)
-                return 0
-            flight = Flight(slot, plan.places, plan.size, partial(plan.entries, numbers), author, time.time())
-            return self._committed(flight, done == 1)
+                place = self._dictionary.place(name)
+                check_kind(name, place, settings)
+                found.append(numbers_of(name, place, value))
+            except VariableError as error:
+                problems.append(str(error))
+        if problems:
+            raise VariableError("\n".join(problems))
+        return found
 
     def check(self, values: Mapping[str, object]) -> None:
         """Raise what `write` would raise for these values; nothing is written."""
-        self._checked(values, False)
+        self._numbers(values, False)
 
     def repeat(self, ended: Any, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
         """Make what commits one value again, out of the bytes of a request; see `RuntimeApi.repeat_write`."""
-        plan = self._plans.get((name,))
-        if plan is None or self._handle < 0:
+        plan = self._plans[False].get((name,))
+        commit = None if plan is None or self._handle < 0 else plan.again(ended, value_at, reply)
+        if plan is None or commit is None:
             return None
-        commit, entries = plan.again(ended, value_at, reply), partial(plan.entries_of, value_at)
+        entries = partial(plan.entries_of, value_at)
         lock, batches, free, flights, now = self._lock, self._batches, self._free, self._flights, time.time
 
         def write(request: bytes) -> int:
@@ -190,58 +183,36 @@ class Updates:
 
         return write
 
-    def _checked(
-        self, values: Mapping[str, object], settings: bool
-    ) -> tuple[list[_Piece], list[tuple[str, Place, npt.NDArray[np.float64]]]]:
-        pieces: list[_Piece] = []
-        tables: list[tuple[str, Place, npt.NDArray[np.float64]]] = []
-        problems: list[str] = []
-        for name, value in values.items():
-            try:
-                place = self._dictionary.place(name)
-                if (place.entry.info.kind == "setting") != settings:
-                    raise VariableError(f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun")
-                if place.entry.info.kind == "table":
-                    tables.append((name, place, encode_table(name, place, value)))
-                else:
-                    pieces.append(_Piece(name, place, encode(name, place, value)))
-            except VariableError as error:
-                problems.append(str(error))
-        if problems:
-            raise VariableError("\n".join(problems))
-        return pieces, tables
-
-    def _take_slot(self) -> int:
+    def _take_slot(self, tables: bool) -> int:
         if self._handle < 0 and not self._alive():
             raise RunnerDied(_GONE)
-        if len(self._flights) >= _TOGETHER or not self._free:
+        # the last download of a table may be in effect by now
+        if tables or len(self._flights) >= _TOGETHER or not self._free:
             self._harvest()
         if not self._free:
             raise Refused(f"{self._lib.LAYOUT_BATCHES} updates wait already: wait until some of them are applied")
         return self._free.pop()
 
-    def _fill_bank(self, name: str, place: Place, rows: npt.NDArray[np.float64]) -> _Piece:
-        """Write a table into the bank that the loop does not read; the batch then only names the bank."""
+    def _banked(self, plan: WritePlan, numbers: list[FloatArray]) -> list[FloatArray]:
+        """Put the rows of tables into their banks; what the batch holds is bank and number of rows."""
+        waiting = {place.entry.index for flight in self._flights.values() for _, place in flight.places}
+        for name, place in plan.places:  # all of them before the first bank is touched
+            if place.entry.info.kind == "table" and place.entry.index in waiting:
+                raise Refused(f"{name}: its last download is not in effect yet; wait for it, then write again")
+        return [
+            np.array(self._fill_bank(place, rows), np.float64) if place.entry.info.kind == "table" else rows
+            for (_, place), rows in zip(plan.places, numbers, strict=True)
+        ]
+
+    def _fill_bank(self, place: Place, rows: FloatArray) -> tuple[int, int]:
+        """Write a table into the bank that the loop does not read; returns the bank and the rows."""
         index = place.entry.index
-        if any(place.entry.index == index for flight in self._flights.values() for _, place in flight.places):
-            raise Refused(f"{name}: its last download is not in effect yet; wait for it, then write again")
         current = self._bank.get(index, int(self._control.variable[index].table) >> 32 & 1)
         bank = 1 - current if int(self._control.variable[index].table) or index in self._bank else 0
         start = place.entry.banks[bank]
         self._memory[start : start + rows.nbytes] = rows.reshape(-1).view(np.uint8)
         self._bank[index] = bank
-        return _Piece(name, place, np.array([bank, rows.shape[0]], dtype="<i4").tobytes())
-
-    def _body(self, pieces: list[_Piece]) -> bytes:
-        """Entries of a batch."""
-        body = bytearray()
-        for piece in pieces:
-            size = len(piece.data)
-            body += ENTRY.pack(piece.place.entry.index, piece.place.offset, size, 0)
-            body += piece.data if size % 8 == 0 else piece.data + bytes(-size % 8)
-        if len(body) > self._room:
-            raise Refused(f"the update takes {len(body)} bytes, {self._room} fit: write whole arrays in place of their elements")
-        return bytes(body)
+        return bank, rows.shape[0]
 
     def _committed(self, flight: Flight, done: bool) -> int:
         """Enter a batch that the loop has now; or that it cannot have, its runner being gone."""
@@ -273,8 +244,10 @@ class Updates:
         ------
         RunnerDied
             The runner ended before.
+        NotYet
+            Its sample has not come within the timeout.
         Refused
-            Not within the timeout, or no such update.
+            No such update.
         """
         end = time.monotonic() + timeout
         left = max(0.0, timeout)
@@ -294,7 +267,7 @@ class Updates:
                 raise RunnerDied(f"the runner ended before update {sequence} took effect")
             left = end - time.monotonic()
             if left <= 0.0:
-                raise Refused(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
+                raise NotYet(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
 
     def _tick_of(self, sequence: int) -> int | None:
         """The sample at which a batch took effect; it is left to be taken back by whoever has time."""

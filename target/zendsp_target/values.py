@@ -1,4 +1,8 @@
-"""Check values before anything is written: type, length, limits, NaN. One line for each variable that is wrong."""
+"""Values as a host gives them, as numbers to write; and the words for what cannot be written, one line for each variable.
+
+Whether a number fits its variable (limits, NaN, whole numbers) is decided in one place for every road that an update can
+take: ``monitor_fit`` of ``monitor.c``. Here it is asked for the reason.
+"""
 
 from __future__ import annotations
 
@@ -9,86 +13,70 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import VariableError
 from zendsp_target.dictionary import Place
+from zendsp_target.layout import layout
+from zendsp_target.plans import set_part
 
-_INT32 = np.iinfo(np.int32)
+FloatArray = npt.NDArray[np.float64]
 
 
-def encode(name: str, place: Place, value: object) -> bytes:
-    """The bytes to write into a variable or an element.
+def numbers_of(name: str, place: Place, value: object) -> FloatArray:
+    """The numbers to write into a variable, an element or a table.
 
     Parameters
     ----------
     name : str
         As the host gave it, for the message.
     place : Place
-        Not a table.
     value : bool, int, float, sequence or ndarray
+        Of a table: shape (rows, columns), or flat row after row.
 
     Returns
     -------
-    bytes
-        In the variable's own type.
+    ndarray, shape (elements,); of a table (rows, columns)
+        C-contiguous.
 
     Raises
     ------
     VariableError
         What is wrong with this variable: value, limit, and what to do.
     """
-    _check_kind(name, place)
-    array = _as_elements(name, place, _numbers(name, value, place.entry.info.type))
-    _check_limits(name, place, array)
-    return _typed(name, place, array).tobytes()
+    array = _numbers(name, value, place.entry.info.type)
+    table = place.entry.info.kind == "table"
+    array = _as_rows(name, place, array) if table else _as_elements(name, place, array)
+    _check_fit(name, place, array)
+    return array
 
 
-def encode_table(name: str, place: Place, value: object) -> npt.NDArray[np.float64]:
-    """The rows to write into a table.
-
-    Parameters
-    ----------
-    name : str
-    place : Place
-        A table.
-    value : sequence or ndarray, shape (rows, columns), or flat row after row
-
-    Returns
-    -------
-    ndarray, shape (rows, columns)
-        C-contiguous.
-
-    Raises
-    ------
-    VariableError
-        Wrong shape, more rows than its capacity, or NaN.
-    """
-    array = _as_rows(name, place, _numbers(name, value, place.entry.info.type))
-    _check_limits(name, place, array)
-    return np.ascontiguousarray(array)
-
-
-def _check_kind(name: str, place: Place) -> None:
+def check_kind(name: str, place: Place, settings: bool) -> None:
+    """Raise VariableError unless a variable may be written; settings of the runtime only by its own verbs."""
     kind = place.entry.info.kind
-    if kind not in ("parameter", "setting"):
+    if (kind == "setting") != settings:
+        raise VariableError(f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun")
+    if kind not in ("parameter", "setting", "table"):
         raise VariableError(f"{name}: is a {kind}, read only; declare it with PARAMETER to write it")
 
 
-def _check_limits(name: str, place: Place, array: npt.NDArray[np.float64]) -> None:
-    info = place.entry.info
-    flat = array.ravel()
-    bad = np.flatnonzero(~np.isfinite(flat))
-    if bad.size:
-        raise VariableError(f"{name}: {flat[bad[0]]} is not a finite number{_at(array, bad[0])}; nothing was written")
-    outside = np.flatnonzero((flat < info.minimum) | (flat > info.maximum))
-    if outside.size:
-        unit = f" {info.unit}" if info.unit else ""
-        limits = f"{info.minimum:g} … {info.maximum:g}{unit}"
-        raise VariableError(f"{name}: {flat[outside[0]]:g}{unit} is outside its limits {limits}{_at(array, outside[0])}")
+def _check_fit(name: str, place: Place, array: FloatArray) -> None:
+    ffi, lib = layout()
+    part, wrong = ffi.new("update_part *"), ffi.new("uint32_t *")
+    set_part(part, place, array.size)
+    why = lib.monitor_fit(part, 1, ffi.from_buffer("double[]", array), wrong)
+    if why == lib.FIT:
+        return
+    info, number = place.entry.info, array.ravel()[wrong[0]]
+    where = f" (element {wrong[0]})" if array.size > 1 else ""
+    unit = f" {info.unit}" if info.unit else ""
+    words = {
+        lib.FIT_NOT_FINITE: f"{number} is not a finite number{where}; nothing was written",
+        lib.FIT_OUTSIDE: f"{number:g}{unit} is outside its limits {info.minimum:g} … {info.maximum:g}{unit}{where}",
+        lib.FIT_NOT_WHOLE: f"{number} is not a 32-bit integer{where}",
+        lib.FIT_NO_FLAG: f"{number} is neither true nor false (1 or 0){where}",
+        lib.FIT_TOO_LARGE: f"{number} exceeds the range of float{where}",
+    }
+    raise VariableError(f"{name}: {words[why]}")
 
 
-def _at(array: npt.NDArray[Any], index: np.intp) -> str:
-    return f" (element {int(index)})" if array.size > 1 else ""
-
-
-def _numbers(name: str, value: object, kind: str) -> npt.NDArray[np.float64]:
+def _numbers(name: str, value: object, kind: str) -> FloatArray:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "biuf":
@@ -106,16 +94,16 @@ def _short(value: object) -> str:
     return text if len(text) <= 40 else text[:37] + "…"
 
 
-def _as_elements(name: str, place: Place, array: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _as_elements(name: str, place: Place, array: npt.NDArray[Any]) -> FloatArray:
     wanted = 1 if place.element is not None else place.entry.info.length
     if array.size != wanted or array.ndim > 1:
         given = f"an array of shape {array.shape}" if array.ndim else "one number"
         needs = f"{wanted} numbers" if wanted > 1 else "one number"
         raise VariableError(f"{name}: needs {needs}, got {given}")
-    return array.reshape(wanted)
+    return np.ascontiguousarray(array.reshape(wanted))
 
 
-def _as_rows(name: str, place: Place, array: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _as_rows(name: str, place: Place, array: npt.NDArray[Any]) -> FloatArray:
     columns = place.entry.info.columns
     if array.ndim == 1 and array.size % columns == 0:
         array = array.reshape(-1, columns)
@@ -123,15 +111,4 @@ def _as_rows(name: str, place: Place, array: npt.NDArray[np.float64]) -> npt.NDA
         raise VariableError(f"{name}: needs shape (rows, {columns}), got {array.shape}")
     if array.shape[0] > place.entry.rows:
         raise VariableError(f"{name}: {array.shape[0]} rows exceed its capacity of {place.entry.rows}; declare a larger TABLE")
-    return array
-
-
-def _typed(name: str, place: Place, array: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
-    kind = place.entry.info.type
-    if kind == "int32" and (np.any(array != np.rint(array)) or np.any(array < _INT32.min) or np.any(array > _INT32.max)):
-        raise VariableError(f"{name}: {_short(array.tolist())} is not a 32-bit integer")
-    if kind == "bool" and np.any((array != 0.0) & (array != 1.0)):
-        raise VariableError(f"{name}: {_short(array.tolist())} is neither true nor false (1 or 0)")
-    if kind == "float" and np.any(np.abs(array) > np.finfo(np.float32).max):
-        raise VariableError(f"{name}: {_short(array.tolist())} exceeds the range of float")
-    return array.astype(place.entry.dtype)
+    return np.ascontiguousarray(array)

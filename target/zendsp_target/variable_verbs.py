@@ -10,7 +10,7 @@ import numpy as np
 
 from zendsp_protocol import messages as m
 from zendsp_protocol import values, verbs
-from zendsp_protocol.errors import Refused, VariableError
+from zendsp_protocol.errors import NotYet, VariableError
 from zendsp_target.api import RuntimeApi, VariableInfo
 from zendsp_target.later import Later
 from zendsp_target.uploads import Uploads
@@ -68,7 +68,7 @@ class VariableVerbs:
         sequence = self.do_write(args, by)["sequence"]
         try:
             return self._applied(sequence, APPLY_INLINE_S)
-        except Refused:  # not yet: it waits for its sample
+        except NotYet:
             raise Later(lambda: self._applied(sequence, APPLY_LIMIT_S)) from None
 
     def do_wait_applied(self, args: verbs.Wait, by: str) -> dict[str, int]:

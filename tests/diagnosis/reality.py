@@ -30,6 +30,8 @@ class Machine:
     spring: float = 0.0
     wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
+    sticky: float = 0.0  # a look-alike of friction that varies with position: sticky * tanh(2 sin(3 q)) * tanh(q̇ / 0.1)
+    push: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N m, from s, to s
     gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
     load: float = 0.0
     unrest: float = 0.0  # N m RMS: a random torque below 2 Hz, another one in every run
@@ -39,6 +41,16 @@ class Machine:
     limit: float = 3.0
     weak: float = math.inf  # torque that the actuator gives at most, whatever it is told
     resolution: float = RESOLUTION
+    fade: float = 0.0  # share by which the actuator's gain changes, with a time constant of 3 s
+    oval: float = 0.0  # rad: an error of the sensor twice a turn
+    smear: float = 0.0  # s: a low-pass filter between the sensor and the recording
+    late: int = 0  # rows by which the command column is late; early where negative
+    supply: float = math.inf  # torque at standstill that the supply allows, less `back` times the speed
+    back: float = 0.0
+    soft: float = 0.0  # N m/rad: the spring before `load`, without a gap, with `hard` times the bend cubed
+    hard: float = 0.0
+    wobble: float = 0.0  # rad by which a rigid transmission errs, five times a turn
+    thin: float = 0.0  # 1/K by which dry friction falls with the temperature, which rises by 15 K
     extra: dict[str, float] = field(default_factory=dict)
 
 
@@ -64,39 +76,61 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
     ys, us = [], []
     draw = np.random.default_rng(seed)
     slow = [(2 * math.pi * a, b) for a, b in zip(draw.uniform(0.2, 2.0, 40), draw.uniform(0, 6.28, 40), strict=True)] if m.unrest else []
+    seen, warm = q, []
     for k, r in enumerate(reference):
+        warm.append(20.0 + 15.0 * (1.0 - math.exp(-k * T / 3.0)))
         unrest = m.unrest / math.sqrt(20) * sum(math.sin(a * k * T + b) for a, b in slow)
-        y = m.resolution * round(q / m.resolution) if m.resolution else q
+        at = q + m.oval * math.sin(2 * q + 0.3)
+        y = m.resolution * round(at / m.resolution) if m.resolution else at
         u = m.kp * (r - y) - m.kd * (y - last) / T
         u = max(-m.limit, min(m.limit, u))
         last = y
-        ys.append(y)
+        ys.append(m.resolution * round(seen / m.resolution) if m.smear else y)
         us.append(u)
+        drive = u * (1.0 + m.fade * (1.0 - math.exp(-k * T / 3.0)))
         for _ in range(sub):
             if late:
                 queue.append(u)
                 torque = queue[-1 - late]
             else:
-                torque = u
+                torque = drive
+            torque = max(-m.supply - m.back * v, min(m.supply - m.back * v, torque))
             torque = max(-m.weak, min(m.weak, torque)) + unrest
+            torque += m.push[0] if m.push[1] <= k * T < m.push[2] else 0.0
             level = m.coulomb + ((m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2)) if m.breakaway else 0.0)
             f = m.viscous * v + m.drag * v * abs(v) + m.gravity * math.sin(q) + m.ripple * math.sin(m.order * q + 0.4) + m.spring * q
             f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (1 + v * v)
+            level *= 1.0 - m.thin * (warm[-1] - 20.0)
+            inertia = m.inertia
+            if m.wobble:  # the load turns by `slope` for each turn of the motor
+                slope, bend = 1.0 + 5 * m.wobble * math.cos(5 * q + 0.6), -25 * m.wobble * math.sin(5 * q + 0.6)
+                inertia *= slope * slope
+                f += m.inertia * slope * bend * v * v
+                f += m.gravity * (slope * math.sin(q + m.wobble * math.sin(5 * q + 0.6)) - math.sin(q))
+            f += m.sticky * math.tanh(2 * math.sin(3 * q)) * math.tanh(v / 0.1)
             # dry friction implicitly in its slope: stable at any step
             s = math.tanh(v / 1e-3)
-            slope = level / 1e-3 * (1 - s * s)
+            steep = level / 1e-3 * (1 - s * s)
             push = 0.0
-            if m.load:
+            if m.soft:
+                apart = q - there
+                push = m.soft * apart + m.hard * apart**3 + 0.02 * (v - speed)
+                speed += h * push / m.load
+                there += h * speed
+            elif m.load:
                 apart = q - there
                 deep = apart - math.copysign(0.5 * m.gap, apart)
                 if abs(apart) > 0.5 * m.gap:
                     push = math.copysign(max(0.0, math.copysign(1.0, apart) * (120.0 * deep + 0.2 * (v - speed))), apart)
                 speed += h * push / m.load
                 there += h * speed
-            v += h * (torque - f - push - level * s) / (m.inertia - m.load + h * slope)
+            v += h * (torque - f - push - level * s) / (inertia - m.load + h * steep)
             q += h * v
+            seen += h * (q - seen) / m.smear if m.smear else 0.0
     n = len(reference)
-    return {"t": np.arange(n) * T, "q": np.array(ys), "u": np.array(us), "r": np.asarray(reference, float)}
+    rows = np.clip(np.arange(n) - m.late, 0, n - 1)
+    columns = {"t": np.arange(n) * T, "q": np.array(ys), "u": np.array(us)[rows], "r": np.asarray(reference, float)}
+    return {**columns, "warm": np.array(warm)} if m.thin else columns
 
 
 def save(path: Path, columns: dict[str, np.ndarray]) -> Path:

@@ -14,7 +14,7 @@ from zendsp.cli import main
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.findings import kernel_model
 from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import read_signals
+from zendsp.diagnosis.reading import _resample_held, read_signals
 from zendsp.physics.model_file import load_model
 
 RATE = 500.0
@@ -275,6 +275,20 @@ def test_a_jittered_clock_is_resampled_and_the_report_says_so(good: Columns, mod
     assert any("jitter" in n and "resampled" in n for n in notes), notes
 
 
+def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> None:
+    r = np.random.default_rng(1)
+    steps = np.arange(4000) / RATE
+    time = steps + r.uniform(-0.25, 0.25, len(steps)) / RATE
+    fine = np.arange(0.0, 7.9, 0.02 / RATE)
+    held = np.sin(2 * np.pi * time)[np.searchsorted(time, fine, side="right") - 1]
+    grid = np.arange(time[0], time[-1], 1.0 / RATE)
+    again = _resample_held(grid, time, np.sin(2 * np.pi * time)[:, None])[:, 0]
+    after = again[np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, None)]
+    slope = 2 * np.pi * np.cos(2 * np.pi * fine)
+    late = float((held - after) @ slope / (slope @ slope))  # s, to first order
+    assert abs(late) < 0.02 / RATE
+
+
 def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Path, refuse: Callable[..., str]) -> None:
     machine = reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.001)
     swing = reality.simulate(machine, np.r_[1.2, np.zeros(4999)], RATE)
@@ -286,3 +300,20 @@ def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Pat
     assert "hanging down" in refuse(upright, "--model", model)
     degrees = reality.save(tmp_path / "degrees.csv", {"t": swing["t"], "q": np.degrees(swing["q"])})
     assert "degrees" in refuse(degrees, "--model", model)
+
+
+def test_rows_that_repeat_the_row_before_are_left_out_and_said(good: Columns, model: Path, tmp_path: Path) -> None:
+    rows = np.sort(np.r_[np.arange(len(good["t"])), [100, 101, 900]])
+    again = reality.save(tmp_path / "again.csv", {k: v[rows] for k, v in good.items()})
+    given = kernel_model(load_model(model))
+    signals = read_signals(again, given)
+    assert len(signals.time) == len(good["t"])
+    assert any("3 rows repeat the row before" in n for n in signals.notes)
+
+
+def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) -> None:
+    free = reality.simulate(reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002), np.r_[1.2, np.zeros(4999)], RATE)
+    speed = np.gradient(free["q"], 1.0 / RATE)
+    compensation = 0.001 * np.tanh(speed / 0.1) + 2e-4 * np.random.default_rng(0).standard_normal(len(speed))
+    model = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.002), gravity=0.4)
+    _accepted(reality.save(tmp_path / "hardly.csv", {"t": free["t"], "q": free["q"], "u": compensation, "r": 0 * speed}), model)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -62,8 +61,8 @@ def test_all_recordings_unusable_is_an_error(fleet: Path, monkeypatch: pytest.Mo
     assert stop.value.code == 2 and "three.csv" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="Dask is installed")
-def test_without_dask_the_scheduler_option_says_what_to_install(fleet: Path) -> None:
+def test_without_dask_the_scheduler_option_says_what_to_install(fleet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
     with pytest.raises(ZendspError, match=r"zendsp\[fleet\]"):
         diagnose_each([fleet / "one.csv"], fleet / "model.toml", scheduler="tcp://127.0.0.1:8786")
 
@@ -80,5 +79,8 @@ def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path) -> None:
 
 def test_a_scheduler_that_is_not_there_is_named() -> None:
     pytest.importorskip("distributed")
-    with pytest.raises(LinkError, match=r"127\.0\.0\.1:9"):
+    import dask
+
+    soon = dask.config.set({"distributed.comm.timeouts.connect": "1s"})  # ten seconds otherwise, with nobody there
+    with soon, pytest.raises(LinkError, match=r"127\.0\.0\.1:9"):
         diagnose_each(["x.csv"], "m.toml", scheduler="tcp://127.0.0.1:9")

@@ -271,12 +271,14 @@ def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else
     make_certificates(tmp_path)
     ca, users = str(tmp_path / "ca.pem"), tmp_path / "users"
     users.write_text("anna:secret\n")
+    roles = tmp_path / "roles.toml"
+    roles.write_text('[roles]\ntwo = "observe"\n')
     own = ["--tls-cert", str(tmp_path / "one.pem"), "--tls-key", str(tmp_path / "one.key")]
     password = Credentials(ca, user="anna", password="secret")
     certificate = Credentials(ca, str(tmp_path / "two.pem"), str(tmp_path / "two.key"))
     for asked, good, bad in (
         (["--users", str(users)], password, Credentials(ca, user="anna", password="guess")),
-        (["--tls-ca", ca], certificate, Credentials(ca)),
+        (["--tls-ca", ca, "--roles", str(roles)], certificate, Credentials(ca)),
     ):
         command = [
             sys.executable,

@@ -14,7 +14,7 @@ import pytest
 from helpers import DEADLINE_S, until
 
 import zendsp
-from zendsp.errors import AcquisitionError, CompileFailed, Refused, VariableError
+from zendsp.errors import AcquisitionError, CompileFailed, Refused, TooLarge, VariableError
 from zendsp.link import Target, Trigger
 
 COUNTER = """#include "isr.h"
@@ -97,7 +97,7 @@ def test_a_recording_larger_than_the_memory_of_the_target_is_fetched_meanwhile(
 
     def small(self: Target, channels: list[str], seconds: float = 1.0, *rest: Any, **named: Any) -> Any:
         if seconds > 0.6:
-            raise AcquisitionError("6 channels need 999 MB of shared memory, 1 MB are free")
+            raise TooLarge("6 channels need 999 MB of shared memory, 1 MB are free")
         return configure(self, channels, seconds, *rest, **named)
 
     monkeypatch.setattr(type(real), "acquire_configure", small)

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp_protocol.errors import AcquisitionError, CompileFailed, Refused, VariableError
+from zendsp_protocol.errors import AcquisitionError, CompileFailed, NotYet, Refused, VariableError
+from zendsp_protocol.kept import About
+from zendsp_protocol.messages import Held
 from zendsp_target.api import (
     AcquireConfig,
     AcquireStatus,
@@ -117,6 +119,9 @@ class FakeRuntime:
         with self.lock:
             self.state = "paused"
 
+    def stop_page(self) -> str:
+        return ""
+
     def stop(self) -> None:
         with self.lock:
             self.state = "stopped"
@@ -185,7 +190,7 @@ class FakeRuntime:
     def wait_applied(self, sequence: int, timeout: float) -> int:
         with self.lock:
             if not self.lock.wait_for(lambda: self.applied >= sequence, timeout):
-                raise Refused("not applied in time")
+                raise NotYet("not applied in time")
             return self.applied_tick
 
     def log(self, since: int = 0) -> tuple[Change, ...]:
@@ -206,6 +211,9 @@ class FakeRuntime:
 
     def acquire_start(self, stream: int, force: bool = False) -> None:
         self.streams[stream]["state"] = "running"
+
+    def acquire_keep(self, about: About) -> None:
+        self.about = about
 
     def acquire_stop(self, stream: int) -> None:
         if stream in self.streams:
@@ -229,6 +237,9 @@ class FakeRuntime:
             s["start"],
             -1,
         )
+
+    def acquire_held(self, stream: int) -> Held:
+        return Held()
 
     def acquire_read(
         self,

@@ -184,6 +184,12 @@ def test_a_router_is_never_taken_for_a_host(lab: Lab) -> None:
     imi = lab.add_target("imi")
     lab.add_user("anna", "observe")
     files = Security(str(imi.certificate), str(imi.key), str(lab.authority), "", str(lab.roles_file))
+    for listen in ("tls/127.0.0.1:0", "here"):
+        with pytest.raises(Refused, match="roles do not hold behind a router"):
+            settle("imi", [listen], ["tls/127.0.0.1:7447"], files)
+    users = lab.folder / "passwords"
+    users.write_text("anna:secret\n")
+    files = Security(str(imi.certificate), str(imi.key), str(lab.authority), str(users))
     with pytest.raises(Refused, match="could not be told from the router"):
         settle("imi", ["tls/127.0.0.1:0"], ["tls/127.0.0.1:7447"], files)
     settle("imi", ["here"], ["tls/127.0.0.1:7447"], files)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import socket
 import threading
 import time
 import weakref
@@ -49,6 +50,23 @@ def test_a_target_is_found_by_name_alone(target: Target) -> None:
         connect("other")
     with pytest.raises(LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"):
         connect("other", connect=target.link.endpoints[0])
+
+
+def test_silent_places_are_waited_for_together(monitor: Monitor) -> None:
+    """Each place that takes a connection and says nothing costs its timeout, once for all of them."""
+    silent = [socket.create_server(("127.0.0.1", 0)) for _ in range(6)]
+    places = [f"tcp/127.0.0.1:{s.getsockname()[1]}" for s in silent]
+    try:
+        times = []
+        for some in (places[:1], places):
+            began = time.monotonic()
+            assert [found.name for found in discover("*", some, timeout=0.7)] == ["fake"]
+            times.append(time.monotonic() - began)
+    finally:
+        for s in silent:
+            s.close()
+    assert times[0] > 0.6, "one is waited for"
+    assert times[1] < 2.5 * times[0], "in turn it were six times that"
 
 
 def test_write_and_read_asynchronously(running: Target) -> None:
@@ -309,6 +327,10 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
     until(lambda: not target.alive, "the end is noticed")
     with pytest.raises(LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"):
         target.status()
+    begin = time.monotonic()
+    with pytest.raises(LinkError, match=r"is gone: 'write' was not answered.*Whether it was applied cannot be known"):
+        target.write(Kp1=1.0)
+    assert time.monotonic() < begin + 2.0  # nobody is left to send it to: of five seconds that it may take
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
     with pytest.raises(LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"):
@@ -352,3 +374,35 @@ def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_ru
 def test_credentials_that_cannot_work_are_named_before_anything_is_sent(credentials: Credentials, said: str) -> None:
     with pytest.raises(LinkError, match=said):
         zenoh_config(["tls/localhost:1"], credentials, 1.0)
+
+
+def test_a_second_link_of_the_same_program_need_not_stand_among_the_hosts(running: Target) -> None:
+    with connect("fake") as other, connect("fake", shown=False) as stopper:
+        until(lambda: len(running.status().hosts) == 2, "the other host is shown")
+        assert set(running.status().hosts) == {running.link.author, other.link.author}
+        stopper.stop()
+        assert running.status().state == "stopped"
+
+
+def ask_on(other: Target, said: list[BaseException], verb: str, arguments: dict[str, object]) -> None:
+    try:
+        while True:
+            other.request(verb, **arguments)
+    except BaseException as error:
+        said.append(error)
+
+
+def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -> None:
+    for _ in range(10):
+        other, said = connect("fake"), list[BaseException]()
+        threads = [
+            threading.Thread(target=ask_on, args=(other, said, "read", {"names": ["Kp1"]})),
+            threading.Thread(target=ask_on, args=(other, said, "write", {"values": {"Kp1": 1.0}})),
+        ]
+        for thread in threads:
+            thread.start()
+        time.sleep(0.01)  # any moment will do
+        other.close()
+        for thread in threads:
+            thread.join(DEADLINE_S)
+        assert [type(error) for error in said] == [LinkError, LinkError], said

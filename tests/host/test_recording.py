@@ -41,7 +41,7 @@ def recording() -> Recording:
     )
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
 def test_every_format_gives_back_the_same_recording_bit_for_bit(
     recording: Recording, tmp_path: Path, suffix: str
 ) -> None:
@@ -69,7 +69,7 @@ def test_every_format_gives_back_the_same_recording_bit_for_bit(
     assert list(tmp_path.iterdir()) == [path]  # no half-written file is left behind
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
 def test_a_recording_also_reads_as_a_plain_table(recording: Recording, tmp_path: Path, suffix: str) -> None:
     table = read_table(recording.save(tmp_path / f"run{suffix}"))
     assert table["q"].shape == (200, 2)
@@ -77,7 +77,7 @@ def test_a_recording_also_reads_as_a_plain_table(recording: Recording, tmp_path:
     assert np.array_equal(table["t"], recording.t)
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
 def test_one_row_survives(tmp_path: Path, suffix: str) -> None:
     one = Recording.from_columns({"q": [[1.0, 2.0]], "u": [3.0]}, sample_time=0.1)
     back = Recording.load(one.save(tmp_path / f"one{suffix}"))
@@ -146,13 +146,14 @@ def test_importing_the_recording_loads_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv"])
+@pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
 def test_a_flipped_byte_is_never_a_wrong_number(recording: Recording, tmp_path: Path, suffix: str) -> None:
     path = recording.save(tmp_path / f"whole{suffix}")
     whole = path.read_bytes()
     hurt = tmp_path / f"hurt{suffix}"
     told = 0
-    for place in np.linspace(0, len(whole) - 1, 150).astype(int):
+    places = 20 if suffix == ".mf4" else 150  # each has a process of its own there
+    for place in np.linspace(0, len(whole) - 1, places).astype(int):
         hurt.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
         try:
             loaded = Recording.load(hurt)
@@ -162,7 +163,7 @@ def test_a_flipped_byte_is_never_a_wrong_number(recording: Recording, tmp_path: 
         else:  # it hit what means nothing: a date of the archive, a comment
             assert np.array_equal(loaded.data, recording.data, equal_nan=True), place
             assert np.array_equal(loaded.t, recording.t), place
-    assert told > 75, "most places matter"
+    assert told > places / 2, "most places matter"
 
 
 def test_a_number_changed_by_hand_is_told_and_an_older_file_loads(recording: Recording, tmp_path: Path) -> None:

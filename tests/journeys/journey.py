@@ -70,7 +70,9 @@ class Installed:
         path.write_text(text)
         return path
 
-    def start(self, *command: str | Path, env: Mapping[str, str] | None = None) -> subprocess.Popen[str]:
+    def start(
+        self, *command: str | Path, env: Mapping[str, str] | None = None, stdin: int = subprocess.DEVNULL
+    ) -> subprocess.Popen[str]:
         """Start a program beside the test, in a process group of its own; it is ended with the test.
 
         The first word is `zendsp`, `python`, or a path.
@@ -80,7 +82,7 @@ class Installed:
             [str(first), *map(str, command[1:])],
             cwd=self.folder,
             env={**self.env, **(env or {})},
-            stdin=subprocess.DEVNULL,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -92,6 +94,8 @@ class Installed:
     def target(self, name: str = "imi", machine: str = "imi_planar", *options: str) -> subprocess.Popen[str]:
         """Start `zendsp target` and wait until `zendsp ls` finds it."""
         process = self.start("zendsp", "target", "--machine", machine, "--name", name, *options)
+        entry = Path(self.env["ZENDSP_RUNTIME_DIR"]) / f"{name}.json"
+        until(entry.exists, f"target {name} registered", alive=process)  # each look of the command costs half a second
         until(lambda: name in self.run("ls").stdout, f"target {name} listed", alive=process)
         return process
 
@@ -108,6 +112,10 @@ class Installed:
                     process.wait(10)
             if process.stdout is not None:
                 process.stdout.close()
+        for pid in filter(str.isdigit, os.listdir("/proc")):  # a loop that a journey froze cannot end itself
+            with contextlib.suppress(OSError):
+                if os.readlink(f"/proc/{pid}/exe").startswith(str(self.folder)):
+                    os.kill(int(pid), signal.SIGKILL)
 
 
 def until(

@@ -6,6 +6,7 @@ Fast clock by default; ``ZENDSP_JOURNEYS=all`` runs the whole matrix on the real
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 from journey import Installed
@@ -140,3 +141,10 @@ def test_no_order_of_the_sequence_trips_a_shipped_program(installed: Installed, 
 @pytest.mark.parametrize(("machine", "program"), REAL)
 def test_nor_on_the_real_clock(installed: Installed, machine: str, program: str) -> None:
     journey(installed, machine, program, "real", 300)
+
+
+def test_every_shipped_program_is_in_a_journey() -> None:
+    here = Path(__file__).parent
+    journeys = "".join(path.read_text() for path in here.glob("test_*.py"))
+    programs = {path.name for path in (here.parents[1] / "c_isr" / "zendsp_isr" / "programs").glob("*.c")}
+    assert len(programs) >= 10 and [name for name in programs if name not in journeys] == []

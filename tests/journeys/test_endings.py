@@ -106,8 +106,18 @@ def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
     assert "1 failed, 1 passed" in said
 
 
-def test_a_notebook_kernel_ends_and_its_target_with_it(installed: Installed) -> None:
+@pytest.fixture
+def kernels(installed: Installed) -> Installed:
+    """A user who has notebooks."""
     pytest.importorskip("nbclient")
+    spec = installed.folder / ".local/share/jupyter/kernels/python3"
+    spec.mkdir(parents=True)
+    command = [str(installed.python), "-m", "ipykernel_launcher", "-f", "{connection_file}"]
+    (spec / "kernel.json").write_text(json.dumps({"argv": command, "display_name": "p", "language": "python"}))
+    return installed
+
+
+def test_a_notebook_kernel_ends_and_its_target_with_it(kernels: Installed) -> None:
     text = """
 import nbformat
 from nbclient import NotebookClient
@@ -117,16 +127,69 @@ client = NotebookClient(notebook, timeout=40, kernel_name="python3")
 with client.setup_kernel():
     for number, cell in enumerate(notebook.cells):
         client.execute_cell(cell, number)
-    pid = client.km.provisioner.pid
 print(notebook.cells[1].outputs[0]["data"]["text/plain"])
 """
-    spec = installed.folder / ".local/share/jupyter/kernels/python3"
-    spec.mkdir(parents=True)
-    command = [str(installed.python), "-m", "ipykernel_launcher", "-f", "{connection_file}"]
-    (spec / "kernel.json").write_text(json.dumps({"argv": command, "display_name": "p", "language": "python"}))
-    done = installed.script(text)
+    done = kernels.script(text)
     assert "'loaded'" in done.stdout, done.stdout + done.stderr
-    until(lambda: "imi_planar-" not in installed.run("ls").stdout, "the kernel's target has ended", 5.0)
+    until(lambda: "imi_planar-" not in kernels.run("ls").stdout, "the kernel's target has ended", 5.0)
+
+
+NOTEBOOK = """
+import json, sys, time
+from jupyter_client.manager import start_new_kernel
+LOOK = "print('seen', t.status().state, t.drive_status().commander != '')"
+
+def said(client, code):
+    words = []
+    client.execute_interactive(code, timeout=40, output_hook=lambda m: words.append(m["content"].get("text", m["content"].get("evalue", ""))))
+    return "".join(words)
+
+manager, client = start_new_kernel(kernel_name="python3")
+print(said(client, COMMANDING.replace("import sys, time, zendsp", "import time, zendsp")).strip(), flush=True)
+ending = sys.argv[1]
+if ending == "interrupt":  # a cell that is stopped is no end: the kernel goes on to command
+    asked = client.execute("print('asleep', flush=True); time.sleep(60)", stop_on_error=False)
+    while "asleep" not in client.get_iopub_msg(timeout=40)["content"].get("text", ""):
+        pass
+    manager.interrupt_kernel()
+    while client.get_shell_msg(timeout=40)["parent_header"]["msg_id"] != asked:
+        pass
+    print(said(client, LOOK).strip(), flush=True)
+elif ending == "restart":
+    manager.restart_kernel(now=False)
+elif ending == "kill":
+    manager.restart_kernel(now=True)
+else:
+    manager.shutdown_kernel()
+print("done", flush=True)
+sys.stdin.readline()
+manager.shutdown_kernel(now=True)
+"""
+
+
+def test_the_policy_acts_however_the_commanding_kernel_ends(kernels: Installed) -> None:
+    kernels.target("imi")
+    assert kernels.script(PREPARE).returncode == 0
+    path = kernels.write("notebook.py", f"COMMANDING = {COMMANDING!r}\n{NOTEBOOK}")
+    for ending in ("interrupt", "restart", "kill", "shutdown"):
+        process = subprocess.Popen(
+            [str(kernels.python), str(path), ending], cwd=kernels.folder, env=kernels.env, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == "moves", ending
+        if ending == "interrupt":
+            assert process.stdout.readline().strip() == "seen running True"
+        assert process.stdout.readline().strip() == "done", ending
+        expected = ["running", ""] if ending == "interrupt" else ["stopped", "host lost"]
+        seen: list[object] = []
+
+        def acted(seen: list[object] = seen, expected: list[object] = expected) -> bool:  # type: ignore[assignment]
+            seen[:] = json.loads(kernels.script(LOOK).stdout)
+            return seen == expected
+
+        until(acted, f"{ending}: {expected}", 5.0)
+        process.communicate("over\n", timeout=30)
 
 
 QUIET_END = """

@@ -6,23 +6,28 @@ import pytest
 from journey import Installed
 
 DEFAULT = {"imi_planar": "pd.c", "pendulum": "pendulum_track.c", "wam7": "wam_pd_gravity.c"}
-KINDS = {
-    "imi_planar": ("point_to_point", "line", "circle", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
-    "pendulum": ("point_to_point", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
-    "wam7": ("point_to_point", "lspb", "trapezoid", "triangle", "step", "chirp", "multisine", "prbs"),
-}
 
 SCRIPT = r"""
-import sys
+import importlib.util, sys
 import zendsp
+from zendsp.errors import ReferenceError_
 from zendsp.reference import make_reference
+from zendsp.reference.registry import KINDS
 
-machine, program, *kinds = sys.argv[1:]
-bad = []
+machine, program = sys.argv[1:]
+OPEN_LOOP = {("pendulum", "torque_law"): "pendulum_torque.c"}  # the torque is the motion; the tracking programs play what it predicts
+played, bad = [], []
 with zendsp.local(machine, clock="fast") as target:
-    for kind in kinds:
-        reference = make_reference(kind, machine)
-        target.download(program)
+    for kind in KINDS:
+        if kind == "from_file" or (kind == "swing" and importlib.util.find_spec("casadi") is None):
+            continue
+        try:
+            reference = make_reference(kind, machine)
+        except ReferenceError_ as error:
+            assert "is planned for machines of kind" in str(error), error
+            continue
+        played.append(kind)
+        target.download(OPEN_LOOP.get((machine, kind), program))
         names = target.variables()
         for name, rows in reference.tables().items():
             if name in names:
@@ -33,7 +38,8 @@ with zendsp.local(machine, clock="fast") as target:
         if status.trip is not None:
             bad.append(f"{kind}: {status.trip.text}")
             target.acknowledge()
-print("\n".join(bad))
+print(*played)
+print("\n".join(bad), file=sys.stderr)
 sys.exit(bool(bad))
 """
 
@@ -42,8 +48,9 @@ sys.exit(bool(bad))
 def test_default_motions_do_not_trip_the_default_program(installed: Installed, machine: str) -> None:
     if machine == "wam7":
         pytest.importorskip("pinocchio")
-    said = installed.script(SCRIPT, machine, DEFAULT[machine], *KINDS[machine], timeout=110.0)
+    said = installed.script(SCRIPT, machine, DEFAULT[machine], timeout=110.0)
     assert said.returncode == 0, said.stdout + said.stderr
+    assert len(said.stdout.split()) >= 8, "every kind that the machine can move was played"
 
 
 REHEARSE = r"""

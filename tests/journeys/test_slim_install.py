@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from journey import Installed
+from screen import Screen
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 BLOCKED = ("casadi", "pyarrow", "pinocchio", "pin", "pandas", "xarray", "mujoco", "distributed",
@@ -95,3 +96,18 @@ def test_the_optimal_swing_is_refused_with_its_pip_line(slim: Installed) -> None
     refused = slim.run("reference", "swing", "--machine", "pendulum", "--out", "swing.mat")
     assert refused.returncode != 0
     assert "the optimal swing needs casadi: pip install 'zendsp[swing]'" in refused.stderr
+
+
+def test_the_terminal_starts_a_machine_shows_its_screens_and_ends(slim: Installed) -> None:
+    screen = Screen(slim, (100, 30), "--local", "imi_planar", "--source", "pd.c")
+    try:
+        screen.until("○ empty")
+        screen.keys(b"b")
+        screen.until("Kp1")
+        for key, shown in ((b"\x1bOR", "acquire    q"), (b"\x1bOS", "headroom"), (b"\x1bOQ", "Kp1")):  # F3, F4, F2
+            screen.keys(key)
+            screen.until(shown)
+        screen.keys(b"\x11")  # Ctrl+Q
+        assert screen.ended() == 0, screen.text()
+    finally:
+        screen.end()

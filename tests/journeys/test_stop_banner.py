@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
 import signal
-import struct
-import termios
-import threading
-import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from journey import Installed, until
+from screen import Screen
 
-pyte = pytest.importorskip("pyte")
 F9 = b"\x1b[20~"
 PREPARE = """
 import zendsp
@@ -28,47 +23,6 @@ import zendsp
 with zendsp.connect('imi') as t:
     print('nothing happened' if t.status().trip is None else t.status().trip)
 """
-
-
-class Screen:
-    """`zendsp tui` in a pseudo-terminal, and what it shows."""
-
-    def __init__(self, installed: Installed, size: tuple[int, int], screen: str) -> None:
-        self.shown = pyte.Screen(*size)
-        stream = pyte.ByteStream(self.shown)
-        self.pid, self.fd = pty.fork()
-        if self.pid == 0:
-            os.chdir(installed.folder)
-            command = [str(installed.zendsp), "tui", "imi", "--screen", screen, "--frames", "8"]
-            os.execve(command[0], command, installed.env)
-        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
-
-        def read() -> None:
-            try:
-                while data := os.read(self.fd, 1 << 16):
-                    stream.feed(data.replace(b"\x1b[>", b"\x1b["))  # pyte knows no private queries of this kind
-            except OSError:
-                return
-
-        threading.Thread(target=read, daemon=True).start()
-
-    def text(self) -> str:
-        return "\n".join(self.shown.display)
-
-    def keys(self, data: bytes) -> None:
-        os.write(self.fd, data)
-
-    def until(self, what: str, timeout: float = 30.0) -> None:
-        deadline = time.monotonic() + timeout
-        while what not in self.text():
-            if time.monotonic() > deadline:
-                pytest.fail(f"not on the screen within {timeout:g} s: {what}\n{self.text()}")
-            time.sleep(0.02)
-
-    def end(self) -> None:
-        os.kill(self.pid, signal.SIGKILL)
-        os.waitpid(self.pid, 0)
-        os.close(self.fd)
 
 
 @pytest.fixture
@@ -87,7 +41,7 @@ def test_stop_ends_in_the_right_banner(
     process = installed.target("imi")
     done = installed.script(PREPARE)
     assert done.returncode == 0, done.stderr
-    screen = Screen(installed, size, name)
+    screen = Screen(installed, size, "imi", "--screen", name)
     screens.append(screen)
     screen.until("● running")
 
@@ -96,7 +50,9 @@ def test_stop_ends_in_the_right_banner(
 
     assert installed.script(PREPARE).returncode == 0
     screen.until("● running")
-    os.kill(process.pid, signal.SIGSTOP)
+    runner = runner_of(process.pid)
+    os.kill(process.pid, signal.SIGSTOP)  # before the runner: its watchdog would end it
+    os.kill(runner, signal.SIGSTOP)
     screen.keys(F9)
     screen.until("NOT STOPPED: use the machine's emergency stop", 8.0)
     os.kill(process.pid, signal.SIGCONT)
@@ -107,10 +63,81 @@ def test_stop_ends_in_the_right_banner(
     assert "STOP sent" not in screen.text()
 
 
+def runner_of(target: int) -> int:
+    """Number of the process with the loop."""
+    for task in Path(f"/proc/{target}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if "/runner/" in Path(f"/proc/{child}/cmdline").read_text():
+                return int(child)
+    pytest.fail("the target has no runner")
+
+
+def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Installed, screens: list[Screen]) -> None:
+    process = installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screens.append(screen)
+    screen.until("● running")
+    os.kill(process.pid, signal.SIGSTOP)
+    screen.keys(F9)
+    screen.until("stopped, at sample", 8.0)
+    assert "NOT STOPPED" not in screen.text()
+    os.kill(process.pid, signal.SIGCONT)
+    assert "stop" in installed.script(NOT_STOPPED).stdout
+
+
+def test_a_key_that_is_pressed_before_the_screen_is_there_stops(installed: Installed, screens: list[Screen]) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screens.append(screen)
+    screen.keys(F9)
+    screen.until("stopped, at sample")
+
+
+def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Installed, screens: list[Screen]) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screens.append(screen)
+    screen.until("● running")
+    first = screen.clock()
+    until(lambda: screen.clock() != first, "a picture more: where the field is was told before it")
+    os.kill(screen.pid, signal.SIGSTOP)
+    screen.keys(b"\x1b[<0;74;2M\x1b[<0;74;2m")
+    until(lambda: "stop" in installed.script(NOT_STOPPED).stdout, "stopped, though the screen hangs")
+    os.kill(screen.pid, signal.SIGCONT)
+    screen.until("stopped, at sample")
+
+
+def test_f9_works_where_the_process_of_the_keys_was_killed(installed: Installed, screens: list[Screen]) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screens.append(screen)
+    screen.until("● running")
+    stopper = stopper_of(screen.pid)
+    os.kill(stopper, signal.SIGKILL)
+    until(lambda: not Path(f"/proc/{stopper}").exists(), "the process of the keys is gone, and was waited for")
+    screen.keys(F9)
+    screen.until("stopped, at sample", 8.0)
+    screen.keys(b"\x1bOR")
+    screen.until("reference chosen", 10.0)
+
+
+def stopper_of(terminal: int) -> int:
+    """Number of the process that reads the keys."""
+    for task in Path(f"/proc/{terminal}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            if "zendsp.tui.stopper" in Path(f"/proc/{child}/cmdline").read_text():
+                return int(child)
+    pytest.fail("the terminal has no process of the keys")
+
+
 def test_a_pasted_key_does_not_stop(installed: Installed, screens: list[Screen]) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "console")
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.until("● running")
     screen.keys(b"\x1b[200~" + F9 + b"\x1b[201~")
@@ -125,7 +152,12 @@ def test_the_command_stops_or_says_loudly_that_it_could_not(installed: Installed
     assert installed.script(PREPARE).returncode == 0
     done = installed.run("stop")
     assert done.returncode == 0 and "stopped, at sample" in done.stdout, done.stdout + done.stderr
+    assert installed.script(PREPARE).returncode == 0
+    runner = runner_of(process.pid)
     os.kill(process.pid, signal.SIGSTOP)
+    done = installed.run("stop")
+    assert done.returncode == 0 and "stopped, at sample" in done.stdout, "the loop itself says so"
+    os.kill(runner, signal.SIGSTOP)
     done = installed.run("stop")
     assert done.returncode != 0 and "NOT STOPPED: use the machine's emergency stop" in done.stderr
     os.kill(process.pid, signal.SIGCONT)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.link.programs import gather
 from zendsp.reference import Reference, load_machine, make_circle, make_lspb, make_point_to_point, make_swing
 from zendsp_isr.build import source_root
+from zendsp_isr.sources import gather
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 

@@ -85,6 +85,25 @@ def test_the_wam_in_c_is_pinocchio_plus_friction_to_1e_9_in_a_simulation_and_on_
     assert np.abs(tau - wam_by_hand(q, qd, qdd)).max() < 1e-9
 
 
+def test_a_payload_and_a_tilted_base_are_in_the_c_of_the_wam() -> None:
+    import pinocchio as pin
+
+    carried = {"mass": 2.0, "com_x": 0.01, "com_y": -0.03, "com_z": 0.12, "inertia": 0.004}
+    found = {"payload": (7, carried), "base_tilt": (1, {"angle_x": 0.1, "angle_y": -0.05})}
+    terms = [Term(name, j, {k: Quantity(v) for k, v in values.items()}) for name, (j, values) in found.items()]
+    model = load_model(MODELS / "wam7.toml").with_terms(tuple(terms))
+    sim = simulate(probe(model), model, seconds=0.3, flags=STRICT)
+    robot = pin.buildModelFromUrdf(str(MODELS / "wam7.urdf"))
+    robot.inertias[7] += pin.Inertia(2.0, np.array([0.01, -0.03, 0.12]), 0.004 * np.eye(3))
+    turn = pin.utils.rpyToMatrix(0.1, -0.05, 0.0)  # about x, then about y
+    robot.gravity.linear = turn @ robot.gravity.linear
+    data = robot.createData()
+    rows = zip(sim["q"], sim["qd"], sim["qdd"], strict=True)
+    assert np.abs(sim["tau"] - [pin.rnea(robot, data, *row) for row in rows]).max() < 1e-9
+    assert np.abs(sim["g"] - [pin.computeGeneralizedGravity(robot, data, q) for q in sim["q"]]).max() < 1e-9
+    assert "Not in it" not in model_code(model)
+
+
 def test_the_planar_arm_in_c_is_its_equation() -> None:
     model = load_model(MODELS / "imi_planar.toml")
     rec = simulate(probe(model), model, seconds=0.5, flags=STRICT)

@@ -11,7 +11,15 @@ from types import ModuleType
 import pytest
 
 from zendsp.errors import ModelError, ZendspError
-from zendsp.physics.effects import get_effect, library, load_effects, unit_of
+from zendsp.physics.effects import (
+    MECHANISMS,
+    get_effect,
+    laws_of,
+    library,
+    load_effects,
+    mechanism_of,
+    unit_of,
+)
 from zendsp.physics.native import source_text
 
 ROOT = Path(__file__).parents[2]
@@ -43,7 +51,29 @@ CONTRACT = {
     "lag": ["time_constant"],
     "delay": ["time"],
     "encoder_eccentricity": ["amplitude", "phase"],
+    "payload": ["mass", "com_x", "com_y", "com_z", "inertia"],
+    "body": ["mass", "com_x", "com_y", "com_z", "inertia"],
+    "base_tilt": ["angle_x", "angle_y"],
+    "gain_drift": ["ratio", "time_constant"],
+    "friction_temperature": ["coefficient", "reference"],
+    "transmission_error": ["order", "amplitude", "phase"],
+    "stiffening": ["stiffness", "stiffness3"],
+    "voltage_limit": ["level", "slope"],
+    "sensor_harmonic": ["order", "amplitude", "phase"],
+    "position_filter": ["time_constant"],
+    "column_shift": ["time"],
 }
+MECHANISM = {
+    "dry_friction": "coulomb coulomb_asymmetry stribeck presliding hysteresis load_friction position_friction friction_drift friction_temperature",
+    "fluid_friction": "viscous viscous_asymmetry quadratic_drag",
+    "transmission": "elasticity stiffening backlash transmission_error",
+    "position_torque": "gravity stiffness cubic_stiffness ripple",
+    "inertia": "inertia payload body base_tilt coupling",
+    "actuator": "torque_gain gain_drift torque_offset dead_zone saturation voltage_limit lag delay",
+    "measurement": "encoder_eccentricity sensor_harmonic position_filter column_shift",
+    "disturbance": "disturbance",
+}
+BESIDE = {"coulomb_tanh", "friction_block"}  # laws of dry friction that the simulator knows and no diagnosis names
 
 
 @pytest.mark.parametrize("name", CONTRACT)
@@ -51,11 +81,26 @@ def test_effect_of_the_contract_has_its_parameters(name: str) -> None:
     assert set(CONTRACT[name]) <= set(get_effect(name).names)
 
 
+@pytest.mark.parametrize("mechanism", MECHANISM)
+def test_mechanism_of_the_contract_has_its_laws(mechanism: str) -> None:
+    assert set(laws_of(mechanism)) - BESIDE == set(MECHANISM[mechanism].split())
+    assert {mechanism_of(name) for name in MECHANISM[mechanism].split()} == {mechanism}
+    assert tuple(MECHANISM) == MECHANISMS
+
+
+def test_an_effect_of_an_unknown_mechanism_is_refused_and_one_of_none_is_a_mechanism_by_itself() -> None:
+    with pytest.raises(ModelError, match=r"'mine': mechanism = 'magic'.*dry_friction"):
+        replace(get_effect("viscous"), name="mine", mechanism="magic")
+    assert replace(get_effect("viscous"), name="mine", mechanism="").mechanism == ""
+    assert mechanism_of("mine") == "mine"
+
+
 @pytest.mark.parametrize("name", library())
 def test_effect_is_explained(name: str) -> None:
     effect = library()[name]
     assert effect.name == name and effect.equation and effect.experiment.endswith(".")
-    assert "{joint}" in effect.sentence and effect.sentence.endswith(".")
+    assert "{joint}" in effect.sentence or name == "base_tilt"  # which is of no joint
+    assert effect.sentence.endswith(".")
     for field in re.findall(r"{(\w+)}", effect.sentence):
         assert field == "joint" or field in effect.names or (field == "repeats" and "order" in effect.names)
     assert len(effect.parameters) <= 6  # what the kernel's table holds

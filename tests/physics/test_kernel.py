@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.reading import Signals
@@ -31,9 +32,15 @@ def command() -> np.ndarray:
     return u
 
 
-def integrate(derivative: Callable[[np.ndarray, float, float], np.ndarray], states: int, sub: int = 10) -> np.ndarray:
-    """Trajectory (N, states) from rest under the held command."""
+def warmth(t: float) -> float:
+    """Of the machine while it is recorded, °C."""
+    return 20 + 8 * t
+
+
+def integrate(derivative: Callable[[np.ndarray, float, float], np.ndarray], states: int, sub: int = 10, start: float = 0.0) -> np.ndarray:
+    """Trajectory (N, states) from rest under the held command; ``start``: of the first state."""
     u, x, out, h = command(), np.zeros(states), [], T / sub
+    x[0] = start
     for k in range(N):
         out.append(x.copy())
         for i in range(sub):
@@ -55,19 +62,23 @@ def rigid(resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia
     return integrate(derivative, 2, sub)[:, 0]
 
 
-def recorded(position: np.ndarray, terms: list[dict[str, Any]], inertia: float = J) -> tuple[Model, JointRecord]:
+def recorded(
+    position: np.ndarray, terms: list[dict[str, Any]], inertia: float = J, gravity: float = 0.0, **tables: Any
+) -> tuple[Model, JointRecord]:
     """A model with these terms, and the recording of a position under the command."""
-    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": inertia}}, "effect": terms, "sample_time": T})
+    mechanism = {"kind": "rotary", "parameters": {"inertia": inertia, "gravity": gravity}}
+    model = parse_model({"mechanism": mechanism, "effect": terms, "sample_time": T, **tables})
     one = np.ascontiguousarray(position)[:, None]
-    signals = Signals("reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1))
+    extra = {"temperature": np.array([[warmth(k * T)] for k in range(N)])}
+    signals = Signals("reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1), extra=extra)
     return model, prepare([signals], model).records[0][0]
 
 
-def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J) -> np.ndarray:
+def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J, **more: Any) -> np.ndarray:
     """The kernel's free simulation of the whole recording from its first sample."""
-    model, record = recorded(position, terms, inertia)
-    # the reference rests at zero at first; the smoother's guess of that is not what is tested here
-    record.motion.states[:, 0] = 0.0
+    model, record = recorded(position, terms, inertia, **more)
+    # the reference rests at first; the smoother's guess of that is not what is tested here
+    record.motion.states[:, 0] = position[0], 0.0, 0.0
     r = run(record, model, 16.0, inner=inner, free_every=N).innovations
     return record.position - r
 
@@ -85,6 +96,9 @@ SMOOTH: dict[str, tuple[dict[str, float], Torque]] = {
     "cubic_stiffness": ({"coefficient": 0.1, "neutral": 0.0}, lambda q, v, t, u: 0.1 * q**3),
     "ripple": ({"order": 5.0, "amplitude": 0.05, "phase": 0.7}, lambda q, v, t, u: 0.05 * math.sin(5 * q + 0.7)),
     "torque_offset": ({"level": 0.02}, lambda q, v, t, u: 0.02),
+    # what the drive does not give is a torque that resists
+    "gain_drift": ({"ratio": -0.3, "time_constant": 0.7}, lambda q, v, t, u: 0.3 * u * (1 - math.exp(-t / 0.7))),
+    "voltage_limit": ({"level": 0.14, "slope": 0.05}, lambda q, v, t, u: u - max(-0.14 - 0.05 * v, min(0.14 - 0.05 * v, u))),
 }
 
 
@@ -115,6 +129,10 @@ DRY: dict[str, tuple[list[dict[str, Any]], Torque]] = {
     "friction_drift": (
         [{"kind": "coulomb", "level": 0.05}, {"kind": "friction_drift", "ratio": -0.5, "time_constant": 1.0}],
         lambda q, v, t, u: dry(0.05 * (1 - 0.5 * (1 - math.exp(-t))))(v),
+    ),
+    "friction_temperature": (
+        [{"kind": "coulomb", "level": 0.05}, {"kind": "friction_temperature", "coefficient": -0.04, "reference": 25.0}],
+        lambda q, v, t, u: dry(0.05 * (1 - 0.04 * (warmth(t) - 25)))(v),
     ),
 }
 
@@ -218,10 +236,115 @@ def test_hysteresis_remembers_as_bouc_and_wen_say() -> None:
 
 def test_eccentric_encoder_acts_on_the_measurement_only() -> None:
     true = rigid(lambda *_: 0.0)
-    measured = true + 0.03 * np.sin(true + 0.5) - 0.03 * math.sin(0.5)  # begins at zero like the others
+    measured = true + 0.03 * np.sin(true + 0.5)
     got = kernel(measured, [{"kind": "encoder_eccentricity", "joint": 1, "amplitude": 0.03, "phase": 0.5}], 2)
-    shift = 0.03 * math.sin(0.5)
-    assert np.max(np.abs(got - (true + 0.03 * np.sin(true + 0.5)))) < 2 * shift * 0.02 + 0.002
+    assert np.max(np.abs(got - measured)) < 0.01 * np.max(np.abs(measured - true))
+
+
+def test_a_harmonic_of_the_sensor_acts_on_the_measurement_only() -> None:
+    order, size, phase = 2.0, 0.03, 0.5
+    true = rigid(lambda *_: 0.0)
+    seen = size * np.sin(order * true + phase)
+    term = {"kind": "sensor_harmonic", "joint": 1, "order": order, "amplitude": size, "phase": phase}
+    got = kernel(true + seen, [term], 2)
+    assert np.max(np.abs(got - (true + seen))) < 0.01 * np.ptp(seen)
+
+
+@pytest.mark.parametrize(("late", "size"), [(0.03, 0.0), (0.0, 0.03)])
+def test_a_free_run_that_begins_in_the_middle_knows_what_the_sensor_makes_of_the_state(late: float, size: float) -> None:
+    begin, terms = 300, []
+    true = integrate(lambda x, t, u: np.array([x[1], u / J, (x[0] - x[2]) / (late or 1.0)]), 3)
+    seen = true[:, 2] if late else true[:, 0] + size * np.sin(2 * true[:, 0] + 0.5)
+    if late:
+        terms.append({"kind": "position_filter", "joint": 1, "time_constant": late})
+    else:
+        terms.append({"kind": "sensor_harmonic", "joint": 1, "order": 2.0, "amplitude": size, "phase": 0.5})
+    model, record = recorded(seen, terms)
+    record.motion.states[:2] = seen, np.gradient(seen, T)  # the smoother's guess of the speed is not what is tested here
+    off = np.abs(run(record, model, 16.0, inner=4, free_every=begin).innovations[begin : 2 * begin])
+    assert np.max(off) < 0.01 * np.max(np.abs(true[begin : 2 * begin, 0] - seen[begin : 2 * begin]))
+
+
+@pytest.mark.parametrize("late", [0.0033, -0.0033])
+def test_a_shifted_command_column_acts_at_another_time_either_way(late: float) -> None:
+    u, q, v, true, h = command(), 0.0, 0.0, [], T / 40
+    for k in range(N):
+        true.append(q)
+        for i in range(40):  # the column is late: what acts now stands in a later row
+            at = math.floor((k * T + (i + 0.5) * h + late) / T)
+            a = u[min(max(at, 0), N - 1)] / J
+            q += h * v + 0.5 * h * h * a
+            v += h * a
+    reference = np.array(true)
+    got = kernel(reference, [{"kind": "column_shift", "joint": 1, "time": late}], 4)
+    assert np.max(np.abs(got - reference)) < 0.01 * np.max(np.abs(reference - rigid(lambda *_: 0.0)))
+
+
+def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
+    k, k3, load = 8.0, 2.0e4, 0.004  # bent by 11 mrad: a quarter of the torque is the cubic term's
+    c = 0.1 * math.sqrt(k * load)
+
+    def derivative(k3: float) -> Callable[[np.ndarray, float, float], np.ndarray]:
+        def rate(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+            d = x[0] - x[2]
+            spring = k * d + k3 * d**3 + c * (x[1] - x[3])
+            return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
+
+        return rate
+
+    true, straight = integrate(derivative(k3), 4)[:, 0], integrate(derivative(0.0), 4)[:, 0]
+    term = {"kind": "stiffening", "joint": 1, "stiffness": k, "stiffness3": k3, "load_inertia": load}
+    size = np.max(np.abs(true - straight))
+    # what is left is how far the spring is thought to be bent when the recording begins
+    assert np.max(np.abs(kernel(true, [term], 8) - true)) < 0.03 * size
+
+
+ORDER, ERROR, PHASE, WEIGHT, ROTOR = 3.0, 0.02, 0.4, 0.2, 0.003
+
+
+def uneven(x: float) -> tuple[float, float, float]:
+    """Load position behind a motor at x, and its first two derivatives by it."""
+    at = ORDER * x + PHASE
+    return x + ERROR * math.sin(at), 1 + ERROR * ORDER * math.cos(at), -ERROR * ORDER**2 * math.sin(at)
+
+
+@pytest.mark.parametrize("side", ["motor", "load"])
+@pytest.mark.parametrize("elastic", [False, True])
+def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(side: str, elastic: bool) -> None:
+    k, c, load = 60.0, 0.08, 0.006
+    terms: list[dict[str, Any]] = [{"kind": "transmission_error", "order": ORDER, "amplitude": ERROR, "phase": PHASE}]
+    if elastic:
+        terms.append({"kind": "elasticity", "stiffness": k, "damping": c, "load_inertia": load})
+    else:
+        terms.append({"kind": "inertia", "amount": ROTOR})
+
+    def stiff(x: np.ndarray, _t: float, u: float) -> np.ndarray:  # by Lagrange, one coordinate
+        at, slope, bend = uneven(x[0])
+        inert = J * slope * slope + ROTOR
+        return np.array([x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert])
+
+    def springy(x: np.ndarray, _t: float, u: float) -> np.ndarray:
+        at, slope, _ = uneven(x[0])
+        pull = k * (at - x[2]) + c * (slope * x[1] - x[3])
+        return np.array([x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
+
+    if elastic:
+        hanging = float(brentq(lambda x: uneven(x)[0], -0.1, 0.1))  # of the motor where the load hangs down
+        true = integrate(springy, 4, start=hanging)[:, 0 if side == "motor" else 2]
+        even = integrate(lambda x, t, u: springy_even(x, u, k, c, load), 4)[:, 0 if side == "motor" else 2]
+    else:
+        motor = integrate(stiff, 2)[:, 0]
+        true = motor if side == "motor" else motor + ERROR * np.sin(ORDER * motor + PHASE)
+        even = rigid(lambda q, v, t, u: WEIGHT * math.sin(q), inertia=J + ROTOR)
+    got = kernel(true, terms, 16, gravity=WEIGHT, sensor={"side": side})
+    size = np.max(np.abs(true - even))
+    assert np.max(np.abs(got - true)) < 0.05 * size
+
+
+def springy_even(x: np.ndarray, u: float, k: float, c: float, load: float) -> np.ndarray:
+    """Two inertias and a pendulum's weight on the second, without an error between them."""
+    pull = k * (x[0] - x[2]) + c * (x[1] - x[3])
+    return np.array([x[1], (u - pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
 
 
 def test_gap_lets_the_motor_move_alone() -> None:
@@ -284,6 +407,8 @@ def varied(model: Model, factor: float) -> Model:
 TYPICAL = {
     "torque": 0.03, "torque/speed": 0.01, "torque/speed2": 0.005, "torque/position": 30.0, "torque/position3": 0.1, "speed": 0.3,
     "position": 0.01, "time": 0.004, "ratio": 0.2, "angle": 0.5, "order": 3.0, "inertia": 0.003, "command": 0.05, "number": 1.0,
+    "mass": 0.3, "length": 0.1, "body_inertia": 0.003,
+    "temperature": 25.0, "1/temperature": 0.03,
 }  # fmt: skip
 
 

@@ -144,6 +144,10 @@ EFFECTS = {
     "friction_block": {"level": 0.05, "slope": -0.02, "curve": 0.03, "cubic": 0.01, "split": 1.0, "high_curve": 0.002}, "inertia": {"amount": 0.004}, "torque_gain": {"ratio": 0.2},
     "torque_offset": {"level": 0.02}, "gravity": {"torque": 0.1, "angle": 0.3}, "stiffness": {"coefficient": 0.2, "neutral": 0.1}, "cubic_stiffness": {"coefficient": 0.2, "neutral": 0.1},
     "encoder_eccentricity": {"amplitude": 0.01, "phase": 0.2}, "coulomb_tanh": {"level": 0.05, "speed": 0.1},
+    "gain_drift": {"ratio": -0.3, "time_constant": 2.0}, "sensor_harmonic": {"order": 2.0, "amplitude": 0.01, "phase": 0.2}, "column_shift": {"time": 0.002},
+    "voltage_limit": {"level": 0.4, "slope": 0.08}, "stiffening": {"stiffness": 20.0, "stiffness3": 5e4, "load_inertia": 0.006, "damping": 0.01},
+    "transmission_error": {"order": 3.0, "amplitude": 0.02, "phase": 0.4}, "position_filter": {"time_constant": 0.004},
+    "friction_temperature": {"coefficient": 0.03, "reference": 10.0},
 }  # fmt: skip
 
 
@@ -157,6 +161,63 @@ def test_halving_the_step_quarters_the_error_of(name: str) -> None:
         errors.append(float(np.abs(simulate_loop(model, r, inner=inner)["plant_q"] - fine).max()))
     assert errors[0] < 1e-6, "rad, at four steps a sample"
     assert errors[1] < errors[0] / 6 or errors[1] < 1e-9  # second order: 16; a reversal may fall badly
+
+
+J, G, U = 0.01, 0.3, 0.12  # kg m^2, N m, N m
+N, A, PHI = 3.0, 0.02, 0.4  # of a transmission
+
+
+def uneven(x: float) -> tuple[float, float, float]:
+    return x + A * math.sin(N * x + PHI), 1 + A * N * math.cos(N * x + PHI), -A * N * N * math.sin(N * x + PHI)
+
+
+def geared(t: float, x: Any) -> list[float]:
+    at, slope, bend = uneven(x[0])
+    return [x[1], (U - J * slope * bend * x[1] ** 2 - slope * G * math.sin(at)) / (J * slope**2)]
+
+
+def geared_spring(t: float, x: Any) -> list[float]:
+    at, slope, _ = uneven(x[0])
+    pull = 20.0 * (at - x[2]) + 5e4 * (at - x[2]) ** 3 + 0.01 * (slope * x[1] - x[3])
+    return [x[1], (U - slope * pull) / 0.004, x[3], (pull - G * math.sin(x[2])) / 0.006]
+
+
+ERROR = effect("transmission_error", order=N, amplitude=A, phase=PHI)
+STIFFENING = effect("stiffening", stiffness=20.0, stiffness3=5e4, load_inertia=0.006, damping=0.01)
+# effects, what the equations of their machine are, of which states, and what its sensor says of them
+SCIPY: dict[str, tuple[list[dict[str, Any]], Any, list[float], Any]] = {
+    "gain_drift": ([effect("gain_drift", ratio=-0.5, time_constant=0.4)], lambda t, x: [x[1], (U * (1 - 0.5 * (1 - math.exp(-t / 0.4))) - G * math.sin(x[0])) / J], [1.0, 0], lambda x: x[0]),
+    "sensor_harmonic": ([effect("sensor_harmonic", order=2.0, amplitude=0.01, phase=0.2)], lambda t, x: [x[1], (U - G * math.sin(x[0])) / J], [1.0, 0], lambda x: x[0] + 0.01 * np.sin(2 * x[0] + 0.2)),
+    "position_filter": ([effect("position_filter", time_constant=0.02)], lambda t, x: [x[1], (U - G * math.sin(x[0])) / J, (x[0] - x[2]) / 0.02], [1.0, 0, 1.0], lambda x: x[2]),
+    "voltage_limit": ([effect("voltage_limit", level=0.13, slope=0.03)], lambda t, x: [x[1], (max(-0.13 - 0.03 * x[1], min(0.13 - 0.03 * x[1], U)) - G * math.sin(x[0])) / J], [1.0, 0], lambda x: x[0]),
+    "transmission_error": ([ERROR], geared, [1.0, 0], lambda x: x[0]),
+    "stiffening behind an error": ([ERROR, STIFFENING], geared_spring, [1.0, 0, uneven(1.0)[0], 0], lambda x: x[0]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCIPY)
+def test_a_machine_moves_as_scipy_says_with(name: str) -> None:
+    effects, law, start, sensor = SCIPY[name]
+    rec = simulate_loop(rotary(*effects, gravity=G), command=np.full(800, U), position=1.0, inner=32)
+    truth = solve_ivp(law, (0, 0.8), start, rtol=1e-10, atol=1e-12, max_step=1e-3, t_eval=rec.t)
+    assert np.abs(rec["position"] - sensor(truth.y)).max() < 3e-6  # rad; h^2 = 1e-9 times the curvature of a swing of 2 rad
+
+
+def test_dry_friction_follows_the_temperature_that_is_recorded() -> None:
+    model = rotary(effect("coulomb", level=0.02), effect("friction_temperature", coefficient=-0.05, reference=20.0), columns={"temperature": "warm"})
+    rec = simulate_loop(model, command=np.zeros(2500), velocity=2.0, temperature=30.0)
+    assert rec["plant_q"][-1] == pytest.approx(2.0**2 * 0.01 / (2 * 0.01), rel=1e-4)  # v^2 J / 2 F with half of the level
+    assert np.all(rec["warm"] == 30.0) and rec.units["warm"] == "°C"
+
+
+@pytest.mark.parametrize("late", [0.003, -0.002, 0.0015])
+def test_a_shifted_column_holds_what_acted_before_or_will_act(late: float) -> None:
+    command = 0.1 * np.sin(np.arange(300) * 0.05)
+    rec, plain = (simulate_loop(model, command=command) for model in (rotary(effect("column_shift", time=late)), rotary()))
+    assert np.all(rec["position"] == plain["position"])  # the machine does not know what is written of it
+    rows = np.arange(20, 280)
+    held = np.interp(rows + 0.5 - late / T, np.arange(300) + 0.5, command)  # rows hold the mean over their sample
+    assert np.abs(rec["command"][rows] - held).max() < 1e-6
 
 
 def test_delay_and_lag_shift_the_torque_in_time() -> None:

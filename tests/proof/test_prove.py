@@ -6,44 +6,34 @@ from pathlib import Path
 
 import pytest
 
-from zendsp.proof import programme, run_proof
+from zendsp.proof import cases, programme, run_proof
 from zendsp.proof.answer import Answer, Finding
-from zendsp.proof.build_case import Request
-from zendsp.proof.programme import FULL, QUICK, requests
-from zendsp.proof.seal import BrokenSeal, write_truth
+from zendsp.proof.build_case import NoUsableCase, Request
+from zendsp.proof.programme import REALITIES, requests
+from zendsp.proof.seal import BrokenSeal, open_truth, write_truth
 
 FEW = [Request(71, "complete", "rotary"), Request(72, "single", "rotary", "ripple", 1.0)]
-
-
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(programme, "requests", lambda seed, quick: FEW)
 
 
 def say(verdict: str, *effects: str) -> Answer:
     return Answer(verdict, tuple(Finding(e, 1, confidence=0.9) for e in effects), seconds=1.0)
 
 
-def go(folder: Path, sample: int = 0) -> run_proof.Outcome:
+def go(folder: Path) -> run_proof.Outcome:
     return run_proof.run_proof(
-        folder,
-        seed=0,
-        quick=True,
+        programme.prepare(folder, FEW, 1),
         jobs=1,
         limit=1.0,
         with_peers=False,
         command="zendsp prove --quick",
         tell=lambda _: None,
-        sample=sample,
     )
 
 
 def answer_with(monkeypatch: pytest.MonkeyPatch, table: dict[str, Answer]) -> list[str]:
     asked: list[str] = []
 
-    def fake(
-        folders: list[Path], out: Path, jobs: int, limit: float, ask: object = None, code: str = ""
-    ) -> list[tuple[str, Answer]]:
+    def fake(folders: list[Path], *_: object, **__: object) -> list[tuple[str, Answer]]:
         asked.extend(f.name for f in folders)
         return [(f.name, table[f.name]) for f in folders]
 
@@ -51,7 +41,7 @@ def answer_with(monkeypatch: pytest.MonkeyPatch, table: dict[str, Answer]) -> li
     return asked
 
 
-def test_run_counts_and_writes_the_page(tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_counts_and_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answer_with(monkeypatch, {"case_0001": say("complete"), "case_0002": say("missing", "ripple")})
     outcome = go(tmp_path)
     assert [j.alarm for j in outcome.judged] == [False, None] and outcome.judged[1].named is True
@@ -59,24 +49,26 @@ def test_run_counts_and_writes_the_page(tmp_path: Path, few: None, monkeypatch: 
     assert outcome.stamp in page and "zendsp prove --quick" in page and "Nothing in this run." in page
 
 
-def test_a_sample_is_sealed_whole_and_asked_in_part(tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = answer_with(monkeypatch, {"case_0001": say("complete"), "case_0002": say("missing", "ripple")})
-    assert [j.case for j in go(tmp_path, 1).judged] == asked and len(asked) == 1
-    assert len(list((tmp_path / "truth").glob("case_*.json"))) == 2
+def test_a_sample_is_drawn_before_anything_is_made_as_many_of_each_reality() -> None:
+    few = requests(3, False, ("own", "mujoco"), 7)
+    assert len(few) == 7 and sum(r.reality == "own" for r in few) == 4
+    assert {r.reality for r in requests(3, False, REALITIES, 3)} == set(REALITIES)
+    assert few == requests(3, False, ("own", "mujoco"), 7) != requests(4, False, ("own", "mujoco"), 7)
+    every = requests(3, False, ("own", "mujoco"))
+    assert all(r in every for r in few)
+    assert len({r.seed for r in every}) == len(every)
 
 
-def test_failures_are_on_the_page(tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failures_are_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answer_with(monkeypatch, {"case_0001": say("missing", "coulomb"), "case_0002": say("complete")})
     page = go(tmp_path).page.read_text()
     assert "case_0001 rotary complete" in page and "truth ripple; said complete" in page
 
 
 def test_truth_altered_while_diagnosing_stops_the_proof(
-    tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def meddling(
-        folders: list[Path], out: Path, jobs: int, limit: float, ask: object = None, code: str = ""
-    ) -> list[tuple[str, Answer]]:
+    def meddling(folders: list[Path], *_: object, **__: object) -> list[tuple[str, Answer]]:
         write_truth(tmp_path / "truth", "case_0002", {"case": "case_0002", "effects": []})
         return [(f.name, say("complete")) for f in folders]
 
@@ -85,24 +77,62 @@ def test_truth_altered_while_diagnosing_stops_the_proof(
         go(tmp_path)
 
 
-def test_second_run_keeps_the_cases_and_another_seed_is_refused(
-    tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    first = programme.prepare(tmp_path, 0, True, 1)
+def test_second_run_keeps_the_cases_and_other_cases_are_refused(tmp_path: Path) -> None:
+    first = programme.prepare(tmp_path, FEW, 1)
     before = (tmp_path / "cases" / "case_0001" / "model.toml").stat().st_mtime_ns
-    assert programme.prepare(tmp_path, 0, True, 1) == first
+    assert programme.prepare(tmp_path, FEW, 1) == first == programme.found(tmp_path)
     assert (tmp_path / "cases" / "case_0001" / "model.toml").stat().st_mtime_ns == before
-    monkeypatch.setattr(programme, "requests", lambda seed, quick: FEW[:1])
     with pytest.raises(FileExistsError, match="another run"):
-        programme.prepare(tmp_path, 1, True, 1)
+        programme.prepare(tmp_path, FEW[:1], 1)
+
+
+def test_interrupted_making_goes_on_to_the_same_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = programme.prepare(tmp_path / "whole", FEW, 1)
+    made, write = [], cases.write_case
+
+    def cut(order: cases.Order) -> str:
+        if made:
+            raise KeyboardInterrupt
+        made.append(order)
+        return write(order)
+
+    monkeypatch.setattr(cases, "write_case", cut)
+    with pytest.raises(KeyboardInterrupt):
+        programme.prepare(tmp_path / "cut", FEW, 1)
+    with pytest.raises(FileNotFoundError, match="no finished cases"):
+        programme.found(tmp_path / "cut")
+    monkeypatch.setattr(cases, "write_case", write)
+    assert programme.prepare(tmp_path / "cut", FEW, 1).stamp == whole.stamp
 
 
 def test_programme_holds_what_is_promised() -> None:
     quick, full = requests(0, True), requests(0, False)
-    assert len(quick) == 30 and 300 <= len(full) <= 600
     assert {r.machine for r in full} == {"rotary", "linear", "pendulum", "planar2r", "urdf"}
-    assert (
-        sum(r.kind in ("complete", "complete_slow", "nuisance", "hard_complete") for r in full) >= 140
-    )  # a bound of 2 % needs 149 silent
-    assert not {r.seed for r in requests(1, False)} & {r.seed for r in full}
-    assert len(QUICK) < len(FULL)
+    both = requests(0, False, REALITIES)
+    silent = ("complete", "complete_slow", "nuisance", "hard_complete")
+    for reality in ("own", "mujoco"):  # a bound of 2 % needs 149 silent
+        assert sum(r.kind in silent for r in both if r.reality == reality) >= 250
+        foreign = [r for r in both if r.kind == "foreign" and r.reality == reality]
+        assert len({r.effect for r in foreign}) >= 30 and min(r.size for r in foreign) <= 0.02
+    assert sum(r.kind in silent for r in both) >= 600
+    assert not {r.seed for r in requests(1, False, REALITIES)} & {r.seed for r in both}
+    assert len(quick) < 30 and len(requests(0, True, REALITIES)) <= 40
+    kinds = {r.kind for r in requests(0, True, REALITIES)}
+    assert {"single", "complete", "nuisance", "foreign", "pair", "replace"} <= kinds
+
+
+def test_a_request_without_a_usable_draw_is_left_out_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make = cases.make_case
+
+    def refusing(request: Request) -> object:
+        if request.effect == "ripple":
+            raise NoUsableCase("the loop is nearly unstable")
+        return make(request)
+
+    monkeypatch.setattr(cases, "make_case", refusing)
+    made = programme.prepare(tmp_path, FEW, 1)
+    assert "case_0002 left out: the loop is nearly unstable" in capsys.readouterr().err
+    assert [p.name for p in made.cases.iterdir()] == ["case_0001"]
+    assert set(open_truth(made.truth, made.stamp)) == {"case_0001"}

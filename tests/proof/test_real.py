@@ -16,12 +16,13 @@ import pytest
 from click.testing import CliRunner
 
 from zendsp.cli.prove import command
-from zendsp.proof.answer import Answer, Estimate, Finding
+from zendsp.proof.answer import Answer, Estimate, Finding, Smallest
 from zendsp.proof.convert import FILES, altered, convert, fetch, missing
 from zendsp.proof.implant import (
     EFFECTS,
     GAIN,
     Implant,
+    implant_lines,
     middle_motion,
     parameters_for,
     torque,
@@ -164,3 +165,16 @@ def test_implant_counts_only_as_the_first_finding() -> None:
     assert Implant("stiffness", 1.0, p, right).named
     assert Implant("stiffness", 1.0, p, right).error() == pytest.approx(0.05)
     assert not Implant("stiffness", 1.0, p, late).named
+
+
+def test_implants_above_the_stated_size_are_counted_apart() -> None:
+    seen = (Smallest(1, "stiffness", 1.0),)
+    named = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),), smallest=seen)
+    done = [
+        Implant("stiffness", 1.0, {"coefficient": 2.0}, named),
+        Implant("stiffness", 0.5, {"coefficient": 1.5}, Answer("complete", smallest=seen)),
+        Implant("stiffness", 0.3, {"coefficient": 0.5}, Answer("complete", smallest=seen)),
+    ]
+    assert [i.above for i in done] == [True, True, False]
+    assert implant_lines(done)[-1].endswith("1 of 2 named first, 1 called complete")
+    assert Implant("stiffness", 1.0, {"coefficient": 2.0}, Answer("complete")).above is None

@@ -3,16 +3,35 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from zendsp.proof.answer import Answer, ContractError, Estimate, Finding, Region, read_report
+from zendsp.proof.answer import (
+    Answer,
+    ContractError,
+    Estimate,
+    Finding,
+    Region,
+    Smallest,
+    read_report,
+)
 from zendsp.proof.judge import judge
+from zendsp.proof.page import proof_page
 from zendsp.proof.score import answers, diagnose
-from zendsp.proof.scoreboard import calibration_gap, failures, headline, text, upper_bound
+from zendsp.proof.scoreboard import (
+    calibration_gap,
+    failures,
+    headline,
+    missed_marks,
+    text,
+    upper_bound,
+    worst_tenth,
+)
 
 
 def truth(
@@ -102,10 +121,95 @@ def test_false_alarms_are_claims_on_complete_machines() -> None:
     assert judge(t, Answer("unexplained")).alarm is True
 
 
-def test_disturbance_is_true_of_a_nuisance_and_false_of_a_complete_machine() -> None:
+def test_a_disturbance_named_beside_a_nuisance_is_charged_and_unexplained_is_true_of_a_large_one() -> None:
     named = Answer("missing", (found("disturbance"),))
-    assert judge(truth([], kind="nuisance", verdict="complete"), named).alarm is False
-    assert judge(truth([], kind="complete", verdict="complete"), named).alarm is True
+    large = truth([], kind="nuisance", verdict="complete", also_true=["unexplained"])
+    for t in (truth([], kind="nuisance", verdict="complete"), large, truth([], verdict="complete")):
+        j = judge(t, named)
+        assert j.alarm is True and j.extra == 1 and j.sure_wrong
+    assert judge(large, Answer("unexplained")).alarm is False
+    assert judge(truth([], kind="nuisance", verdict="complete"), Answer("unexplained")).alarm is True
+    beside = judge(truth([effect("coulomb")], kind="hard"), Answer("missing", (found("coulomb"), found("disturbance"))))
+    assert beside.named is True and beside.extra == 1
+
+
+def test_mechanism_is_judged_before_the_law() -> None:
+    t = truth([effect("coulomb")])
+    j = judge(t, Answer("missing", (found("hysteresis"),)))
+    assert j.mechanism is True and j.law is False and j.extra == 0 and j.sure_wrong
+    unknown = judge(t, Answer("missing", (found("unknown", mechanism="dry_friction"),)))
+    assert unknown.mechanism is True and unknown.law is False and not unknown.sure_wrong
+    elsewhere = judge(t, Answer("missing", (found("hysteresis", joint=2),)))
+    assert elsewhere.mechanism is False and elsewhere.extra == 1
+    other = judge(t, Answer("missing", (found("viscous"),)))
+    assert other.mechanism is False and other.extra == 1
+
+
+def test_position_friction_is_no_name_for_plain_coulomb() -> None:
+    t = truth([{**effect("coulomb"), "oracle": {"detectable": True, "inseparable": {"position_friction": 1.0}}}])
+    j = judge(t, Answer("missing", (found("position_friction"),)))
+    assert j.law is False and j.mechanism is True
+    assert judge(t, Answer("missing", (found("coulomb"),))).law is True
+
+
+def test_second_finding_of_a_mechanism_that_acts_once_is_beyond_the_truth() -> None:
+    t = truth([effect("coulomb")])
+    j = judge(t, Answer("missing", (found("coulomb"), found("hysteresis"))))
+    assert j.named is True and j.extra == 1
+    j = judge(t, Answer("missing", (found("hysteresis"), found("presliding"))))
+    assert j.extra == 1
+
+
+def test_smaller_of_two_effects_of_one_mechanism_may_stand_among_the_refinements() -> None:
+    t = truth([effect("stribeck"), effect("friction_drift")], kind="pair")
+    refined = Answer("missing", (found("stribeck"),), refinements=(found("friction_drift"),))
+    assert judge(t, refined).both is True
+    assert judge(t, Answer("missing", (found("stribeck"),))).both is False
+    other = truth([effect("stribeck"), effect("ripple")], kind="pair")  # another mechanism is a finding of its own
+    assert judge(other, Answer("missing", (found("stribeck"),), refinements=(found("ripple"),))).both is False
+
+
+def test_body_is_right_by_its_name_whatever_the_joint() -> None:
+    payload = {**effect("payload", accepted=("body",)), "body": "link6", "mechanisms": []}
+    t = truth([payload])
+    assert judge(t, Answer("missing", (found("payload", joint=6, body="link6"),))).law is True
+    assert judge(t, Answer("missing", (found("body", joint=6, body="link6"),))).law is True
+    assert judge(t, Answer("missing", (found("payload", joint=6, body="link3"),))).mechanism is False
+
+
+def test_called_complete_above_the_stated_size_is_counted() -> None:
+    t = truth([effect("coulomb", level=0.05)])
+    assert judge(t, Answer("complete", smallest=(Smallest(1, "coulomb", 0.01),))).missed is True
+    assert judge(t, Answer("complete", smallest=(Smallest(1, "coulomb", 0.10),))).missed is False
+    assert judge(t, Answer("complete", smallest=(Smallest(1, "ripple", 0.01),))).missed is None
+    named = Answer("missing", (found("coulomb"),), smallest=(Smallest(1, "coulomb", 0.01),))
+    assert judge(t, named).missed is False
+
+
+def test_findings_that_make_an_untouched_recording_worse_are_counted() -> None:
+    t = truth([effect("coulomb")])
+    assert judge(t, Answer("missing", (found("coulomb"),), untouched=(1.0, 1.5))).worse is True
+    assert judge(t, Answer("missing", (found("coulomb"),), untouched=(1.0, 0.5))).worse is False
+    assert judge(t, Answer("missing", (found("coulomb"),))).worse is None
+    assert judge(t, Answer("unexplained", untouched=(1.0, 1.0))).worse is None
+
+
+def test_foreign_torque_may_be_claimed_by_its_mechanism_without_a_law() -> None:
+    t = truth([{**effect("foreign"), "mechanisms": ["dry_friction"]}], kind="foreign", verdict="unexplained")
+    j = judge(t, Answer("missing", (found("unknown", mechanism="dry_friction"),)))
+    assert j.refused is True and j.extra == 0 and j.confidences == ((0.95, True),)
+    assert judge(t, Answer("missing", (found("unknown", mechanism="fluid_friction"),))).refused is False
+    assert judge(t, Answer("missing", (found("unknown", joint=2, mechanism="dry_friction"),))).refused is False
+    law = judge(t, Answer("missing", (found("position_friction"),)))
+    assert law.refused is False and law.extra == 1 and law.sure_wrong
+    assert judge(t, Answer("complete")).refused is False
+    faint = {**effect("foreign"), "oracle": {"detectable": True, "torque_share": 0.004}}
+    assert judge(truth([faint], kind="foreign", verdict="unexplained"), Answer("complete")).refused is None
+
+
+def test_foreign_torque_of_time_may_be_called_a_disturbance() -> None:
+    t = truth([{**effect("foreign"), "mechanisms": ["disturbance"]}], kind="foreign", verdict="unexplained")
+    assert judge(t, Answer("missing", (found("disturbance"),))).refused is True
 
 
 def test_foreign_torque_must_be_refused_without_physics() -> None:
@@ -176,7 +280,8 @@ def test_report_of_the_contract_is_read(tmp_path: Path) -> None:
     answer = read_report(path, 1.5)
     assert answer.findings[0].parameters["level"] == Estimate(0.05, 0.001)
     assert answer.findings[0].indistinguishable == ("stribeck",) and answer.times == ((3.1, 3.4),)
-    assert Answer.from_json(json.loads(json.dumps(answer.to_json()))) == answer
+    known = replace(answer, cpu=1.2, untouched=(2.0, 1.0), smallest=(Smallest(1, "coulomb", 0.01),))
+    assert Answer.from_json(json.loads(json.dumps(known.to_json()))) == known
 
 
 @pytest.mark.parametrize(
@@ -217,15 +322,15 @@ def stand_in(tmp_path: Path, body: str) -> tuple[str, ...]:
 
 def test_command_is_run_as_a_process_and_its_report_read(tmp_path: Path) -> None:
     command = stand_in(tmp_path, f"(out / 'report.json').write_text({json.dumps(json.dumps(REPORT))})\n")
-    answer = diagnose(case_folder(tmp_path / "cases"), tmp_path / "out", 30.0, command)
+    answer = diagnose(case_folder(tmp_path / "cases"), tmp_path / "out", 30.0, command=command)
     assert answer.trouble == "" and answer.verdict == "missing" and answer.seconds > 0
 
 
 def test_command_that_fails_or_hangs_is_a_failure_not_a_crash(tmp_path: Path) -> None:
     folder = case_folder(tmp_path / "cases")
-    failed = diagnose(folder, tmp_path / "o1", 30.0, stand_in(tmp_path, "sys.exit('no such column')\n"))
+    failed = diagnose(folder, tmp_path / "o1", 30.0, command=stand_in(tmp_path, "sys.exit('no such column')\n"))
     assert "exit status 1: no such column" in failed.trouble
-    hung = diagnose(folder, tmp_path / "o2", 0.5, stand_in(tmp_path, "import time; time.sleep(60)\n"))
+    hung = diagnose(folder, tmp_path / "o2", 0.5, command=stand_in(tmp_path, "import time; time.sleep(60)\n"))
     assert "no answer within" in hung.trouble
     j = judge(truth([], kind="complete", verdict="complete"), failed)
     assert failures([j])
@@ -266,3 +371,46 @@ def test_scoreboard_prints_every_promise() -> None:
     printed = text(judged, "known")
     assert all(row[0].strip() in printed for row in headline(judged))
     assert "1/1 = 100.0%" in printed
+
+
+def test_each_reality_has_a_column_and_a_table_of_confidence() -> None:
+    own = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
+    other = judge(
+        truth([effect("coulomb")], reality="mujoco"), Answer("missing", (found("ripple"),))
+    )
+    printed = text([own, other], "both")
+    row = next(line for line in printed.splitlines() if "mechanism first" in line)
+    assert "1/1 = 100.0%" in row and "0/1 = 0.0%" in row
+    assert printed.count("stated confidence ") == 3  # two tables, and the row of the scoreboard
+    page = proof_page([own, other], {}, command="zendsp prove", stamp="")
+    assert "| zendsp, mujoco | zendsp, own |" in page and "stated (zendsp, mujoco)" in page
+
+
+def test_marks_are_missed_by_a_diagnosis_that_always_says_yes() -> None:
+    foreign = truth([effect("foreign")], kind="foreign", verdict="unexplained")
+    silent = truth([], kind="complete", verdict="complete")
+    named = truth([effect("coulomb")])
+    yes = Answer("missing", (found("coulomb"), found("ripple")))
+    assert missed_marks([judge(t, yes) for t in (foreign, silent, named)]) == [
+        "false alarms: 1/1 = 100.0%, at most 15%",
+        "foreign torque without a law claimed: 0/1 = 0.0%, at least 25%",
+        "cases with a wrong name stated as sure: 3/3 = 100.0%, at most 20%",
+        "names beyond the truth, per case: 1.67, at most 0.5",
+    ]
+    right = [judge(foreign, Answer("unexplained")), judge(silent, Answer("complete"))]
+    assert missed_marks([*right, judge(named, Answer("missing", (found("coulomb"),)))]) == []
+
+
+def test_worst_tenth_needs_enough_findings() -> None:
+    right = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
+    wrong = judge(truth([effect("coulomb")]), Answer("missing", (found("ripple"),)))
+    assert worst_tenth([right] * 15 + [wrong] * 5) == pytest.approx(0.20)
+    assert math.isnan(worst_tenth([right] * 10 + [wrong] * 5))
+
+
+def test_cases_with_a_wrong_name_stated_as_sure_are_counted_once() -> None:
+    t = truth([effect("coulomb")])
+    j = judge(t, Answer("missing", (found("ripple"), found("stiffness"), found("coulomb"))))
+    assert j.sure_wrong and j.extra == 2
+    unsure = replace(found("ripple"), confidence=0.6)
+    assert not judge(t, Answer("missing", (found("coulomb"), unsure))).sure_wrong

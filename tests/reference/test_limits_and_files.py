@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -197,3 +198,33 @@ def test_a_key_of_a_machine_that_nobody_reads_is_refused(tmp_path: Path, line: s
     path.write_text(shipped.replace(table, f"{table}\n{line}"))
     with pytest.raises(ReferenceError_, match=rf"mine\.toml: \{table[:-1]}.*{key}.*did you mean {meant}\?"):
         load_machine(str(path))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7, 1.0])
+@pytest.mark.parametrize(("machine", "kind"), [("imi_planar", "point_to_point"), ("imi_planar", "lspb"), ("pendulum", "lspb"), ("pendulum", "chirp")])
+def test_a_motion_leaves_the_rest_of_every_limit_to_the_controller(machine: str, kind: str, share: float) -> None:
+    described = load_machine(machine)
+    reference = make_reference(kind, described, headroom=share)
+    used = {
+        "speed": np.abs(reference.qd).max(0) / described.limits.speed,
+        "acceleration": np.abs(reference.qdd).max(0) / described.limits.acceleration,
+        "torque": np.abs(described.torque(reference)).max(0) / described.limits.torque,
+    }
+    most = max(np.nanmax(shares) for shares in used.values())
+    assert most <= share * (1.0 + 1e-6), used
+    assert reference.headroom == share and not described.find_violations(reference)
+
+
+def test_headroom_is_kept_when_a_motion_is_checked_again() -> None:
+    machine = load_machine("imi_planar")
+    hasty = make_reference("point_to_point", machine, headroom=1.0)
+    assert not machine.find_violations(hasty)
+    claimed = replace(hasty, parameters={**hasty.parameters, "headroom": 0.7})
+    found = machine.find_violations(claimed)
+    assert found and "headroom 0.7" in str(found[0])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.04, 1.01, "much"])
+def test_a_headroom_that_is_none_is_refused(share: float | str) -> None:
+    with pytest.raises(ReferenceError_, match="headroom"):
+        make_reference("point_to_point", "imi_planar", headroom=share)

@@ -9,8 +9,9 @@ import pytest
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
+from zendsp_target import admission
 from zendsp_target.admission import Doors, access_control, check_role, read_roles, read_users, settle
-from zendsp_target.endpoints import Security
+from zendsp_target.endpoints import Security, check
 from zendsp_target.registration import own_folder, users_file
 
 
@@ -73,11 +74,21 @@ def test_every_verb_needs_a_role() -> None:
     assert [verb.name for verb in VERBS.values() if verb.role not in ROLES] == []
 
 
+def test_what_runs_code_or_moves_the_machine_needs_the_role_for_it() -> None:
+    """Written out a second time on purpose: an entry of the table is not lowered by a slip of the pen."""
+    at_least = {role: {v.name for v in VERBS.values() if ROLES.index(v.role) >= n} for n, role in enumerate(ROLES)}
+    assert at_least["download"] == {"compile", "load", "unload"}
+    assert at_least["command"] - at_least["download"] == {
+        "start", "pause", "set_limits", "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "drive",
+    }  # fmt: skip
+    assert at_least["tune"] >= {"write", "update", "table_begin", "table_chunk", "table_commit", "acquire_configure"}
+
+
 @pytest.mark.parametrize("verb", VERBS.values(), ids=lambda verb: verb.name)
 def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: object) -> None:
     needed = ROLES.index(verb.role)  # type: ignore[attr-defined]
     for role in ("", *ROLES):
-        allowed = verb.name in ("stop", "status", "info") or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
+        allowed = verb.name in ("stop", "stopped", "status", "info") or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
         if allowed:
             check_role("anna", role, verb)  # type: ignore[arg-type]
         else:
@@ -88,6 +99,31 @@ def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: obje
 def test_who_is_in_no_list_has_no_role() -> None:
     doors = Doors((), roles={"anna": "tune"})
     assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == ("tune", "", "download")
+
+
+@pytest.mark.parametrize(
+    ("doors", "user", "own"),
+    [
+        (Doors(("unixsock-stream/run/imi.sock",)), "", True),
+        (Doors(("tcp/127.0.0.1:7447",), users={"owner": "x"}, token=("owner", "x")), "owner", True),
+        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}), "", True),
+        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}), "anna", False),
+        (Doors(("tls/0.0.0.0:7447",), roles={"anna": "download"}), "anna", False),
+        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447")), "", False),
+        (Doors(("unixsock-stream/run/imi.sock",), routed=True), "", False),
+    ],
+)
+def test_code_of_others_is_not_compiled_where_the_compiler_could_read_every_file(
+    doors: Doors, user: str, own: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(admission, "landlock_version", lambda: 0)
+    if own:
+        doors.check_upload(user)
+    else:
+        with pytest.raises(Refused, match="no Landlock"):
+            doors.check_upload(user)
+    monkeypatch.setattr(admission, "landlock_version", lambda: 1)
+    doors.check_upload(user)
 
 
 def test_a_loopback_port_needs_a_token_that_only_this_user_can_read(tmp_path: Path) -> None:
@@ -101,7 +137,11 @@ def test_a_loopback_port_needs_a_token_that_only_this_user_can_read(tmp_path: Pa
 
 
 def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(tmp_path: Path) -> None:
-    files = Security(*(write(tmp_path / name, "") for name in ("one.pem", "one.key", "ca.pem")))
+    pems = [write(tmp_path / name, "") for name in ("one.pem", "one.key", "ca.pem")]
+    with pytest.raises(Refused, match=r"--tls-ca without --roles: whoever has a certificate.*'zendsp keys' makes it"):
+        settle("imi", ["tls/0.0.0.0:7447"], [], Security(*pems))
+    files = Security(*pems, roles=write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\n'))
+    assert settle("imi", ["tls/0.0.0.0:7447"], [], files).sentence == "lets in: anna (tune)"
     with pytest.raises(Refused, match="every user of this computer"):
         settle("imi", ["tls/0.0.0.0:7447", "tcp/127.0.0.1:0"], [], files)
     assert settle("imi", ["tls/0.0.0.0:7447", "here"], [], files).token == ("", "")
@@ -114,3 +154,20 @@ def test_a_folder_that_others_may_use_is_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(open_to_all))
     with pytest.raises(Refused, match="chmod 700"):
         own_folder()
+
+
+@pytest.mark.parametrize(
+    ("security", "words"),
+    [
+        (Security(), "needs --tls-cert and --tls-key and --tls-ca or --users"),
+        (Security(authority="ca.pem"), "needs --tls-cert and --tls-key$"),
+        (Security(certificate="one.pem", authority="ca.pem"), "needs --tls-cert and --tls-key$"),
+        (Security("one.pem", "one.key"), "needs --tls-ca or --users$"),
+    ],
+)
+def test_what_others_can_reach_needs_encryption_and_hosts_that_say_who_they_are(security: Security, words: str) -> None:
+    for endpoint in ("tls/192.0.2.1:7447", "quic/[2001:db8::1]:7447", "tls/robot.lab:7447"):
+        with pytest.raises(Refused, match=words):
+            check([endpoint], security)
+        check([endpoint], Security("one.pem", "one.key", authority="ca.pem"))
+        check([endpoint], Security("one.pem", "one.key", users="users"))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from zendsp_protocol.errors import Refused
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
@@ -103,13 +107,63 @@ def test_user_code_starts_no_thread(make_runtime: Make, mark: str) -> None:
 def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
     other = subprocess.Popen(["sleep", "300"])
     try:
-        how = f"return kill({other.pid}, SIGKILL) | (kill(getppid(), SIGKILL) & kill(-1, SIGKILL));"
+        # Signal 0 only asks for the right to send one: where nothing holds this program, everything else must live on.
+        how = f"return kill({other.pid}, SIGKILL) & kill(getppid(), 0) & kill(-1, 0);"
         runtime = make_runtime(_program(how, mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
         assert other.poll() is None
     finally:
         other.kill()
         other.wait()
+
+
+STRAYS = {
+    "session": 'if (fork_raw() == 0) { setsid(); if (fork_raw() == 0) execvp("sleep", sleeper); _exit(0); }',
+    "bare": 'if (fork_raw() == 0) { setsid(); if (fork_raw() == 0) execve("/bin/sleep", sleeper, nothing); _exit(0); }',
+    "group": 'if (fork_raw() == 0) execvp("sleep", sleeper);',
+}
+RAW = "static char *const nothing[] = {NULL};\nstatic long fork_raw(void) { return syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0); }\n"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="an ordinary user's program cannot start processes, filter or not")
+@pytest.mark.parametrize("way", list(STRAYS))
+@pytest.mark.parametrize("end", ["close", "load", "crash", "orphan"])
+def test_without_a_filter_what_user_code_started_ends_with_it(tmp_path: Path, mark: str, way: str, end: str) -> None:
+    program = _program(f"{STRAYS[way]} return 1;", mark, "init").replace("static int started", RAW + "static int started")
+    (tmp_path / "user.c").write_text(program.replace("answer = (double)attempt()", "answer = (double)attempt(); (void)nothing"))
+    command = [sys.executable, str(Path(__file__).with_name("unfiltered.py")), str(tmp_path / "user.c"), end]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        try:
+            said = process.stdout.readline()
+            assert "NO FILTER OF SYSTEM CALLS" in said, said
+            _until(lambda: _left(mark), "it started a process, so that its end means something")
+            process.stdin.write("look\n")
+            process.stdin.flush()
+            if end == "orphan":
+                process.wait(10)
+            else:
+                assert process.stdout.readline() == "ended\n"
+            _until(lambda: not _left(mark), "it has ended")
+        finally:
+            process.kill()
+            for left in _left(mark):
+                os.kill(left, signal.SIGKILL)
+
+
+def _until(done: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + 10.0
+    while not done():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.005)
+
+
+def test_user_code_takes_no_more_memory_than_it_is_given(make_runtime: Make, mark: str) -> None:
+    how = "long most = 0; while (most < 4000 && malloc(1 << 20)) most++; errno = 0; return most;"
+    runtime = make_runtime(_program(how, mark, "init"), memory_mb=200.0)
+    assert 100.0 < runtime.read(["answer"])[1]["answer"] < 200.0
+    with pytest.raises(Refused, match="give 50 or more"):
+        make_runtime(_program("return 0;", mark, "init"), memory_mb=1.0)
 
 
 def test_it_is_said_what_holds_user_code(make_runtime: Make, mark: str) -> None:

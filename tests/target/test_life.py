@@ -116,7 +116,7 @@ def test_timing_is_counted_for_every_sample(make_runtime: Make) -> None:
     assert 0 < timing.exec_mean_ns <= timing.exec_max_ns
     highest = np.flatnonzero(timing.exec_histogram)[-1]
     assert timing.histogram_edges_ns[highest] <= timing.exec_max_ns < timing.histogram_edges_ns[highest + 1]
-    assert "FIFO" in runtime.status().scheduling or "normal scheduling" in runtime.status().scheduling
+    assert "SCHED_RR" in runtime.status().scheduling or "normal scheduling" in runtime.status().scheduling
 
 
 def test_acquire_stores_the_row_where_it_is_called(make_runtime: Make) -> None:

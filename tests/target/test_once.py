@@ -11,7 +11,7 @@ from zendsp_protocol import codec
 from zendsp_protocol.errors import LinkError, NotApplied
 from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS
-from zendsp_target.once import LINKS, RESULTS, Once
+from zendsp_target.once import LINKS, QUIET_S, RESULTS, Once
 
 LINK = b"a-link-0"
 YES = codec.encode_result({})
@@ -45,7 +45,7 @@ def test_who_asks_again_meanwhile_gets_the_same_reply() -> None:
 def test_what_did_not_arrive_is_carried_out_when_it_comes_again() -> None:
     once = Once()
     new, _ = once.begin(sent(once, 7, AGAIN), None)
-    assert new is not None and new == (LINK, 7)
+    assert new is not None and new == ("", LINK, 7)
 
 
 def test_what_was_settled_as_not_applied_is_never_applied() -> None:
@@ -80,11 +80,55 @@ def test_the_memory_is_bounded_and_what_it_dropped_is_not_done_again() -> None:
     assert new is None
     with pytest.raises(LinkError, match="too old"):
         result(reply)
-    for k in range(LINKS + 5):
-        new, _ = once.begin(sent(once, 1, link=k.to_bytes(8, "big")), None)
-        assert new is not None
-        once.finish(new, YES)
-    assert len(once._links) == LINKS
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def crowd(once: Once, count: int, user: str = "") -> None:
+    """So many connections, each with one request that was answered."""
+    for k in range(count):
+        new, _ = once.begin(sent(once, 1, link=k.to_bytes(8, "big")), None, user)
+        if new is not None:
+            once.finish(new, YES)
+
+
+def test_a_connection_is_forgotten_when_its_host_has_given_up_and_not_before() -> None:
+    clock = Clock()
+    once = Once(clock)
+    crowd(once, 10)
+    slow, _ = once.begin(sent(once, 1), None)
+    assert slow is not None
+    clock.now = QUIET_S - 1.0
+    crowd(once, 1, "anna")
+    assert once.begin(sent(once, 1, AGAIN, (3).to_bytes(8, "big")), None) == (None, YES)
+    clock.now += 2.0
+    once.begin(sent(once, 1, link=b"new-link"), None)
+    assert set(once.remembered()) == {LINK, b"new-link", (3).to_bytes(8, "big")}  # one has work under way, one asked again
+    assert once.finish(slow, YES) == [] and once.begin(sent(once, 1, AGAIN), None) == (None, YES)
+
+
+def test_who_opens_connections_without_end_breaks_no_retry_of_anybody_else_and_none_is_done_twice() -> None:
+    clock = Clock()
+    once = Once(clock)
+    busy, _ = once.begin(sent(once, 1), None, "anna")
+    crowd(once, 3, "anna")
+    crowd(once, 5000, "mallory")
+    assert len(once.remembered("mallory")) == LINKS and len(once.remembered("anna")) == 4
+    assert busy is not None and once.finish(busy, YES) == []
+    assert once.begin(sent(once, 1, AGAIN), None, "anna") == (None, YES)
+    # Mallory's own first connection was dropped: whether its request was done is not known any more, so it is not done again.
+    new, reply = once.begin(sent(once, 1, AGAIN, bytes(8)), None, "mallory")
+    assert new is None
+    with pytest.raises(LinkError, match=r"more than 256 connections.*cannot be known"):
+        result(reply)
+    assert once.begin(sent(once, 1, FIRST, b"12345678"), None, "mallory")[0] is not None
+    clock.now += QUIET_S + 1.0  # nobody asks again for what was sent before
+    assert once.begin(sent(once, 2, AGAIN, b"87654321"), None, "mallory")[0] is not None
 
 
 def test_two_links_do_not_share_numbers() -> None:

@@ -172,3 +172,19 @@ def test_rows_are_folded_into_their_checksum_on_the_way_also_across_the_end_of_a
         rows = runtime.acquire_read(1, first, count, fold=fold)
         assert np.array_equal(rows[:, 0], np.arange(first, first + count))
         assert crc(fold) == folded_crc(rows.tobytes())
+
+
+@pytest.mark.parametrize("ticks", [0, -1, 2**53 + 1, 2**64 - 1])
+def test_a_number_of_samples_that_cannot_be_is_refused(runtime: Runtime, ticks: int) -> None:
+    with pytest.raises(Refused, match=f"ticks = {ticks}: give 1 to"):
+        runtime.start(ticks)
+    assert runtime.status().state == "loaded"
+
+
+def test_a_line_of_the_log_that_is_not_there_yet_is_none(runtime: Runtime) -> None:
+    sequence = runtime.write({"Kp1": 300.0}, "me")
+    runtime.start(ticks=5)
+    runtime.wait_applied(sequence, 10.0)
+    runtime.wait_paused()
+    assert [c.name for c in runtime.log(0)] == ["Kp1"]
+    assert runtime.log(1) == runtime.log(2**64 - 1) == ()

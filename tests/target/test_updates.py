@@ -15,6 +15,7 @@ import pytest
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import AcquireConfig
 from zendsp_target.change_log import ChangeLog, Flight
+from zendsp_target.layout import layout
 from zendsp_target.plans import ENTRY
 from zendsp_target.runtime import Runtime
 
@@ -151,6 +152,39 @@ def test_many_readers_see_whole_samples_while_the_loop_runs_free(make_runtime: M
     for thread in threads:
         thread.join()
     assert torn == []
+
+
+def test_a_copy_that_was_overtaken_by_the_loop_is_made_again() -> None:
+    """The reader's half of the seqlock, with samples so large that each copy takes milliseconds and is nearly always overtaken."""
+    ffi, lib = layout()
+    words, rewrites = 2 << 20, 60
+    slot = np.zeros(2 + words, dtype=np.uint64)  # sequence, tick, values; every sample in the same place: the stride is 0
+    newest = np.zeros(1, dtype=np.uint64)
+    over = threading.Event()
+
+    def loop() -> None:  # as `publish` of loop.c
+        for n in range(rewrites):
+            slot[0] = 2 * n + 1
+            slot[1] = n
+            slot[2:] = n
+            slot[0] = 2 * n + 2
+            newest[0] = n + 1
+            time.sleep(0.002)
+        over.set()
+
+    values = np.empty(words, dtype=np.uint64)
+    tick = ffi.new("uint64_t *")
+    arguments = (
+        ffi.cast("uint64_t *", ffi.from_buffer(newest)), ffi.cast("unsigned char *", ffi.from_buffer(slot)), 0, 0, 8 * words,
+        ffi.cast("unsigned char *", ffi.from_buffer(values)), tick,
+    )  # fmt: skip
+    thread = threading.Thread(target=loop)
+    thread.start()
+    while not over.is_set():
+        if lib.monitor_snapshot(*arguments):
+            assert np.all(values == tick[0]), "rows of two samples"
+    thread.join()
+    assert lib.monitor_snapshot(*arguments) and np.all(values == rewrites - 1)
 
 
 def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Make) -> None:
@@ -311,3 +345,29 @@ def test_the_log_keeps_its_newest_lines_and_their_numbers(
     assert [(c.tick, c.old, c.new) for c in log.since(0)] == [(k, k - 1.0, k) for k in range(30, 40)]
     assert [c.new for c in log.since(38)] == [38.0, 39.0]
     assert log.since(40) == ()
+
+
+TABLES = """
+#include "isr.h"
+static const table *a, *b;
+static double x, y;
+void UserInit(void) { TABLE(a, 8, 1, "", ""); TABLE(b, 8, 1, "", ""); PARAMETER(x, 0, "V", -1.0, 1.0, ""); }
+void UserISR_INT2(void) { y = a->rows + b->rows + x; }
+"""
+
+
+def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_alone(make_runtime: Make) -> None:
+    runtime = make_runtime(TABLES)
+    rows = {k: np.full((4, 1), float(k)) for k in range(5)}
+    runtime.wait_applied(runtime.write({"a": rows[1], "b": rows[1]}, "me"), 10.0)
+    runtime.write({"b": rows[2]}, "me", at_tick=50)
+    with pytest.raises(Refused, match=r"b: its last download is not in effect yet"):
+        runtime.write({"a": rows[3], "b": rows[3]}, "me")
+    with pytest.raises(VariableError, match=r"x: 2 V is outside its limits"):
+        runtime.write({"a": rows[3], "x": 2.0}, "me")
+    runtime.write({"a": rows[4]}, "me", at_tick=60)
+    assert np.array_equal(runtime.read(["a"])[1]["a"], rows[1])  # what the loop uses now is never written over
+    runtime.start(ticks=100)
+    runtime.wait_paused()
+    found = runtime.read(["a", "b"])[1]
+    assert np.array_equal(found["a"], rows[4]) and np.array_equal(found["b"], rows[2])

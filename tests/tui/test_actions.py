@@ -26,6 +26,7 @@ from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import mean_and_max
+from zendsp.tui.trial import Trial
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
@@ -215,7 +216,7 @@ def test_whole_numbers_and_reals_are_refused_in_words() -> None:
 
 def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
     def advice(drive: str, explicit: bool) -> str:
-        found = preflight(Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False)
+        found = preflight(Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False, Trial(), None)
         return next(c.advice for c in found if c.text == "drives enabled")
 
     assert advice("off", True).endswith("power (o), home (h), enable (e)")

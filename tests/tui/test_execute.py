@@ -41,6 +41,45 @@ def _unmet(screen: ExecuteScreen) -> list[str]:
     return [c.text for c in screen.conditions if not c.met]
 
 
+def _conditions(screen: ExecuteScreen) -> str:
+    return "\n".join(f"{'+' if c.met else '-'} {c.text}: {c.advice}" for c in screen.conditions)
+
+
+async def test_the_trial_is_shown_before_start(lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path) -> None:
+    hasty = folder / "references" / "hasty.mat"
+    save_reference(make_reference("point_to_point", "imi_planar", headroom=1.0), hasty)
+    gentle = folder / "references" / "gentle.mat"
+    save_reference(make_reference("point_to_point", "imi_planar"), gentle)
+    async with lab.run_test(size=(160, 50)) as pilot:
+        await enabled(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        lab.chosen = (gentle,)
+        await until(pilot, lambda: "tried on a simulated twin" in _unmet(screen), "Start waits for the trial")
+        before = target.status().tick
+        await until(pilot, lambda: screen.references and not _unmet(screen), "tried")
+        shown = _conditions(screen)
+        assert "+ no limit is passed in the simulation" in shown
+        assert "of 245 N m (joint " in shown and "rad/s (joint " in shown and " %)" in shown, shown
+        await pilot.press("s")
+        await until(pilot, lambda: screen.job is not None and screen.job.progress.phase not in ("starting", "simulating"), "it starts")
+        events = [e.text for e in lab.session.events.since(0)[1]]
+        assert any("no limit is passed in the simulation" in text for text in events)
+        await until(pilot, lambda: screen.runs and screen.job is None, "played")
+        assert target.status().tick > before
+
+        lab.chosen = (hasty,)
+        await until(pilot, lambda: "no limit is passed" in _unmet(screen), "what would trip is said before Start")
+        assert "in the simulation" in _conditions(screen) and "plan it slower" in _conditions(screen)
+        assert screen.query_one("#run-start", Button).disabled
+        tick = target.status().tick
+        await pilot.press("s")
+        await pilot.pause()
+        assert screen.job is None and target.status().tick == tick, "and Start does nothing"
+
+        lab.session.do("gain", lambda port: port.update({"Kp1": 1200.0}))
+        await until(pilot, lambda: "tried on a simulated twin" in _unmet(screen), "another gain is another run")
+
+
 @pytest.mark.covers("execute.choose", "execute.start", "execute.overlay", "execute.cyclic", "execute.settings", "execute.note")
 async def test_a_reference_is_played_and_the_run_can_be_repeated(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
@@ -80,6 +119,7 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
             Setup(), cycles=2, channels=("q", "e", "tau", "r1", "r2"), decimation=2, name="first circle",
             note="gains as shipped [N m/rad]",
         )  # fmt: skip
+        await until(pilot, lambda: all(c.met for c in screen.look(lab.session.snapshot)), "tried with two cycles")
         await pilot.press("s")
         await until(pilot, lambda: screen.job is not None, "the run begins")
         await until(pilot, lambda: list_runs(folder / "runs"), "the run is stored")
@@ -342,3 +382,22 @@ def test_compare_shows_errors_parameters_and_source(tmp_path: Path) -> None:
     assert "-/* 100.0 */" in text and "+/* 400.0 */" in text
 
 
+async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
+) -> None:
+    hasty = make_reference("point_to_point", "imi_planar", headroom=1.0)
+    save_reference(hasty, folder / "references" / "circle.mat")
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await enabled(lab, pilot)
+        await pilot.press("s")  # while a program runs, the trial is made by Start
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        screen = await _open(lab, pilot, until)
+        lab.chosen = (folder / "references" / "circle.mat",)
+        await until(pilot, lambda: screen.references and not _unmet(screen), "every condition is met")
+        await pilot.press("s")
+        await until(
+            pilot, lambda: any("nothing was moved" in e.text for e in lab.session.events.since(0)[1]), "the run is refused"
+        )
+        status = target.status()
+        assert status.state == "paused" and status.trip is None and not target["use_table"]
+        assert not list_runs(folder / "runs")

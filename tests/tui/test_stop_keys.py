@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 
 import pytest
+from textual.events import MouseDown
 from textual.pilot import Pilot
 
 from zendsp.tui import stopper
@@ -18,8 +19,12 @@ F9 = b"\x1b[20~"
 
 
 def _stops(*parts: bytes, web: bool = False) -> bool:
-    keys = stopper.keys_of(web)
-    return any(stopper.is_stop(key) for part in parts for key in keys(part))
+    return any(stopper.is_stop(press) for press in _presses(*parts, web=web) if isinstance(press, str))
+
+
+def _presses(*parts: bytes, web: bool = False) -> list[object]:
+    presses = stopper.presses_of(web)
+    return [press for part in parts for press in presses(part)]
 
 
 @pytest.mark.parametrize(
@@ -41,10 +46,24 @@ def test_the_packets_of_a_page_are_read_too() -> None:
 
 def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stopper, "PASTE_S", 0.01)
-    keys = stopper.keys_of(False)
-    assert not list(keys(b"\x1b[200~abc"))
+    presses = stopper.presses_of(False)
+    assert not list(presses(b"\x1b[200~abc"))
     time.sleep(0.02)
-    assert any(stopper.is_stop(key) for key in keys(F9))
+    assert "f9" in presses(F9)
+
+
+@pytest.mark.parametrize(
+    ("report", "stops"),
+    [
+        (b"\x1b[<0;68;1M", True), (b"\x1b[<0;80;3M", True), (b"\x1b[<0;67;1M", False), (b"\x1b[<0;70;4M", False),
+        (b"\x1b[<2;70;2M", False), (b"\x1b[<0;70;2m", False), (b"\x1b[<35;70;2M", False), (b"\x1b[<64;70;2M", False),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("web", [False, True])
+def test_a_click_stops_where_the_red_field_is(report: bytes, stops: bool, web: bool) -> None:
+    field = stopper.Field(67, 0, 13, 3)
+    sent = b"D" + len(report).to_bytes(4, "big") + report if web else report
+    assert any(field.holds(press) for press in _presses(sent, web=web) if isinstance(press, MouseDown)) is stops
 
 
 async def test_what_is_typed_before_a_dialog_opens_is_no_command(lab: ZendspApp, until: Until) -> None:

@@ -14,7 +14,7 @@ import pytest
 HOST_ONLY = {
     "casadi", "click", "h5py", "matplotlib", "pandas", "pinocchio", "pyarrow", "rich", "scipy", "textual", "tomli_w", "xarray", "zendsp",
 }  # fmt: skip
-HEAVY = HOST_ONLY - {"click", "zendsp"} | {"numpy", "zenoh", "cffi", "msgspec"}
+HEAVY = HOST_ONLY - {"click", "zendsp"} | {"numpy", "zenoh", "cffi", "msgpack", "msgspec"}
 
 # Refuses what a bare target machine has not got, as if it were not installed.
 BARE = f"""
@@ -76,7 +76,7 @@ def test_help_of_every_command_shows_an_example_and_loads_no_terminal_and_no_plo
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--json", "--no-realtime", "--clock", "fast"]], ids=["help", "start"])
-def test_a_target_runs_with_zenoh_numpy_msgspec_cffi_and_a_compiler_alone(arguments: list[str], tmp_path: Path) -> None:
+def test_a_target_runs_with_zenoh_numpy_msgpack_msgspec_cffi_and_a_compiler_alone(arguments: list[str], tmp_path: Path) -> None:
     (tmp_path / "sitecustomize.py").write_text(BARE)
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "ZENDSP_RUNTIME_DIR": str(tmp_path / "registry")}
     process = subprocess.Popen(

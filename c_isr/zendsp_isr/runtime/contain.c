@@ -2,9 +2,11 @@
  *
  * A filter of system calls (seccomp) refuses new processes, new threads, other programs and signals to others, with EPERM. Where
  * the system has no filter, what is left: no process may be added for this user (RLIMIT_NPROC), a child of fork() ends at
- * once, has none of the shared memory and none of the open files after an exec, and is not real-time.
+ * once, has none of the shared memory and none of the open files after an exec, and is not real-time. What is started all the
+ * same stays beneath the runner (subreaper), also in a session of its own, and ends with it.
  */
 #define _GNU_SOURCE
+#include <dirent.h>       /* opendir */
 #include <errno.h>        /* errno */
 #include <fcntl.h>        /* FD_CLOEXEC */
 #include <linux/audit.h>  /* AUDIT_ARCH_… */
@@ -19,6 +21,8 @@
 #include <sys/prctl.h>    /* PR_SET_NO_NEW_PRIVS */
 #include <sys/resource.h> /* setrlimit */
 #include <sys/syscall.h>  /* numbers of the calls */
+#include <sys/wait.h>     /* waitpid */
+#include <time.h>         /* nanosleep */
 #include <unistd.h>       /* syscall, _exit */
 
 #include "runner.h"
@@ -33,7 +37,7 @@
 #define NATIVE AUDIT_ARCH_RISCV64
 #endif
 
-enum { MOST_FILES = 256, LAST_FILE = 65536, X32_CALL = 0x40000000 };
+enum { MOST_FILES = 256, LAST_FILE = 65536, X32_CALL = 0x40000000, ROUNDS = 1000 };
 
 static int refused; /* errno of the filter, 0: it holds */
 
@@ -115,11 +119,23 @@ static void limit(int what, rlim_t most) {
         setrlimit((__rlimit_resource_t)what, &both);
 }
 
+/* Bytes that count for RLIMIT_DATA, of the machine and of our own: user code is given so many more. */
+static rlim_t used_memory(void) {
+    unsigned long pages = 0;
+    FILE *statm = fopen("/proc/self/statm", "re");
+    if (statm) {
+        if (fscanf(statm, "%*u %*u %*u %*u %*u %lu", &pages) != 1)
+            pages = 0;
+        fclose(statm);
+    }
+    return (rlim_t)pages * (rlim_t)sysconf(_SC_PAGESIZE);
+}
+
 /* A child does not get this memory. */
 void contain_memory(void *at, size_t bytes) { madvise(at, bytes, MADV_DONTFORK); }
 
 /* Before the first line of user code, constructors included; the machine is open and our own threads run. */
-void contain_enter(void) {
+void contain_enter(control *c) {
     for (int file = 3; file < LAST_FILE; file++) {
         const int flags = fcntl(file, F_GETFD);
         if (flags >= 0)
@@ -130,7 +146,11 @@ void contain_enter(void) {
     pthread_atfork(NULL, NULL, end_child);
     limit(RLIMIT_NPROC, 0);
     limit(RLIMIT_NOFILE, MOST_FILES);
+    limit(RLIMIT_DATA, used_memory() + c->memory);
     refused = filter_calls();
+    c->contained = refused == 0;
+    if (refused)
+        prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0);
 }
 
 /* Added to the sentence on scheduling. */
@@ -145,8 +165,36 @@ void contain_say(control *c) {
                  geteuid() == 0 ? "user code of root could start processes" : "processes are refused by their number");
 }
 
+/* One signal for each process right beneath this one; what is beneath those comes up to here. Returns how many there were. */
+static int end_those_right_beneath(void) {
+    int found = 0;
+    DIR *threads = opendir("/proc/self/task");
+    for (const struct dirent *thread; threads && (thread = readdir(threads));) {
+        char path[sizeof "/proc/self/task//children" + sizeof thread->d_name];
+        snprintf(path, sizeof path, "/proc/self/task/%s/children", thread->d_name);
+        FILE *children = thread->d_name[0] == '.' ? NULL : fopen(path, "re");
+        for (int child; children && fscanf(children, "%d", &child) == 1; found++)
+            kill(child, SIGKILL);
+        if (children)
+            fclose(children);
+    }
+    if (threads)
+        closedir(threads);
+    while (waitpid(-1, NULL, WNOHANG) > 0) {
+    }
+    return found;
+}
+
+/* Where no filter holds user code: what it started ends. */
+void contain_end_children(void) {
+    const struct timespec nap = {.tv_sec = 0, .tv_nsec = 1000000};
+    for (int round = 0; refused && round < ROUNDS && end_those_right_beneath() > 0; round++)
+        nanosleep(&nap, NULL);
+}
+
 /* The watcher is gone: whatever is left of our process group goes with us. */
 void contain_end_group(void) {
+    contain_end_children();
     if (getpgrp() == getpid())
         kill(0, SIGKILL);
 }

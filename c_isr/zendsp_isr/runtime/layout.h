@@ -1,6 +1,7 @@
 /* layout.h: the shared memory between the monitor (Python) and the runner (native), in one place.
  *
- * Three kinds of file in /dev/shm:
+ * Four kinds of file in /dev/shm:
+ *   stop     one per target: STOP by any program of the target's own user, with nothing between it and the loop
  *   control  one per load, of fixed size: settings, requests, answers, dictionary, timing
  *   data     one per load, sized by the runner after UserInit: snapshots, batches, table banks
  *   stream   one per configured acquisition, sized by the monitor: its head and its rows; outlives the runner
@@ -17,7 +18,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 1,
+    LAYOUT_VERSION = 2,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
     LAYOUT_ELEMENTS = 4096,    /* longest array that is not a table */
@@ -57,6 +58,15 @@ enum {
     TRIP_SENSOR = 10,
     TRIP_HOMING = 11
 };
+
+/* STOP past the monitor and the link: docs/protocol.md describes it for other languages. Made by the monitor. */
+typedef struct stop_page {
+    uint32_t magic, version;
+    uint32_t stop;   /* by any host: 1 asks for STOP; the loop clears it */
+    uint32_t pad;
+    uint64_t sample; /* by the loop, before it counts `taken`: that of the trip which was latched then */
+    uint64_t taken;  /* by the loop: how many STOPs it took from here */
+} stop_page;
 
 /* One entry of the dictionary. Written by the runner before PHASE_READY, then constant; `table` excepted. */
 typedef struct variable_entry {
@@ -162,14 +172,16 @@ typedef struct control {
     double rate_hz;
     uint64_t period_ns;
     int32_t clock;
-    int32_t realtime; /* 1: ask for SCHED_FIFO, locked memory and a CPU of its own */
+    int32_t realtime; /* 1: ask for SCHED_RR, locked memory and a CPU of its own */
     int32_t priority;
     int32_t cpu;      /* -1: choose */
     int32_t monitor;  /* process id of the monitor: when it is no longer the parent, nobody watches */
-    int32_t reserved0;
-    double spin_us;   /* wait awake for the last stretch; only under SCHED_FIFO, at most 0.6 of the period */
+    int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
+    double spin_us;   /* wait awake for the last stretch; only under SCHED_RR, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
+    uint64_t memory;  /* bytes that user code may take beside what the machine has, shared memory aside */
     char data_path[LAYOUT_PATH];
+    char stop_path[LAYOUT_PATH];
     char program_path[LAYOUT_PATH];
     char machine_path[LAYOUT_PATH];
     char machine_config[LAYOUT_CONFIG];
@@ -224,6 +236,7 @@ typedef struct control {
 } control;
 
 _Static_assert(sizeof(variable_entry) == 400, "variable_entry: layout changed, raise LAYOUT_VERSION");
+_Static_assert(sizeof(stop_page) == 32, "stop_page: known to every host, raise LAYOUT_VERSION");
 _Static_assert(sizeof(batch) == 32 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16, "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0, "64-bit words must be aligned");
 _Static_assert(sizeof(stream_head) % 8 == 0, "rows must be aligned");

@@ -22,18 +22,24 @@
 runner the_runner;
 _Thread_local int32_t this_thread_is;
 
-static control *map_control(const char *path) {
+static void *map_file(const char *path, size_t size) {
     struct stat status;
     const int file = open(path, O_RDWR | O_CLOEXEC);
-    if (file < 0 || fstat(file, &status) != 0 || (size_t)status.st_size < sizeof(control)) {
-        fprintf(stderr, "runner: %s: %s\n", path, file < 0 ? strerror(errno) : "not a control file");
+    if (file < 0 || fstat(file, &status) != 0 || (size_t)status.st_size < size) {
+        fprintf(stderr, "runner: %s: %s\n", path, file < 0 ? strerror(errno) : "too short");
         return NULL;
     }
-    control *c = mmap(NULL, sizeof *c, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
+    void *at = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, file, 0);
     close(file);
-    if (c != MAP_FAILED)
-        contain_memory(c, sizeof *c);
-    if (c == MAP_FAILED || c->magic != LAYOUT_MAGIC || c->version != LAYOUT_VERSION || c->bytes != sizeof *c) {
+    if (at == MAP_FAILED)
+        return NULL;
+    contain_memory(at, size);
+    return at;
+}
+
+static control *map_control(const char *path) {
+    control *c = map_file(path, sizeof *c);
+    if (!c || c->magic != LAYOUT_MAGIC || c->version != LAYOUT_VERSION || c->bytes != sizeof *c) {
         fprintf(stderr, "runner: %s: made by another version of zendsp\n", path);
         return NULL;
     }
@@ -207,6 +213,10 @@ int main(int count, char **arguments) {
     r->control = map_control(arguments[1]);
     if (!r->control)
         return 1;
+    r->page = map_file(r->control->stop_path, sizeof *r->page);
+    if (!r->page || r->page->magic != LAYOUT_MAGIC || r->page->version != LAYOUT_VERSION)
+        return fail(r->control, "stop page", "cannot be mapped, or made by another version of zendsp");
+    store32(&r->page->stop, 0); /* asked while nothing was loaded, or of a runner that died: not of this program */
     catch_signals();
     if (open_machine(r) != 0)
         return 1;
@@ -216,7 +226,7 @@ int main(int count, char **arguments) {
     const int failed = service_start(r); /* before user code, which may start none */
     if (failed)
         return fail(r->control, "threads", strerror(failed));
-    contain_enter();
+    contain_enter(r->control);
     if (load_program(r) != 0)
         return 1;
     realtime_enter(r);
@@ -227,6 +237,7 @@ int main(int count, char **arguments) {
     if (r->machine->close)
         r->machine->close(r->handle);
     store32(&r->control->phase, PHASE_ENDED);
+    contain_end_children();
     if (getppid() != r->control->monitor)
         contain_end_group();
     _exit(0); /* the other threads are within user code: no destructors beneath their feet */

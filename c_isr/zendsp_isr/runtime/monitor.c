@@ -1,11 +1,13 @@
 /* monitor.c: what the monitor does on shared memory that needs ordering: Python has no acquire and release. Loaded by cffi. */
 #define _GNU_SOURCE
+#include <float.h>     /* DBL_MAX, FLT_MAX */
+#include <math.h>      /* fabs */
 #include <poll.h>      /* poll, on a pidfd */
 #include <string.h>    /* memcpy */
 #include <sys/prctl.h> /* PR_SET_TIMERSLACK */
 #include <time.h>      /* nanosleep */
 
-#include "layout.h"
+#include "monitor.h"
 #include "timing.h" /* now_ns */
 
 /* Copy `bytes` of values from byte `from` on, all of the newest sample. Returns 1 and its tick, or 0 when the loop kept overwriting it
@@ -38,7 +40,7 @@ int monitor_ended(int pidfd) {
 
 /* Make a filled batch visible to the loop: from here on it is applied whole, before here not at all. Returns 0 and does nothing when
  * the runner (its pidfd, or -1 where the kernel has none) has ended. */
-int monitor_commit(control *c, batch *b, uint32_t index, int pidfd) {
+static int commit(control *c, batch *b, uint32_t index, int pidfd) {
     if (pidfd >= 0 && monitor_ended(pidfd))
         return 0;
     __atomic_store_n(&b->state, BATCH_COMMITTED, __ATOMIC_RELAXED);
@@ -47,23 +49,81 @@ int monitor_commit(control *c, batch *b, uint32_t index, int pidfd) {
     return 1;
 }
 
-/* Fill and commit an update of doubles: `entry` says where each of `values` goes, `limits` holds its least and greatest. Returns 1;
- * 0 as monitor_commit; -1, nothing done, when a value is outside its limits or not a number. */
-int monitor_write(control *c, int pidfd, const batch_entry *entry, const double *limits, const double *values, uint32_t entries, batch *b,
-                  uint32_t index, uint64_t sequence, uint64_t at_tick) {
-    for (uint32_t i = 0; i < entries; i++)
-        if (!(values[i] >= limits[2 * i] && values[i] <= limits[2 * i + 1]))
-            return -1;
-    unsigned char *to = (unsigned char *)(b + 1);
-    for (uint32_t i = 0; i < entries; i++) {
-        memcpy(to, entry + i, sizeof *entry);
-        memcpy(to + sizeof *entry, values + i, sizeof *values);
-        to += sizeof *entry + sizeof *values;
+static uint32_t fit(const update_part *part, double v) {
+    if (!(fabs(v) <= DBL_MAX))
+        return FIT_NOT_FINITE;
+    if (!(v >= part->least && v <= part->greatest))
+        return FIT_OUTSIDE;
+    switch (part->type) {
+    case TYPE_INT32:
+        return v >= INT32_MIN && v <= INT32_MAX && v == (double)(int32_t)v ? FIT : FIT_NOT_WHOLE;
+    case TYPE_BOOL:
+        return v >= 0.0 && v <= 1.0 && v == (double)(int32_t)v ? FIT : FIT_NO_FLAG;
+    case TYPE_FLOAT:
+        return fabs(v) <= (double)FLT_MAX ? FIT : FIT_TOO_LARGE;
+    default:
+        return FIT;
     }
-    b->entries = entries;
+}
+
+/* Whether numbers may be written: FIT, or why not, with the place of the first that may not in its part. The one check of every
+ * update, by whatever road it came. */
+uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values, uint32_t *wrong) {
+    for (uint32_t i = 0; i < parts; values += part[i++].count)
+        for (uint32_t k = 0; k < part[i].count; k++) {
+            const uint32_t why = fit(part + i, values[k]);
+            if (why != FIT) {
+                *wrong = k;
+                return why;
+            }
+        }
+    return FIT;
+}
+
+/* One number, in the type of its variable; returns where the next goes. */
+static unsigned char *put(unsigned char *to, int32_t type, double v) {
+    if (type == TYPE_DOUBLE) {
+        memcpy(to, &v, sizeof v);
+        return to + sizeof v;
+    }
+    if (type == TYPE_FLOAT) {
+        const float f = (float)v;
+        memcpy(to, &f, sizeof f);
+        return to + sizeof f;
+    }
+    if (type == TYPE_INT32) {
+        const int32_t n = (int32_t)v;
+        memcpy(to, &n, sizeof n);
+        return to + sizeof n;
+    }
+    *to = v != 0.0;
+    return to + 1;
+}
+
+/* Lay numbers that fit out as the entries of a batch. */
+void monitor_pack(const update_part *part, uint32_t parts, const double *values, unsigned char *to) {
+    for (const update_part *p = part; p < part + parts; p++) {
+        memcpy(to, &p->entry, sizeof p->entry);
+        to += sizeof p->entry;
+        unsigned char *at = to;
+        for (uint32_t k = 0; k < p->count; k++)
+            at = put(at, p->type, *values++);
+        to += (p->entry.size + 7) & ~7;
+    }
+}
+
+/* Fill and commit an update: `values` hold the numbers of its parts, one after another. Returns 1; 0 when the runner has ended; -1,
+ * nothing done, when one of them does not fit. */
+int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts, const double *values, batch *b, uint32_t index,
+                  uint64_t sequence, uint64_t at_tick) {
+    uint32_t wrong;
+    if (monitor_fit(part, parts, values, &wrong) != FIT)
+        return -1;
+    monitor_pack(part, parts, values, (unsigned char *)(b + 1));
+    b->entries = parts;
     b->sequence = sequence;
     b->at_tick = at_tick;
-    return monitor_commit(c, b, index, pidfd);
+    return commit(c, b, index, pidfd);
 }
 
 /* Numbers in a message: of eight bytes, the most significant first. */
@@ -99,16 +159,15 @@ int monitor_read_again(const uint32_t *ended, const control *c, const unsigned c
 
 /* Answer a write of one double that came before: the value stands at `value_at` of `request`, `sequence` goes to `sequence_at` of `reply`.
  * Returns what monitor_write does; 0 also when the program is not loaded any more. */
-int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const batch_entry *entry, const double *limits, uint32_t value_at,
-                        unsigned char *reply, uint32_t sequence_at, const unsigned char *request, batch *b, uint32_t index,
-                        uint64_t sequence) {
+int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const update_part *part, uint32_t value_at, unsigned char *reply,
+                        uint32_t sequence_at, const unsigned char *request, batch *b, uint32_t index, uint64_t sequence) {
     if (__atomic_load_n(ended, __ATOMIC_ACQUIRE))
         return 0;
     const uint64_t word = from_message(request + value_at);
     double value;
     memcpy(&value, &word, sizeof value);
     to_message(reply + sequence_at, sequence);
-    return monitor_write(c, pidfd, entry, limits, &value, 1, b, index, sequence, 0);
+    return monitor_write(c, pidfd, part, 1, &value, b, index, sequence, 0);
 }
 
 uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }

@@ -89,11 +89,12 @@ void realtime_enter(runner *r) {
         return;
     }
     const struct sched_param priority = {.sched_priority = c->priority};
-    granted = sched_setscheduler(0, SCHED_FIFO | SCHED_RESET_ON_FORK, &priority) == 0;
+    /* not SCHED_FIFO: there, a program that hangs keeps the CPU from every other target on it until its watchdog ends it */
+    granted = sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &priority) == 0;
     if (granted)
-        say(c, "SCHED_FIFO %d", c->priority);
+        say(c, "SCHED_RR %d", c->priority);
     else
-        say(c, "normal scheduling (SCHED_FIFO refused: %s)", strerror(errno));
+        say(c, "normal scheduling (SCHED_RR refused: %s)", strerror(errno));
     touch_stack();
     /* not MCL_FUTURE: under a limit, mapping an acquisition later would fail; service.c locks each by itself */
     if (mlockall(MCL_CURRENT | MCL_ONFAULT) == 0)

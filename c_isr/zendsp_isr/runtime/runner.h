@@ -66,6 +66,7 @@ typedef struct stream {
 
 typedef struct runner {
     control *control;
+    stop_page *page;
     unsigned char *data;
     const machine_ops *machine;
     void *handle;
@@ -120,9 +121,10 @@ int service_start(runner *r);
 
 /* contain.c */
 void contain_memory(void *at, size_t bytes);
-void contain_enter(void);
+void contain_enter(control *c);
 void contain_say(control *c);
 void contain_end_group(void);
+void contain_end_children(void);
 
 /* loop.c */
 void loop(runner *r);

@@ -81,6 +81,12 @@ void safety_requests(runner *r) {
     const uint32_t stop = __atomic_exchange_n(&c->stop, TRIP_NONE, __ATOMIC_ACQ_REL);
     if (stop != TRIP_NONE)
         safety_trip(r, stop, 0, 0.0, 0.0);
+    if (load32(&r->page->stop) != 0) {
+        __atomic_exchange_n(&r->page->stop, 0, __ATOMIC_ACQ_REL);
+        safety_trip(r, TRIP_STOP, 0, 0.0, 0.0);
+        store64(&r->page->sample, c->trip.tick);
+        store64(&r->page->taken, r->page->taken + 1);
+    }
 }
 
 /* Soft start and stop: the gain moves towards what is wanted of the drives. */

@@ -15,7 +15,7 @@ PICTURES = (".png", ".svg", ".pdf")
 @click.argument("channels", nargs=-1, required=True)
 @click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help=".mat, .npz, .parquet or .csv."
+    "-o", "--out", type=click.Path(path_type=Path), required=True, help=".mat, .npz, .parquet, .csv, .mcap or .mf4."
 )
 @click.option("--decimation", type=int, default=1, show_default=True, help="Every how many samples a row.")
 @click.option("--trigger", metavar="SOURCE", help="Wait until this variable crosses --level.")
@@ -52,7 +52,7 @@ def command(
 
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
-    from zendsp.errors import AcquisitionError, RunnerDied
+    from zendsp.errors import AcquisitionError, Incomplete, RunnerDied
     from zendsp.link import Trigger
     from zendsp.recording.files import check_suffix
 
@@ -74,11 +74,12 @@ def command(
                     note=note,
                     progress=set_fraction,
                 )
-        except (RunnerDied, AcquisitionError) as error:
-            if "acquire_load()" not in str(error):  # nothing was recorded
-                raise
-            ended = str(error).split("What was recorded")[0].split("; acquire_load()")[0].rstrip(". ")
-            recording = t.acquire_load(note or ended)
+        except (RunnerDied, Incomplete) as error:
+            ended = str(error)
+            try:
+                recording = t.acquire_load(note or ended)
+            except AcquisitionError:  # nothing was recorded
+                raise error from None
     recording.save(out)
     if plot is not None:
         recording.plot(path=plot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from zendsp.cli.common import emit, open_target, show, target_options
+from zendsp.cli.common import emit, open_target, plain, show, target_options
 
 
 @click.command("get")
@@ -18,8 +18,9 @@ def command(names: tuple[str, ...], target: str, connect: str | None, as_json: b
     with open_target(target, connect) as t:
         infos = t.variables()
         chosen = list(names) or [info.name for info in infos.values() if info.kind != "table"]
-        reading = t.read(chosen) if chosen else None
-        values = dict(reading.values) if reading else {}
+        # as it came over the wire: only long arrays need NumPy, for which one would wait longer than for the target
+        reading = t.request("read", names=chosen) if chosen else None
+        values = {name: plain(value) for name, value in reading.values.items()} if reading else {}
         units = {
             name: infos[name.partition("[")[0]].unit for name in values if name.partition("[")[0] in infos
         }

@@ -1,12 +1,21 @@
-"""``zendsp prove``: concealed cases, real machines and implants, counted in the open."""
+"""``zendsp prove``: concealed cases of several realities, real machines and implants, counted in the open."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from zendsp.proof.programme import Prepared
+    from zendsp.proof.run_proof import Outcome
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 def data_folder(given: Path | None) -> Path:
@@ -21,10 +30,68 @@ def data_folder(given: Path | None) -> Path:
     return Path(named)
 
 
+def installed(package: str) -> bool:
+    """Whether a package can be imported; it is not imported."""
+    try:
+        return find_spec(package) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def realities(words: str) -> tuple[str, ...]:
+    """The makers that ``--reality`` names; without it, all that are installed."""
+    from zendsp.proof.programme import REALITIES
+
+    there = installed("mujoco")
+    if not words:
+        if not there:
+            click.echo("without MuJoCo's reality: pip install 'zendsp[mujoco]'", err=True)
+        return tuple(name for name in REALITIES if there or name != "mujoco")
+    chosen = tuple(dict.fromkeys(word.strip() for word in words.split(",")))
+    for word in chosen:
+        if word not in REALITIES:
+            raise click.UsageError(f"no reality {word!r}; known are {', '.join(REALITIES)}")
+    if "mujoco" in chosen and not there:
+        raise click.UsageError("the reality mujoco needs mujoco: pip install 'zendsp[mujoco]'")
+    return chosen
+
+
 @click.command("prove")
-@click.option("--quick", is_flag=True, help="Thirty cases instead of a few hundred.")
-@click.option("--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws other cases.")
+@click.option("--quick", is_flag=True, help="Some forty cases instead of a thousand.")
+@click.option(
+    "--reality",
+    default="",
+    metavar="NAMES",
+    help="Who simulates the cases, comma separated: own, machines, mujoco. Default: all that are installed.",
+)
+@click.option(
+    "--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores."
+)
+@click.option(
+    "--scheduler",
+    default="",
+    metavar="ADDRESS",
+    help="Run on the Dask cluster of this scheduler (tcp://host:8786).",
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Draws other cases."
+)
+@click.option(
+    "--sample",
+    type=click.IntRange(1),
+    default=None,
+    help="Only so many of the cases, drawn by the seed, as many of each reality.",
+)
+@click.option(
+    "--make", "make_only", type=FOLDER, default=None, help="Only write and seal the cases there."
+)
+@click.option(
+    "--judge",
+    "judge_only",
+    type=FOLDER,
+    default=None,
+    help="Judge the cases that --make wrote there.",
+)
 @click.option(
     "--resume/--fresh",
     default=True,
@@ -32,7 +99,13 @@ def data_folder(given: Path | None) -> Path:
     help="Go on where an interrupted run stopped, or begin again.",
 )
 @click.option(
-    "--peers/--no-peers", default=True, show_default=True, help="Let PySINDy and FROLS try the same cases."
+    "--peers/--no-peers",
+    default=True,
+    show_default=True,
+    help="Let PySINDy and FROLS try the same cases.",
+)
+@click.option(
+    "--strict", is_flag=True, help="End with status 1 below the marks that tell a broken diagnosis, too."
 )
 @click.option(
     "--limit",
@@ -42,15 +115,13 @@ def data_folder(given: Path | None) -> Path:
     help="Seconds a diagnosis may take.",
 )
 @click.option(
-    "--sample",
-    type=click.IntRange(1),
-    default=None,
-    help="Only so many of the cases, drawn at random by the seed.",
+    "--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40."
 )
-@click.option("--real", is_flag=True, help="Real machines instead: EMPS, a pendulum, a Stäubli TX40.")
 @click.option("--implant", is_flag=True, help="Known forces added to a real recording instead.")
 @click.option("--only", default="", help="With --real: one machine.")
-@click.option("--fetch", is_flag=True, help="With --real: download what is absent and published as a file.")
+@click.option(
+    "--fetch", is_flag=True, help="With --real: download what is absent and published as a file."
+)
 @click.option(
     "--data",
     type=click.Path(path_type=Path),
@@ -71,12 +142,17 @@ def data_folder(given: Path | None) -> Path:
 )
 def command(
     quick: bool,
+    reality: str,
     jobs: int | None,
+    scheduler: str,
     seed: int,
+    sample: int | None,
+    make_only: Path | None,
+    judge_only: Path | None,
     resume: bool,
     peers: bool,
+    strict: bool,
     limit: float,
-    sample: int | None,
     real: bool,
     implant: bool,
     only: str,
@@ -87,55 +163,109 @@ def command(
 ) -> None:
     """Judge the diagnosis on machines whose physics it was not told.
 
-    Concealed cases are simulated by code of their own, the truth is sealed by hash before the first diagnosis and opened after
-    the last. Exit status 0 when every case got an answer (with --real and --implant: when every promise was kept).
+    Concealed cases are simulated by code of their own, by the machines that ship as C, and by MuJoCo; the truth is sealed by hash before the first diagnosis and
+    opened after the last. Exit status 0 when every case got an answer (with --strict: when the marks are reached too; with --real and --implant: when every promise was kept).
 
     Example:  zendsp prove --quick
     """
     # small matrices in many processes: more threads of the linear algebra only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    cores = jobs or os.cpu_count() or 1
     if real or implant:
         if fetch:
             fetch_absent(data_folder(data))
         sys.exit(
             on_real_machines(
-                data_folder(data), out or Path("proof_real"), limit, implant=implant, only=only, quick=quick,
-                jobs=jobs or os.cpu_count() or 1,
+                data_folder(data),
+                out or Path("proof_real"),
+                limit,
+                implant=implant,
+                only=only,
+                quick=quick,
+                jobs=cores,
             )
         )
+    if make_only is not None and judge_only is not None:
+        raise click.UsageError(
+            "--make writes cases and --judge judges them: give one, or neither for both"
+        )
+    try:
+        if judge_only is not None:
+            made, words = prepared(judge_only), f"zendsp prove --judge {judge_only.name}"
+        else:
+            makers = realities(reality)
+            folder = make_only or out or Path(f"proof_{'quick_' if quick else ''}{seed}")
+            if not resume:
+                forget(folder)
+            made = making(folder, makers, seed, quick, sample or 0, cores, scheduler)
+            words = " ".join(
+                [
+                    "zendsp prove",
+                    *(["--quick"] if quick else []),
+                    f"--reality {','.join(makers)} --seed {seed}",
+                ]
+                + ([f"--sample {sample}"] if sample else [])
+            )
+    except (FileExistsError, FileNotFoundError) as error:
+        raise click.ClickException(str(error)) from error
+    if make_only is not None:
+        count = len(list(made.cases.iterdir()))
+        click.echo(f"{count} cases in {made.cases}; truth sealed in {made.truth}: {made.stamp}")
+        return
+    from zendsp.proof.scoreboard import missed_marks
+
+    outcome = judging(made, cores, scheduler, limit, peers, words)
+    if page is not None:
+        page.write_text(outcome.page.read_text(encoding="utf-8"), encoding="utf-8")
+    missed = missed_marks(outcome.judged) if strict else []
+    for line in missed:
+        click.echo(f"below the mark: {line}", err=True)
+    sys.exit(1 if missed or any(j.trouble for j in outcome.judged) else 0)
+
+
+def prepared(folder: Path) -> Prepared:
+    """The cases that ``--make`` wrote."""
+    from zendsp.proof.programme import found
+
+    return found(folder)
+
+
+def making(
+    folder: Path,
+    makers: Sequence[str],
+    seed: int,
+    quick: bool,
+    sample: int,
+    jobs: int,
+    scheduler: str,
+) -> Prepared:
+    """Write and seal the cases that the options name."""
+    from zendsp.proof.programme import prepare, requests
+
+    return prepare(folder, requests(seed, quick, makers, sample), jobs, scheduler)
+
+
+def judging(
+    made: Prepared, jobs: int, scheduler: str, limit: float, peers: bool, words: str
+) -> Outcome:
+    """Judge prepared cases and print the scoreboard."""
     from zendsp.proof.run_proof import run_proof
     from zendsp.proof.scoreboard import text
     from zendsp.proof.seal import BrokenSeal
 
-    folder = out or Path(f"proof_{'quick_' if quick else ''}{seed}")
-    if not resume:
-        forget(folder)
-    words = (
-        f"zendsp prove{' --quick' if quick else ''} --seed {seed}{f' --sample {sample}' if sample else ''}"
-    )
     try:
         outcome = run_proof(
-            folder,
-            seed=seed,
-            quick=quick,
-            jobs=jobs or os.cpu_count() or 1,
-            limit=limit,
-            with_peers=peers,
-            command=words,
-            sample=sample or 0,
+            made, jobs=jobs, limit=limit, with_peers=peers, command=words, scheduler=scheduler,
             tell=lambda line: click.echo(line, err=True),
-        )
-    except (BrokenSeal, FileExistsError) as error:
+        )  # fmt: skip
+    except BrokenSeal as error:
         raise click.ClickException(str(error)) from error
     click.echo(text(outcome.judged, "zendsp"))
     for method, judged in outcome.peers.items():
         click.echo("\n" + text(judged, method).split("\n\n  named first, by")[0])
     click.echo(f"\ntruth sealed before, opened after: {outcome.stamp}\npage: {outcome.page}")
-    if page is not None:
-        page.write_text(outcome.page.read_text(encoding="utf-8"), encoding="utf-8")
-    if any(j.trouble for j in outcome.judged):
-        sys.exit(1)
+    return outcome
 
 
 def forget(folder: Path) -> None:
@@ -159,7 +289,9 @@ def fetch_absent(data: Path) -> None:
             click.echo(f"{machine}: {line}", err=True)
 
 
-def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool, jobs: int) -> int:
+def on_real_machines(
+    data: Path, out: Path, limit: float, *, implant: bool, only: str, quick: bool, jobs: int
+) -> int:
     """Print each real machine beside what was published, or the implants; the exit status."""
     from zendsp.proof import real
 
@@ -167,7 +299,9 @@ def on_real_machines(data: Path, out: Path, limit: float, *, implant: bool, only
         from zendsp.proof.implant import implant_lines, run_implants
 
         try:
-            done = run_implants(data, out / "implants", limit, quick, jobs, lambda line: click.echo(line, err=True))
+            done = run_implants(
+                data, out / "implants", limit, quick, jobs, lambda line: click.echo(line, err=True)
+            )
         except (FileNotFoundError, RuntimeError) as error:
             raise click.ClickException(str(error)) from error
         click.echo("\n".join(implant_lines(done)))

@@ -28,6 +28,6 @@ def command(file: str, target: str, connect: str | None, as_json: bool) -> None:
         tables = {name: rows for name, rows in reference.tables().items() if name in known}
         approach = float(t["approach_time"]) if "approach_time" in known else 0.0  # type: ignore[arg-type]
         found = rehearse(t, tables, values, approach + reference.duration + 0.5)
-    emit({"simulated": found.simulated, "trip": found.trip, "text": found.text}, as_json, found.text)
+    emit({"simulated": found.simulated, "trip": found.trip, "text": found.text, "peaks": found.peaks}, as_json, found.text)
     if not found.good:
         raise click.exceptions.Exit(1)

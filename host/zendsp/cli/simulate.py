@@ -21,7 +21,7 @@ from zendsp.cli.common import parse_assignments
 @click.option("--inner", type=click.IntRange(1, 256), default=4, show_default=True, help="Integration steps per sample.")
 @click.option("--check", is_flag=True, help="Halve the step until no position changes by more than one count; status 1 if it never settles.")
 @click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the recording: .mat, .npz, .parquet or .csv.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write the recording: .mat, .npz, .parquet, .csv, .mcap or .mf4.")
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw it: .png, .svg or .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(

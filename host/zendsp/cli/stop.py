@@ -24,13 +24,20 @@ def command(acknowledge: bool, target: str, connect: str | None, as_json: bool) 
             status = t.status()
             emit(status, as_json, f"{status.state}, drive {status.drive}")
         return
+    from zendsp.link.programs import TAKEN_S, stopped, stopped_at
+    from zendsp.link.stop_page import here
+
+    page = here(target, connect)  # first: it needs neither Zenoh nor the target's own process
+    sample = None if page is None else page.taken(page.ask(), TAKEN_S)
     from zendsp.link import connect as open_link
-    from zendsp.link.programs import stopped
 
     try:
         t = open_link(target, connect)
     except ZendspError as error:
-        raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
-    with t:
-        status = t.stop()
-        emit(status, as_json, stopped(status))
+        if sample is None:
+            raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
+        status = stopped_at(sample)
+    else:
+        with t:
+            status = t.stop()
+    emit(status, as_json, stopped(status))

@@ -14,7 +14,8 @@ import click
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Sample rate, Hz.")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)
 @click.option(
-    "--listen", multiple=True, metavar="ENDPOINT", help="Zenoh endpoint (default: a free port on loopback)."
+    "--listen", multiple=True, metavar="ENDPOINT",
+    help="Zenoh endpoint (default: here, a socket that only you can open); may be repeated.",
 )
 @click.pass_context
 def command(
@@ -22,7 +23,8 @@ def command(
 ) -> None:
     """Run a target until Ctrl-C; on a bare machine, 'python -m zendsp_target' does the same.
 
-    All options of that command are taken; see 'python -m zendsp_target --help' for TLS, passwords and routers.
+    All options of that command are taken; 'python -m zendsp_target --help' lists them: TLS, users and roles, routers, CPU,
+    memory, what a simulated machine conceals.
 
     Example:  zendsp target --machine imi_planar --name imi --rate 1000
     """

@@ -72,7 +72,7 @@ def command(
         channels=[name.strip() for name in channels.split(",") if name.strip()],
     )
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # started with nohup, it would look for keys in a terminal that is gone, for ever
-    app.session.guard_keys()
+    app.session.guard_keys(target)
     try:
         app.run()
     finally:

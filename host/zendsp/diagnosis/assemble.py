@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 from zendsp.diagnosis.decide import Decision
 from zendsp.diagnosis.score import Scored
+from zendsp.physics.bodies import body_terms
 from zendsp.physics.convergence import with_step_error
 from zendsp.physics.fit import Data, Fit, fit, free_handles
+from zendsp.physics.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
 
 
@@ -32,8 +34,10 @@ def shared_mechanism(model: Model) -> bool:
     )
 
 
-def _merge(given: Model, parts: Sequence[Scored]) -> Model:
-    terms: list[Term] = []
+def merge(given: Model, parts: Sequence[Scored]) -> Model:
+    """One model of the whole machine from fits of its joints; what acts on all joints stands once, as in the given model."""
+    shared = body_terms(given)
+    terms: list[Term] = list(shared)
     mechanism = {key: list(items) for key, items in given.mechanism.items()}
     offset = [
         given.sensor.offset[j] if j < len(given.sensor.offset) else (given.sensor.offset or (0.0,))[0]
@@ -46,7 +50,7 @@ def _merge(given: Model, parts: Sequence[Scored]) -> Model:
     changed_offset = bool(given.sensor.offset)
     for j, part in enumerate(parts):
         model = part.model
-        terms += model.at(j + 1)
+        terms += own_terms(model.at(j + 1))
         for key, items in mechanism.items():
             source = model.mechanism[key]
             if len(items) > 1:
@@ -68,13 +72,23 @@ def _merge(given: Model, parts: Sequence[Scored]) -> Model:
     )
 
 
+def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs: int) -> Model:
+    """The calibrated model of the whole machine from those of its joints, in their order; what joints share is fitted to all of them."""
+    start = merge(given, bases)
+    if not shared_mechanism(given):
+        return start
+    data = replace(train, bandwidth=tuple(b.data.bandwidth[j] for j, b in enumerate(bases)))
+    everything = tuple(range(1, given.joints + 1))
+    return fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
+
+
 def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
     """Put the joints together; parameters that joints share are refitted on all of them at once."""
     bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
     data = replace(train, bandwidth=bandwidth)
     if not shared_mechanism(given):
-        improved = _merge(given, [s.final for s in searches])
-        calibrated = _merge(given, [s.base for s in searches])
+        improved = merge(given, [s.final for s in searches])
+        calibrated = merge(given, [s.base for s in searches])
         certain = {s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches}
         return Assembled(
             _noted(calibrated, {s.joint: s.base.fit for s in searches}),
@@ -84,10 +98,8 @@ def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int)
             False,
         )
     everything = tuple(range(1, given.joints + 1))
-    base_data = replace(train, bandwidth=tuple(s.base.data.bandwidth[s.joint - 1] for s in searches))
-    start = _merge(given, [s.base for s in searches])
-    calibrated = fit(base_data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
-    start = _merge(given, [s.final for s in searches])
+    calibrated = calibrated_machine(train, given, [s.base for s in searches], jobs)
+    start = merge(given, [s.final for s in searches])
     whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
     whole = with_step_error(data, whole, everything)
     fits = dict.fromkeys(everything, whole)

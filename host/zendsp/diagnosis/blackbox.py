@@ -35,7 +35,7 @@ from zendsp.diagnosis.output_error import (
     sensor_noise,
     with_term,
 )
-from zendsp.diagnosis.reading import Signals, read_signals, split
+from zendsp.diagnosis.reading import Signals, read_signals, split, with_same_columns
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
 from zendsp.diagnosis.simulator import Bench, bench, load_entry
 from zendsp.diagnosis.where import Missing, Region, intervals, regions
@@ -220,6 +220,7 @@ def _recordings(sources: Sequence[Any], heldout: Sequence[Any], model: Model, fu
         raise RecordingError("no recording given")
     held: list[Signals] = [read_signals(source, model) for source in heldout]
     notes = check_signals([*signals, *held], model)
+    signals, held = with_same_columns(signals, held)
     if not held:
         signals, held, how = split(signals)
         notes += how

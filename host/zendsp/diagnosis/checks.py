@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.contradictions import check_driven, check_free
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.reading import Signals, unused_effects
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
@@ -29,7 +29,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     RecordingError
         Where a recording cannot be diagnosed: too short, constant, unexcited, clipped, glued.
     """
-    notes: list[str] = []
+    notes = unused_effects(signals, model)
     for s in signals:
         notes += s.notes
         raw = s.raw or s

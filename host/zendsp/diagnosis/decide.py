@@ -33,6 +33,7 @@ from zendsp.diagnosis.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.reading import Parts
 from zendsp.diagnosis.score import Scored, fit_scored, informative
 from zendsp.diagnosis.search import Searcher
+from zendsp.diagnosis.windows import rms, window_error
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.joint import run
@@ -44,13 +45,16 @@ Progress = Callable[[str], None]
 # Every number that decides stands here; docs/diagnosis.md has the measurement behind each.
 FALSE_DISCOVERIES = 0.05  # of what is claimed, at most so much is nothing: e-values, over joints and mechanisms
 LAW_ERROR = 0.03  # no law describes its own mechanism better than to so much of its size
-LEFT_BY_A_LAW = 0.2  # of a mechanism's size, as a function of its own variables: a law that leaves more is none
+LEFT_BY_A_LAW = 0.2  # of a mechanism's size, as a function of its own variables: a law of one number that leaves more is none
+NUMERIC = 0.001  # of the RMS torque: where two simulators differ by so much, it is no lack of a law
+FINEST = 0.0003  # of the RMS torque: what is less is never a finding, however likely
 OWN_SHARE = 0.1  # of the explainable mismatch: a second law of one mechanism below is a refinement
-MACHINE = 0.025  # of the RMS torque: below, slow random torques that every machine has
+MACHINE = 0.03  # of the RMS torque: below, slow random torques that every machine has
 OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physics, whatever its name
 TIED = 0.05  # probability above which a law is still in the race
 DRAWS = 400  # of the Bayesian bootstrap
 SURE = 3.0  # standard deviations over blocks of time
+PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
@@ -138,7 +142,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         claimed, rest = _claimed(parts, given, final, joint, pieces)
         if claimed:
             decision = _named(parts, given, search, final, claimed, rest, before, jobs, tell)
-            if decision.claims:
+            errors = [rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)]
+            if decision.claims and errors[1] <= errors[0]:  # what makes an untouched recording worse is no finding, ever
                 return decision
     return _nothing_named(parts, search, before)
 
@@ -250,8 +255,8 @@ def _claimed(
         if kept_laws:
             apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
             larger = max(larger, difference(parts.test, apart, final.model, joint))
-        sure = piece.log_e > needed and piece.evidence.z > 2.0
-        (claimed if sure and piece.size > math.hypot(left, LAW_ERROR * larger) else rest).append(piece)
+        sure = piece.log_e > needed and piece.evidence.z > PLAIN
+        (claimed if sure and piece.size > max(FINEST, math.hypot(left, LAW_ERROR * larger)) else rest).append(piece)
     return claimed, rest
 
 
@@ -296,12 +301,14 @@ def _named(
         own = [first]
         for other in ranked[1:]:
             second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(after.value, LAW_ERROR * first.size)
-            if second and other.log_e > 0 and other.evidence.z > 2.0:
+            if second and other.log_e > 0 and other.evidence.z > PLAIN:
                 own.append(other)
             else:
                 refinements.append(_plain(other))
-        kin = max(p.size for p in claimed if p.mechanism in _kind(piece.mechanism))  # a larger law's error is no lack of this one
-        poor = left is not None and left.z > SURE and left.size > LEFT_BY_A_LAW * kin and left.size > OF_STATE
+        kind = [p for p in claimed if p.mechanism in _kind(piece.mechanism)]
+        allowed = max(_may_leave(p) for p in kind)  # a larger law's error is no lack of this one
+        again = [p.size for p in ranked[1:] if _repeats(p, first)]  # what the law by itself leaves to itself
+        poor = math.hypot(*again) > allowed or (left is not None and left.z > SURE and left.size > max(allowed, NUMERIC))
         if poor or len(own) >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
             claims.append(replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0}))
@@ -316,6 +323,23 @@ def _named(
     return Decision(
         joint, "missing", tuple(claims), tuple(refinements), search.base, final, before, after, state, rms_torque(parts.test, joint)
     )
+
+
+def _repeats(other: Piece, first: Piece) -> bool:
+    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not a sum of such shapes by itself."""
+    effect = get_effect(first.terms[0].effect)
+    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)  # a sum of harmonics is one law; settings choose one
+    return other.effects == first.effects and not several and other.log_e > 0 and other.evidence.z > PLAIN
+
+
+def _may_leave(piece: Piece) -> float:
+    """What a mechanism's laws may leave in its own variables, as a part of the RMS torque.
+
+    A law of several free numbers can be bent to resemble what it is not, and leaves the less for it.
+    """
+    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(piece.terms)
+    freedom = min(sum(q.free for q in t.parameters.values()) for t in laws)
+    return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
 
 
 def together(*data: Data) -> Data:
@@ -366,7 +390,7 @@ def _law(
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
         near = behind < 0.5 * first.evidence.gain and difference(parts.choose, rival.scored.model, final.model, joint) < after
-        if weight > TIED or near:
+        if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
             share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
@@ -448,7 +472,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
     of_state = state.size > OF_STATE and state.z > SURE
-    if before.low > OF_STATE and state.share < MOST:
+    if before.value > OF_STATE and state.share < MOST:
         here = bursts(parts.held, base.model, joint)
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zendsp.diagnosis.decide import FALSE_DISCOVERIES, Decision, dependence
+from zendsp.diagnosis.decide import FALSE_DISCOVERIES, FINEST, Decision, dependence
 from zendsp.diagnosis.discrepancy import BANDS, as_torque, band_of, kept, mean_square
 from zendsp.diagnosis.findings import COUPLED
 from zendsp.diagnosis.mechanisms import LAWS_OF, mechanism_of
@@ -60,7 +60,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
     needed = math.log(test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     # a gain of G = |c|² s² / σ² is 2 log e in the mean, with standard deviation 2 √G
     root = POWER + math.sqrt(POWER**2 + 2.0 * needed)
-    beyond = max(decision.after.value, 1e-6)
+    beyond = max(decision.after.value, FINEST)
     scale = math.sqrt(mean_square(test, joint))
     have = {t.effect for t in final.model.at(joint)}
     out = []

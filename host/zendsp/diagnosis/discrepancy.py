@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
 from scipy.ndimage import binary_closing
+from scipy.stats import norm
 
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia, response, run
@@ -22,12 +23,13 @@ from zendsp.physics.model import Model
 Array = npt.NDArray[np.float64]
 
 BANDS = (64.0, 32.0, 16.0, 8.0)  # rad/s of the observers; slower ones see less of a torque, and far less noise
-BLOCK = 0.5  # s, over which energies are summed before their variance is taken
+BLOCK = 0.5  # s, over which energies are summed before their variance is taken; less where there would be
+BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
-CONCENTRATED = 0.8  # of the energy, in that time
+CONCENTRATED = 0.5  # of the energy outside of that time, against what a random torque that is normally distributed has there
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
@@ -87,10 +89,12 @@ def noise(record: JointRecord, model: Model, band: float) -> float:
 def energy_blocks(data: Data, squares: Sequence[Array], joint: int, band: float) -> tuple[Array, Array]:
     """Sums over blocks of time of some series, one a recording, and the number of samples in each block."""
     sums, counts = [], []
+    seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
+    block = max(min(BLOCK, seconds / BLOCKS), 8.0 / band)
     for series, rec in zip(squares, data.records, strict=True):
         record = rec[joint - 1]
         use = series[kept(record, band)]
-        size = max(10, round(max(BLOCK, 8.0 / band) / record.sample_time))
+        size = max(10, round(block / record.sample_time))
         count = max(1, len(use) // size)
         for part in np.array_split(use, count):
             sums.append(float(part.sum()))
@@ -357,7 +361,7 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         record = rec[joint - 1]
         use = kept(record, band)
         high = level > max(10.0 * quiet, 0.05 * float(level.max()))
-        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.1 / record.sample_time)))[1:-1]
+        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[1:-1]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
         place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
@@ -375,8 +379,15 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
             (start + a * record.sample_time, start + (b - 1) * record.sample_time)
             for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
         ]
-        peak = max(peak, float(np.max(np.abs(lack[use][high]), initial=0.0)))
+        if high.any():  # a smooth peak: single samples are noise, and the observer's own ringing at the edges
+            width = max(3, round(3.0 / band / record.sample_time))
+            smooth = np.convolve(lack[use], np.ones(width) / width, mode="same")
+            peak = max(peak, float(np.quantile(np.abs(smooth[high]), 0.95)))
     share = inside / max(inside + outside, 1e-300)
-    if not spans or covered > BRIEF * count or share < CONCENTRATED or met < REVISITED * covered or len(spans) > MANY:
+    if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
+        return None
+    z = float(norm.isf(0.5 * covered / count))
+    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))  # of a random torque's energy, in its largest values for so long
+    if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
         return None
     return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))

@@ -13,18 +13,21 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.assemble import Assembled, assemble
+from zendsp.diagnosis.assemble import Assembled, assemble, calibrated_machine
+from zendsp.diagnosis.bodies import find_bodies
 from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.decide import Decision, decide
+from zendsp.diagnosis.decide_bodies import decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.detectable import detectable
 from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.findings import file_model, kernel_model
 from zendsp.diagnosis.fine import fine_ripples, fixed
 from zendsp.diagnosis.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.inertia import inertia_ranges
 from zendsp.diagnosis.naming import left_over, name_findings
 from zendsp.diagnosis.prepare import prepare
 from zendsp.diagnosis.propose import propose
-from zendsp.diagnosis.reading import Parts, Signals, halves, read_signals, split
+from zendsp.diagnosis.reading import Parts, Signals, halves, read_signals, split, with_same_columns
 from zendsp.diagnosis.result import Diagnosis, FitTable, Left
 from zendsp.diagnosis.score import Scored
 from zendsp.diagnosis.search import WAIT, Searcher, calibrate_joint
@@ -128,7 +131,15 @@ def _diagnose(
     notes += check_motion(everything, given, names)
     notes += check_excitation(fit)
     tell("calibrating the given model")
-    searches, decisions, whole = _explain(parts, given, given, jobs, tell)
+    bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
+    beneath, bare = bodies.model, parts
+    parts = _with_bodies(bare, beneath)
+    searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+    claims = decide_bodies(parts, bodies, decisions, jobs)
+    if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
+        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims)))
+        parts = _with_bodies(bare, beneath)
+        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     tell("looking for what passes fast")
     fine = [
         ripple
@@ -137,9 +148,15 @@ def _diagnose(
         for ripple in fine_ripples(parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs)
     ]
     if fine:  # a ripple that nobody models lends itself to effects that are not there: search again upon it
-        beneath = given.with_terms((*given.terms, *(fixed(ripple.term) for ripple in fine)))
+        beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
-    findings, refinements, rejected = name_findings(parts.test, given, decisions, whole)
+    if claims:
+        claims, improved = settled(parts, claims, whole.improved, jobs)
+        bases = [calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)]
+        calibrated = calibrated_machine(bare.fit, given, bases, jobs)
+        whole = replace(whole, improved=improved, calibrated=calibrated)
+    findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
+    rejected = (*rejected_bodies(bodies, claims), *rejected)
     findings += tuple(ripple.finding for ripple in fine)
     kinds = {d.kind for d in decisions}
     verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
@@ -199,6 +216,7 @@ def _read(
         raise RecordingError("no recording given")
     held = [read_signals(source, model) for source in _sources(heldout)]
     notes = check_signals([*signals, *held], model)
+    signals, held = with_same_columns(signals, held)
     if not held:
         signals, held, how = split(signals)
         notes += how
@@ -216,6 +234,11 @@ def _explain(
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
     known = tuple(t for t in whole.calibrated.terms if t not in added)
     return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
+
+
+def _with_bodies(parts: Parts, model: Model) -> Parts:
+    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are known."""
+    return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
 
 
 def _search(

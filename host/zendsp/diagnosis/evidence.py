@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.discrepancy import deviation
 from zendsp.diagnosis.score import Scored, fastest
+from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, run
 from zendsp.physics.model import Model
@@ -58,7 +59,7 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
 
 def settling(scored: Scored, joint: int) -> float:
     """Share of a recording in which an observer of a model settles."""
-    return RING if any(t.effect in ("elasticity", "backlash") for t in scored.model.at(joint)) else 0.1
+    return RING if any(get_effect(t.effect).family == "transmission" for t in scored.model.at(joint)) else 0.1
 
 
 def block_scores(scored: Scored, data: Data, joint: int, settle: float = 0.1) -> Array:

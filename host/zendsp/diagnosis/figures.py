@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from zendsp.diagnosis.result import Diagnosis, Finding
 from zendsp.diagnosis.where import Missing, energy, mismatch
 from zendsp.diagnosis.windows import window_error
+from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import run
 
@@ -29,27 +30,11 @@ BEFORE, AFTER, DATA, FLOOR = (
     "#9a9a9a",
     "#3a7d44",
 )  # apart for colour-blind readers, and in grey
-AXIS = {
-    "position": (
-        "position_friction",
-        "gravity",
-        "stiffness",
-        "cubic_stiffness",
-        "ripple",
-        "encoder_eccentricity",
-        "hysteresis",
-        "backlash",
-        "presliding",
-    ),
-    "command": ("dead_zone", "saturation", "torque_gain", "load_friction"),
-    "acceleration": ("inertia", "elasticity", "delay", "lag"),
-    "time": ("friction_drift", "disturbance"),
-}
 
 
 def axis_of(effect: str) -> str:
     """The variable over which an effect is best seen."""
-    return next((name for name, effects in AXIS.items() if effect in effects), "velocity")
+    return library()[effect].over if effect in library() else "time" if effect == "disturbance" else "velocity"
 
 
 def _style() -> None:

@@ -119,6 +119,11 @@ def number(estimate: Estimate) -> str:
     return f"{value:.{digits}f} ± {std:.{digits}f}{unit}"
 
 
+def percent(share: float) -> str:
+    """A share in per cent, two digits of it or all before the point."""
+    return f"{100 * share:.2g}" if abs(share) < 1 else f"{100 * share:.0f}"
+
+
 def sentence(term: Term, values: dict[str, Estimate]) -> str:
     """The effect's own sentence with its numbers."""
     words: dict[str, str] = {n: number(e) for n, e in values.items()}

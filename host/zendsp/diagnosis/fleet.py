@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zendsp.errors import LinkError, ZendspError
+from zendsp.cluster import connect
+from zendsp.errors import ZendspError
 
 Progress = Callable[[str], None]
 
@@ -119,18 +120,10 @@ def _local(tasks: Sequence[Any], jobs: int) -> Iterator[Item]:
 
 
 def _cluster(tasks: Sequence[Any], address: str) -> Iterator[Item]:
-    try:
-        from distributed import Client
-        from distributed import as_completed as completed
-    except ImportError:
-        raise ZendspError("--scheduler needs Dask: pip install 'zendsp[fleet]'") from None
-    try:
-        client = Client(address, timeout="10s")
-    except (OSError, TimeoutError, ValueError) as error:
-        raise LinkError(f"no Dask scheduler answers at {address!r} within 10 s ({error}); start one with `dask scheduler`") from error
+    client = connect(address)
+    from distributed import as_completed as completed
+
     with client:
-        if not client.scheduler_info()["workers"]:
-            raise LinkError(f"the Dask scheduler at {address!r} has no workers; start some with `dask worker {address}`")
         # pure=False: the same recording with another model in the same place is another task
         for future in completed(client.map(diagnose_one, tasks, pure=False)):
             yield future.result()

@@ -69,29 +69,17 @@ def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float
         effect = get_effect(term.effect)
         count += (
             sum(1 for p in effect.parameters if p.fitted)
-            + (1 if effect.grid or effect.starts else 0)
-            - 0.01 * (effect.name in ("coulomb", "torque_offset"))
+            + (1 if effect.grid or effect.hidden else 0)
+            - effect.odds
         )
         if effect.name in replacing:
             count -= 1
     return count * math.log(max(n, 10))
 
 
-# what makes an effect itself: without a gap backlash is a spring, with an endless stiffness a spring is none; else its size
-ESSENCE = {
-    "backlash": ("gap", "load_inertia"),
-    "elasticity": ("stiffness", "load_inertia"),
-    "presliding": ("stiffness",),
-    "hysteresis": ("force", "stiffness"),
-    "delay": ("time",),
-    "lag": ("time_constant",),
-    "friction_drift": ("ratio",),
-}
-
-
 def _essence(effect: str) -> tuple[str, ...]:
     entry = get_effect(effect)
-    return ESSENCE.get(effect, entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
+    return entry.essence or (entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 
 
 def with_numbers(model: Model, effect: str, joint: int, numbers: Mapping[str, float]) -> Model:
@@ -111,15 +99,11 @@ def sizes(effect: str) -> tuple[str, ...]:
     return _essence(effect) or entry.linear or tuple(p.name for p in entry.parameters if p.fitted)[:1]
 
 
-# a size times a shape: whether there is any of it is asked at the shape that was found, since none has no shape
-SHAPE = {"friction_drift": "time_constant"}
-
-
 def counterpart(terms: Sequence[Term], term: Term) -> Term:
     """The same term in another fit of the model, where its fitted numbers have moved.
 
     A joint may have several terms of one effect: they are told apart by what no fit moves (a coupling's law and its joint), then by
-    how often they repeat (a ripple's order).
+    how often they repeat (a ripple's order, the period of a friction that varies with position).
 
     Raises
     ------
@@ -129,7 +113,8 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
     settings = [p.name for p in get_effect(term.effect).parameters if not p.fitted]
 
     def unlike(t: Term) -> tuple[bool, int, float]:
-        return t is not term, sum(t.value(n) != term.value(n) for n in settings), abs(t.value("order") - term.value("order"))
+        repeats = sum(abs(t.value(n) - term.value(n)) for n in ("order", "period"))
+        return t is not term, sum(t.value(n) != term.value(n) for n in settings), repeats
 
     alike = [t for t in terms if (t.effect, t.joint) == (term.effect, term.joint)]
     if not alike:
@@ -150,7 +135,7 @@ def vanishes(fitted: Fit, term: Term) -> bool:
             continue
         i = own[key]
         variance = float(fitted.covariance[i, i])
-        shape = own.get(SHAPE.get(effect, ""))
+        shape = own.get(get_effect(effect).shape)
         if shape is not None and fitted.covariance[shape, shape] > 0:
             variance -= float(fitted.covariance[i, shape] ** 2 / fitted.covariance[shape, shape])
         if fitted.at_bound[i] or abs(fitted.x[i]) < SIGNIFICANT * math.sqrt(max(variance, 0.0)):

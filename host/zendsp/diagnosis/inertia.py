@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from zendsp.physics.bodies import body_terms
 from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import Model, per_joint
 
@@ -95,6 +96,9 @@ def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
             known += value * (basis.inertia * qdd + basis.bias)
     if key.startswith("inertia "):
         shape += 1.0
+    if rec.links is not None and (bodies := body_terms(model)):
+        change = rec.links.change(bodies, rec.joint - 1)
+        known += change.inertia * qdd + change.bias
     slow = 0.05 * rec.scale.speed
     columns = [
         shape * qdd,

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from zendsp.diagnosis.assemble import Assembled
 from zendsp.diagnosis.confidence import confidence
 from zendsp.diagnosis.decide import OF_STATE, Claim, Decision, weight_of_payload
-from zendsp.diagnosis.findings import LAWS, estimates, new_terms, sentence
+from zendsp.diagnosis.decide_bodies import BodyClaim, body_finding
+from zendsp.diagnosis.findings import LAWS, estimates, new_terms, percent, sentence
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.shift import shifted
 from zendsp.physics.fit import Data
@@ -23,7 +24,7 @@ VARIABLE = {
 
 
 def name_findings(
-    test: Data, given: Model, decisions: Sequence[Decision], whole: Assembled
+    test: Data, given: Model, decisions: Sequence[Decision], whole: Assembled, bodies: Sequence[BodyClaim] = ()
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
     """Put what was decided at each joint into words.
 
@@ -35,7 +36,8 @@ def name_findings(
     ranked: list[tuple[float, Finding]] = []
     refinements: list[Finding] = []
     rejected: list[Rejected] = []
-    everything = sum(d.before.value**2 for d in decisions) or 1.0
+    everything = sum(d.before.value**2 for d in decisions) + sum(b.square for b in bodies) or 1.0
+    ranked += [(b.gain, body_finding(b, everything)) for b in bodies]
     for decision in decisions:
         if decision.bursts is not None:
             ranked.append((math.inf, _disturbance(decision, given)))
@@ -63,7 +65,7 @@ def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, s
         size = Estimate(claim.size * scale, 0.25 * claim.size * scale, unit)
         what = VARIABLE.get(claim.mechanism, "state")
         text = (
-            f"A torque that depends on the {what} of joint {joint} is missing, {100 * claim.size:.2g} % of its torque; "
+            f"A torque that depends on the {what} of joint {joint} is missing, {percent(claim.size)} % of its torque; "
             "none of the known laws describes it."
         )
         laws = claim.laws
@@ -102,17 +104,17 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
         unit = given.torque_unit(d.joint)
         if d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
-                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS ({100 * d.state.size:.2g} % of the torque) "
+                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS ({percent(d.state.size)} % of the torque) "
                 "depends on the state of the joint and is none of the known effects"
             )
         elif d.kind == "unexplained":
             words.append(
-                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS ({100 * d.after.value:.2g} % of the torque) "
+                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS ({percent(d.after.value)} % of the torque) "
                 "is missing that neither a known effect nor any function of the joint's state predicts"
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(
                 f"Joint {d.joint}: beside what was found, {d.after.value * d.scale:.2g} {unit} RMS "
-                f"({100 * d.after.value:.2g} % of the torque) stays unexplained"
+                f"({percent(d.after.value)} % of the torque) stays unexplained"
             )
     return ". ".join(words)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.screen import grid_of, make_term
-from zendsp.diagnosis.simulator import NOT_ON_INPUT, Bench
+from zendsp.diagnosis.screen import grid_of, make_term, usable
+from zendsp.diagnosis.simulator import Bench, on_input, on_timing
 from zendsp.physics.bounds import parameter_bounds
-from zendsp.physics.effects import Effect, get_effect, library
+from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.fit import Fit, Handle, get_values, robust_covariance, set_values
 from zendsp.physics.model import Model, Term
 
@@ -129,12 +129,12 @@ def screen(benches: Sequence[Bench], current: Output, joint: int, tell: Progress
     found, calls = [], 0
     present = {t.effect for t in current.model.at(joint)}
     for effect in library().values():
-        if effect.name in NOT_ON_INPUT or effect.name in ("delay", "lag") or (effect.name in present and not effect.repeatable):
+        if not on_input(effect) or effect.retime is not None or (effect.name in present and not effect.repeatable):
             continue
-        if effect.needs and not (effect.needs == ("friction",) and present) and not set(effect.needs) <= present:
+        if not is_supported(effect, present) or not usable(effect, [b.records[joint - 1] for b in benches]):
             continue
         best: tuple[float, Term] | None = None
-        points = _points(effect, record, current.model, len(benches[0].records), joint)
+        points = _points(effect, record, current.model)
         for values, linear in points[:: max(1, len(points) // 40)]:
             if calls >= SCREENED:
                 break
@@ -172,14 +172,9 @@ def with_term(model: Model, term: Term) -> Model:
     return model.with_terms((*kept, term))
 
 
-def _points(effect: Effect, record: Any, model: Model, joints: int, joint: int) -> list[tuple[dict[str, float], list[dict[str, float]]]]:
+def _points(effect: Effect, record: Any, model: Model) -> list[tuple[dict[str, float], list[dict[str, float]]]]:
     """Grid points with, for each, the directions to try: one per linear parameter, two for a phase."""
     out: list[tuple[dict[str, float], list[dict[str, float]]]] = []
-    if effect.name == "coupling":
-        for other in range(1, joints + 1):
-            if other != joint:
-                out += [({"from_joint": float(other), "law": float(law), "smooth": 0.05 * record.scale.speed}, [{"coefficient": 1.0}]) for law in range(4)]
-        return out
     phase = next((p for p in effect.names if p in ("phase", "angle")), "")
     for point in grid_of(effect, record, model):
         if not effect.linear:
@@ -217,11 +212,12 @@ def _start(effect: Effect, record: Any, values: dict[str, float], linear: list[d
 
 
 def late_candidates(benches: Sequence[Bench], current: Output, joint: int) -> list[tuple[float, Term]]:
-    """Delay and lag of the command."""
+    """What acts on the command's timing."""
     out = []
-    for name, key in (("delay", "time"), ("lag", "time_constant")):
-        if name not in {t.effect for t in current.model.at(joint)}:
-            term = make_term(get_effect(name), joint, {key: 2 * benches[0].signals.sample_time})
+    for effect in on_timing():
+        if effect.name not in {t.effect for t in current.model.at(joint)}:
+            step = 2 * benches[0].signals.sample_time
+            term = make_term(effect, joint, dict.fromkeys(effect.linear, step))
             trial = errors(benches, with_term(current.model, term))
             out.append((1 - float(trial @ trial) / current.fit.cost, term))
     return [item for item in out if item[0] > 0]

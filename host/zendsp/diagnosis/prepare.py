@@ -8,9 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.inertia import inertia_ranges
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.reading import Signals, joint_columns
+from zendsp.errors import ModelError
+from zendsp.physics.bodies import Links, body_terms, machine_tree
+from zendsp.physics.effects.base import Scale
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, Scale, mechanism_value
+from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.rigid import bases
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
@@ -52,6 +55,14 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     within = [_within_samples(m.states, s.sample_time) for m in motions]
     others = np.ascontiguousarray(np.stack(within))
     basis = bases(model, within)
+    tree = machine_tree(model)
+    links = Links(tuple(tree[0]), tree[1], others) if tree else None
+    if links is None and (terms := body_terms(model)):
+        raise ModelError(
+            f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind = 'urdf' or"
+            f" 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
+        )
+    weights = _weights(model, within)
     out = []
     for j in range(joints):
         q, qd, qdd = motions[j].states
@@ -63,7 +74,10 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
         inertia = float(np.mean(inertia_series)) + sum(
             t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
         )
-        effort = float(np.sqrt(np.mean(torque**2))) or inertia * float(np.sqrt(np.mean(qdd**2)))
+        # a joint that is hardly driven itself moves all the same: its weight is the torque that moves it then
+        weight = mechanism_value(model, "gravity", j + 1) * np.sin(q) if model.kind == "rotary" else weights[j]
+        effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
+        effort = effort or inertia * float(np.sqrt(np.mean(qdd**2)))
         scale = Scale(
             torque=max(effort, 1e-12),
             speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
@@ -86,9 +100,20 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
                 scale=scale,
                 base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
                 position=np.ascontiguousarray(s.position[:, j]),
+                links=links,
+                slides=model.joint_kind(j + 1) == "linear",
+                columns=joint_columns(s, j),
             )
         )
     return tuple(out)
+
+
+def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
+    """Torque of the weight along a motion as the mechanism knows it, one array (n,) a joint."""
+    if model.kind != "urdf":
+        return [np.zeros(s.shape[1]) for s in states]
+    at_rest = [np.stack([s[0], 0 * s[0], 0 * s[0]]) for s in states]
+    return [sum((np.asarray(b.bias) for b in basis.values()), np.zeros(1)) for basis in bases(model, at_rest)]
 
 
 def _within_samples(states: Array, sample_time: float) -> Array:

@@ -23,7 +23,7 @@ from zendsp.diagnosis.score import deviance
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import JointRecord
-from zendsp.physics.loop import mean_inertia, simulate_joint_loop
+from zendsp.physics.loop import ROOM, mean_inertia, simulate_joint_loop
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -178,6 +178,7 @@ def _best_motion(
             kd=1.4 * inertia * speed / gain,
             inertia=inertia,
             resolution=resolution,
+            temperature=float(record.columns["temperature"][-1]) if "temperature" in record.columns else ROOM,
         )
         if not np.isfinite(loop.position).all() or np.ptp(loop.position) <= 8 * resolution:
             continue
@@ -202,6 +203,7 @@ def _separation(
         position=still,
         command=effort,
         reference=None,
+        extra={role: np.tile(values[-1:], (n, 1)) for role, values in signals.extra.items()},
         notes=(),
     )
     data: Data = prepare([made], given, 8.0)

@@ -12,10 +12,12 @@ import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
 from zendsp.errors import RecordingError
+from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import find_resolution
 from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.units import to_si
 
 Array = npt.NDArray[np.float64]
 
@@ -94,8 +96,9 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     for key in ("position",):
         if key not in columns:
             raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
-    name, get = _getter(source, columns)
+    name, get, done = _getter(source)
     joints = model.joints
+    get, repeated = _without_repeats(get, columns)
     position = _matrix(name, "position", get, columns["position"], joints)
     n = len(position)
     if "command" in columns:
@@ -119,13 +122,18 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         else None
     )
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
+    wanted = {role for effect in library().values() for role in effect.reads if role in columns and _has(get, columns[role])}
+    extra = {role: _optional(name, role, get, columns[role], n, joints) for role in sorted(wanted)}
+    if repeated:
+        notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(
         [_resolution(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
     if grid is not None:
-        position = _lattice(_resample(grid, time, position, linear=True), position[0], resolution)
-        command = _resample(grid, time, command, linear=False)
-        reference = None if reference is None else _resample(grid, time, reference, linear=True)
+        position = _lattice(_resample(grid, time, position), position[0], resolution)
+        command = _resample_held(grid, time, command)
+        reference = None if reference is None else _resample(grid, time, reference)
+        extra = {role: _resample(grid, time, values) for role, values in extra.items()}
         time = grid
     if model.sensor.matrix:
         matrix = np.array(model.sensor.matrix)
@@ -137,11 +145,64 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
-    signals = Signals(name, time, sample_time, position, command, reference, resolution, tuple(notes))
+    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra)
     return _decimate(signals)
 
 
-def _getter(source: Any, columns: Any) -> tuple[str, Any]:
+def with_same_columns(signals: Sequence[Signals], others: Sequence[Signals]) -> tuple[list[Signals], list[Signals]]:
+    """The recordings with those optional columns that all of them have."""
+    all_of_them = (*signals, *others)
+    roles = {role for s in all_of_them for role in s.extra if all(role in x.extra for x in all_of_them)}
+
+    def kept(s: Signals) -> Signals:
+        return replace(s, extra={role: values for role, values in s.extra.items() if role in roles})
+
+    return [kept(s) for s in signals], [kept(s) for s in others]
+
+
+def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
+    """The optional columns of one joint (from 0) by their role, (n,) each."""
+    return {role: np.ascontiguousarray(values[:, joint]) for role, values in signals.extra.items()}
+
+
+def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
+    """A note for each effect that a recording lacks a column for.
+
+    Parameters
+    ----------
+    signals : sequence of Signals
+    model : Model
+
+    Returns
+    -------
+    list of str
+    """
+    notes = []
+    for effect in library().values():
+        for role in effect.reads:
+            lacking = [s.name for s in signals if role not in s.extra]
+            if lacking:
+                where = f"{', '.join(lacking)}: no column" if role in model.columns else "the model's [columns] names no column"
+                notes.append(f"{effect.name} was not considered: {where} of {role}")
+    return notes
+
+
+def _optional(name: str, role: str, get: Any, spec: Any, n: int, joints: int) -> Array:
+    """An optional column, one number for all joints or one each, (n, joints)."""
+    parts = [np.asarray(get(str(item)), float) for item in (spec if isinstance(spec, list) else [spec])]
+    values = np.concatenate([part[:, None] if part.ndim == 1 else part for part in parts], axis=1)
+    if values.shape[1] not in (1, joints) or len(values) != n:
+        raise RecordingError(f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints} columns")
+    bad = ~np.isfinite(values)
+    if bad.any():
+        raise RecordingError(
+            f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers (first in row {int(np.argwhere(bad)[0, 0]) + 1}); expected none"
+        )
+    return np.array(np.broadcast_to(values, (n, joints)))
+
+
+def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
+    """Its name, a function from a column's name to its numbers in SI, and what was done to get these."""
     if isinstance(source, Recording):
         names = set(source.names)
 
@@ -149,17 +210,34 @@ def _getter(source: Any, columns: Any) -> tuple[str, Any]:
             if column in ("t", "time") and column not in names:
                 return np.asarray(source.t, float)
             try:
-                return np.asarray(source[column], float)
+                known = to_si(source.units.get(column.partition("[")[0], ""))
+                return np.asarray(source[column], float) * (known[0] if known else 1.0)
             except (KeyError, RecordingError):
                 raise RecordingError(
                     f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
                 ) from None
 
-        return "recording", from_recording
-    if isinstance(source, Table):
-        return str(source.path), lambda column: source[column]
-    table = read_table(source)
-    return str(source), lambda column: table[column]
+        return "recording", from_recording, ()
+    table = source if isinstance(source, Table) else read_table(source)
+    return str(table.path), lambda column: table[column], table.notes
+
+
+def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
+    """A getter without the rows whose time and positions are those of the row before, and how many there are."""
+    if "time" not in columns or not _has(get, columns["time"]):
+        return get, 0
+    time = np.asarray(get(str(columns["time"])))
+    spec = columns["position"]
+    parts = [np.asarray(get(str(item))) for item in (spec if isinstance(spec, list) else [spec])]
+    if time.ndim != 1 or len(time) < 2 or any(len(p) != len(time) for p in parts):
+        return get, 0
+    again = np.r_[False, np.diff(time) == 0]
+    for p in parts:
+        again[1:] &= (p[1:] == p[:-1]).reshape(len(time) - 1, -1).all(axis=1)
+    if not again.any():
+        return get, 0
+    keep = ~again
+    return lambda column: np.asarray(get(column))[keep], int(again.sum())
 
 
 def _has(get: Any, column: Any) -> bool:
@@ -292,10 +370,24 @@ def _lattice(values: Array, origin: Array, resolution: Array) -> Array:
     return counts
 
 
-def _resample(grid: Array, time: Array, values: Array, *, linear: bool) -> Array:
-    if linear:
-        return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
-    return values[np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(time) - 1)]
+def _resample(grid: Array, time: Array, values: Array) -> Array:
+    """Straight lines between the rows, at the instants of a uniform grid, (n, columns)."""
+    return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
+
+
+def _resample_held(grid: Array, time: Array, values: Array) -> Array:
+    """The mean over each step of a uniform grid of what is held from row to row, (n, columns).
+
+    The command before an instant would come half a sample late, where stamps lie on both sides of the grid.
+    """
+    period = float(grid[1] - grid[0])
+    edges = np.append(grid, grid[-1] + period)
+    ends = np.append(time, max(edges[-1], time[-1]) + period)
+    out = []
+    for column in values.T:
+        sums = np.concatenate([[0.0], np.cumsum(column * np.diff(ends))])
+        out.append(np.diff(np.interp(edges, ends, sums)) / period)
+    return np.stack(out, axis=1)
 
 
 def _decimate(signals: Signals) -> Signals:
@@ -332,6 +424,7 @@ def _decimate(signals: Signals) -> Signals:
         reference=None if signals.reference is None else signals.reference[:n:factor],
         resolution=np.where(counts, signals.resolution, 0.0),
         least_noise=np.where(counts, 0.0, white),
+        extra={role: centred(values) for role, values in signals.extra.items()},
         notes=(*signals.notes, note),
         raw=signals,
     )

@@ -1,4 +1,4 @@
-"""Writes the report folder: report.json, report.html, figures, model.toml, compensation.c, next_reference.mat."""
+"""Writes the report folder: report.json, report.html, figures, model.toml and calibrated.toml, compensation.c, next_reference.mat."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "report.json").write_text(report_text(d), encoding="utf-8")
     (folder / "model.toml").write_text(model_text(d.improved), encoding="utf-8")
+    (folder / "calibrated.toml").write_text(model_text(d.calibrated), encoding="utf-8")
     _compensation(d, folder)
     if d.next_recording is not None and d.next_recording.reference is not None:
         from zendsp.reference import Reference, save_reference

@@ -14,25 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.effects import Effect, get_effect, library
+from zendsp.physics.effects import Effect, get_effect, is_supported, library
+from zendsp.physics.effects.base import Along, Parameter
 from zendsp.physics.fit import Data, Fit, Handle
-from zendsp.physics.joint import JointRecord, effective_inertia, response, trace
+from zendsp.physics.joint import JointRecord, along, effective_inertia, facts, response, sensed, trace
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
-FRICTION = (
-    "coulomb",
-    "viscous",
-    "coulomb_asymmetry",
-    "viscous_asymmetry",
-    "stribeck",
-    "quadratic_drag",
-    "load_friction",
-)
-HARMONICS = 60
 TOGETHER = 8  # grid points whose columns are computed at once
-ADDED = ("torque", "viscous", "dry")  # where an effect acts whose torque is the same beside others
+ADDED = ("torque", "viscous", "dry", "sensor")  # where an effect acts whose torque is the same beside others
+SCALES = ("scale", "dry_scale")
+FIRST_ORDER = 0.05  # s: a shift in time is told to first order; no fit begins beyond
 
 
 @dataclass(frozen=True)
@@ -66,45 +59,34 @@ def _phase_of(effect: Effect) -> str:
     return next((n for n in effect.names if n in ("phase", "angle")), "") if effect.linear else ""
 
 
+def _neutral_of(effect: Effect, point: dict[str, float]) -> bool:
+    """Whether an effect is a spring whose neutral point is not in the grid: with it, a constant torque."""
+    return "neutral" in effect.names and "neutral" not in point
+
+
+def _first_order(value: float, parameter: Parameter) -> float:
+    """A time within what a column of first order can tell; other numbers as they are."""
+    return float(np.clip(value, -FIRST_ORDER, FIRST_ORDER)) if parameter.size == "time" else value
+
+
 def _unit_values(effect: Effect, values: dict[str, float], linear: str) -> dict[str, float]:
     return {**values, **{name: (1.0 if name == linear else 0.0) for name in effect.linear}}
 
 
 def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str, float]]:
     """Nonlinear parameter values to screen for one effect, phases left out (they are screened as sine and cosine)."""
-    s = record.scale
-    linear_axis = model.joint_kind(record.joint) == "linear"
-    q = record.motion.states[0]
-    centre, span = 0.5 * (q.max() + q.min()), s.position
-    speed_top = float(np.quantile(np.abs(record.motion.states[1]), 0.95))
+    known = facts(record, model)
     axes: dict[str, list[float]] = {}
-    for name, units in effect.grid.items():
-        if name in ("phase", "angle"):
-            continue
-        if name == "order":
-            if linear_axis:
-                axes[name] = (2 * np.pi / span * np.arange(1.0, 160.0, 0.5)).tolist()
-            else:
-                axes[name] = [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
-        elif name == "period":
-            whole = (
-                [] if linear_axis else [2 * np.pi / m for m in range(1, 25) if 2 * np.pi / m > 0.03 * span]
-            )
-            axes[name] = whole or [u * span for u in units]
-        elif name == "neutral":
-            axes[name] = [centre + u * span for u in units]
-        elif name == "velocity":
-            axes[name] = [u * speed_top for u in (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)]
-        elif name in ("width", "level") and effect.site == "actuator":
-            top = float(np.quantile(np.abs(record.command), 0.999))
-            axes[name] = (
-                [u * s.command for u in units]
-                if name == "width"
-                else [u * top for u in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)]
-            )
-        else:
-            axes[name] = [u * s.of(effect.parameter(name).size) for u in units]
+    for name, axis in effect.grid.items():
+        if name not in ("phase", "angle"):
+            unit = record.scale.of(effect.parameter(name).size)
+            axes[name] = list(axis(known)) if callable(axis) else [value * unit for value in axis]
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+
+
+def usable(effect: Effect, records: Sequence[JointRecord]) -> bool:
+    """Whether every recording has the optional columns that an effect reads."""
+    return all(column in record.columns for column in effect.reads for record in records)
 
 
 class Screen:
@@ -124,8 +106,9 @@ class Screen:
         self.q = np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(self.r), 0))
         self.left = self.r - self.q @ (self.q.T @ self.r)
         self.base = [trace(rec, self.model, self.model.at(joint), self._floor(rec)) for rec in self.records]
+        self.motions = [along(rec, self.model) for rec in self.records]
         self.cost = float(self.left @ self.left)
-        self.scaled = any(get_effect(t.effect).site == "scale" for t in self.model.at(joint))
+        self.scaled = any(get_effect(t.effect).site in SCALES for t in self.model.at(joint))
 
     @staticmethod
     def _rows(data: Data, joint: int, joints: tuple[int, ...]) -> npt.NDArray[np.bool_]:
@@ -141,30 +124,23 @@ class Screen:
 
         ``alone``: as if the model had no other terms, for one that would replace some of them.
         """
-        on_sensor = columns[0][0].effect == "encoder_eccentricity"
+        on_sensor = get_effect(columns[0][0].effect).at_sensor
         parts = []
-        for rec, base in zip(self.records, self.base, strict=True):
-            torques = np.stack([self._torque(rec, base, terms, alone) for terms in columns])
+        for rec, base, motion in zip(self.records, self.base, self.motions, strict=True):
+            torques = np.stack([self._torque(rec, base, motion, terms, alone) for terms in columns])
             parts.append(self._respond(rec, torques, on_sensor=on_sensor))
         return np.concatenate(parts, axis=1)
 
-    def _torque(self, rec: JointRecord, base: Array, terms: tuple[Term, ...], alone: bool) -> Array:
+    def _torque(self, rec: JointRecord, base: Array, motion: Along, terms: tuple[Term, ...], alone: bool) -> Array:
         """What some added terms resist along the measured motion, (n,); of what acts on the sensor, what it shifts."""
-        first = terms[0]
-        if first.effect == "inertia":
-            return np.asarray(rec.motion.states[2] * first.value("amount"))
-        if first.effect in ("delay", "lag"):
-            late = first.value("time") or first.value("time_constant")
-            return np.diff(rec.command, prepend=rec.command[0]) * (late / rec.sample_time) * self._gain(rec)
-        if first.effect == "encoder_eccentricity":
-            return np.asarray(-first.value("amplitude") * np.sin(rec.motion.states[0] + first.value("phase")))
-        if alone or (not self.scaled and get_effect(first.effect).site in ADDED):
+        effect = get_effect(terms[0].effect)
+        if effect.column is not None:
+            return np.asarray(effect.column(motion, {n: q.value for n, q in terms[0].parameters.items()}))
+        if effect.at_sensor:
+            return -sensed(rec, self.model, terms)
+        if alone or (not self.scaled and effect.site in ADDED):
             return trace(rec, self.model, terms, self._floor(rec))
         return np.asarray(trace(rec, self.model, (*self.model.at(self.joint), *terms), self._floor(rec)) - base)
-
-    def _gain(self, rec: JointRecord) -> float:
-        gain = self.model.actuator.gain
-        return gain[self.joint - 1] if self.joint - 1 < len(gain) else gain[0]
 
     def _respond(self, rec: JointRecord, columns: Array, *, on_sensor: bool = False) -> Array:
         inertia = effective_inertia(rec, self.model)
@@ -183,34 +159,34 @@ class Screen:
 
     def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
         """Each effect of the library (or only the named ones) at its best grid point, best first."""
-        effects: list[Effect] = []
         present = {t.effect for t in self.model.at(self.joint)}
-        for effect in library().values():
-            if effect.starts and effect.name not in ("lag", "delay"):
-                continue
-            if only and effect.name not in only:
-                continue
-            if effect.name in present and not effect.repeatable:
-                continue
-            if effect.needs == ("friction",) and not present & set(FRICTION):
-                continue
-            effects.append(effect)
+        effects = [e for e in library().values() if self._applies(e, present) and (not only or e.name in only)]
         with ThreadPoolExecutor(jobs) as pool:
-            found = pool.map(lambda e: self._best_coupling(e) if e.name == "coupling" else self._best(e), effects)
+            found = pool.map(self._best, effects)
             return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
 
+    def _applies(self, effect: Effect, present: set[str]) -> bool:
+        """Whether an effect can be screened here at all."""
+        if effect.site == "body":  # all joints decide: see bodies.py
+            return False
+        if effect.site == "setup" and effect.column is None:
+            return False
+        if effect.name in present and not effect.repeatable:
+            return False
+        return is_supported(effect, present) and usable(effect, self.records)
+
     def _best(self, effect: Effect) -> list[Candidate]:
-        points = grid_of(effect, self.records[0], self.model)
-        needs = set(effect.needs) - {"friction"} - {t.effect for t in self.model.at(self.joint)}
-        if not points or needs:
-            return []
-        return [self._candidate(effect, *max(self._at(effect, points), key=lambda found: found[0]))]
+        """An effect at its best grid point; one for each choice of the numbers that no fit moves (a coupling's law)."""
+        chosen = [p.name for p in effect.parameters if not p.fitted]
+        points: dict[tuple[float | None, ...], list[dict[str, float]]] = {}
+        for point in grid_of(effect, self.records[0], self.model):
+            points.setdefault(tuple(point.get(name) for name in chosen), []).append(point)
+        best = (max(self._at(effect, group), key=lambda found: found[0]) for group in points.values())
+        return [self._candidate(effect, *found) for found in best]
 
     def _at(self, effect: Effect, points: Sequence[dict[str, float]]) -> Iterator[tuple[float, dict[str, float]]]:
         """At each grid point, the decrease of the cost and all values."""
         wanted = [[(make_term(effect, self.joint, values),) for values in self._directions(effect, point)] for point in points]
-        if effect.name == "stiffness":  # its neutral point is a constant torque
-            wanted = [[*columns, (make_term(get_effect("torque_offset"), self.joint, {"level": 1.0}),)] for columns in wanted]
         each = len(wanted[0])
         for begin in range(0, len(points), TOGETHER):
             some = slice(begin, begin + TOGETHER)
@@ -220,10 +196,9 @@ class Screen:
 
     def _directions(self, effect: Effect, point: dict[str, float]) -> list[dict[str, float]]:
         """The values whose torques, together, are all that the effect can be at a grid point."""
-        if effect.name in ("delay", "lag"):
-            return [{effect.parameters[0].name: self.records[0].sample_time}]
-        if effect.name == "stiffness":
-            return [{"coefficient": 1.0}]
+        if _neutral_of(effect, point):
+            s = facts(self.records[0])
+            return [{**point, effect.linear[0]: 1.0, "neutral": s.centre + way * s.scale.position} for way in (0.0, 0.5)]
         phase = _phase_of(effect)
         if phase:
             second = -np.pi / 2 if phase == "angle" else np.pi / 2
@@ -232,13 +207,10 @@ class Screen:
 
     def _judge(self, effect: Effect, point: dict[str, float], columns: Array) -> tuple[float, dict[str, float]]:
         gain, theta = self.group(columns)
-        if effect.name in ("delay", "lag"):
-            unit = self.records[0].sample_time
-            return gain, {effect.parameters[0].name: float(np.clip(theta[0] * unit, 0.2 * unit, 0.05))}
-        if effect.name == "stiffness":
-            k = float(theta[0]) if theta[0] > 0 else 1e-3 * self.records[0].scale.of("torque/position")
-            better = gain > self.group(columns[1:])[0]
-            return gain, {"coefficient": k, "neutral": float(-theta[1] / k)} if better else {"coefficient": k}
+        if _neutral_of(effect, point):
+            s = facts(self.records[0])
+            k = max(float(theta[0] + theta[1]), 1e-3 * s.scale.of(effect.parameter(effect.linear[0]).size))
+            return gain, {**point, effect.linear[0]: k, "neutral": s.centre + 0.5 * s.scale.position * float(theta[1]) / k}
         phase = _phase_of(effect)
         if phase:
             angle = float(np.arctan2(theta[1], theta[0])) * (-1 if phase == "angle" else 1)
@@ -248,10 +220,16 @@ class Screen:
         values = {**point, **{name: float(v) for name, v in zip(effect.linear, theta, strict=True)}}
         if effect.replaces:
             return gain, self._add_replaced(effect, values)
+        if effect.column is not None:
+            values = {n: _first_order(v, effect.parameter(n)) for n, v in values.items()}
         if all(values[n] >= effect.parameter(n).lower for n in effect.linear):
             return gain, values
-        least = {n: 1e-3 * self.records[0].scale.of(effect.parameter(n).size) for n in effect.linear}
-        return 0.0, {n: max(v, least.get(n, v)) for n, v in values.items()}
+        return 0.0, {n: max(v, self._least(effect, n)) if n in effect.linear else v for n, v in values.items()}
+
+    def _least(self, effect: Effect, name: str) -> float:
+        """A number so small that it hardly acts."""
+        size, record = effect.parameter(name).size, self.records[0]
+        return record.sample_time if size == "time" else 1e-3 * record.scale.of(size)
 
     def _add_replaced(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
         size = self.records[0].scale
@@ -264,17 +242,6 @@ class Screen:
     def _candidate(self, effect: Effect, gain: float, values: dict[str, float]) -> Candidate:
         replaces = tuple(t.effect for t in self.model.at(self.joint) if t.effect in effect.replaces)
         return Candidate(effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain)
-
-    def _best_coupling(self, effect: Effect) -> list[Candidate]:
-        found: list[Candidate] = []
-        for other in range(1, self.data.joints + 1):
-            if other == self.joint:
-                continue
-            for law in range(4):
-                smooth = 0.05 * self.records[0].scale.speed
-                point = {"from_joint": float(other), "law": float(law), "smooth": smooth}
-                found += [self._candidate(effect, *at) for at in self._at(effect, [point])]
-        return found
 
 
 def with_candidate(model: Model, candidate: Candidate) -> Model:

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.candidates import SCANS, coarse, screened, simulated, starts_of
+from zendsp.diagnosis.candidates import coarse, screened, simulated, starts_of
 from zendsp.diagnosis.contact import refine
 from zendsp.diagnosis.hypothesis import (
     SUFFICIENT,
@@ -22,6 +22,7 @@ from zendsp.diagnosis.hypothesis import (
     JointSearch,
     Rival,
     Step,
+    counterpart,
     price,
     vanishes,
     with_numbers,
@@ -31,8 +32,8 @@ from zendsp.diagnosis.screen import Candidate, with_candidate
 from zendsp.diagnosis.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import run
-from zendsp.physics.model import Model
+from zendsp.physics.joint import facts, run
+from zendsp.physics.model import Model, Term
 
 Progress = Callable[[str], None]
 
@@ -42,7 +43,6 @@ RUNNERS = 4  # hypotheses that are held against the held-out recordings in each 
 FINALISTS = 4
 GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
-SLOW = ("friction_drift",)  # a fast observer follows what drifts
 QUICK = 1e-4  # relative gain of a step below which a first look ends: in a narrow valley the first step gains little, and 1 % is a deviance of 200
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
@@ -174,7 +174,7 @@ class Searcher:
         listed = [
             starts_of(c, current.data) for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
         ]
-        hidden = frozenset(e for e in seen if e in SCANS)
+        hidden = frozenset(e for e in seen if get_effect(e).scan)
         listed += simulated(current.data, current.model, self.joint, hidden, self.jobs, self.given) if hidden else []
         with ThreadPoolExecutor(self.jobs) as pool:
             quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
@@ -210,9 +210,18 @@ class Searcher:
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
-            if not any(vanishes(r.scored.fit, t) for t in r.terms)
+            if not any(vanishes(r.scored.fit, t) or self._too_small(r, t) for t in r.terms)
         ]
         return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
+
+    def _too_small(self, rival: Rival, term: Term) -> bool:
+        """Whether a term is below what its effect says that a recording can show of it."""
+        least = get_effect(term.effect).least
+        if least is None:
+            return False
+        record = max((rec[self.joint - 1] for rec in self.data.records), key=lambda r: r.n)
+        fitted = counterpart(rival.scored.model.terms, term)
+        return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Order hypotheses by what they gain.
@@ -263,7 +272,7 @@ class Searcher:
         """A short fit from each start; the best is followed to slower observers."""
         best: Rival | None = None
         data = current.data
-        if group[0].effect in SLOW and data.bandwidth[self.joint - 1] > SETTLED:
+        if get_effect(group[0].effect).slow and data.bandwidth[self.joint - 1] > SETTLED:
             data = data.at_bandwidth(self.joint, SETTLED)
         for candidate in group:
             model = with_candidate(current.model, candidate)
@@ -350,11 +359,12 @@ def _gain(before: Scored, rival: Rival) -> float:
 
 
 def _freedom(rival: Rival) -> float:
-    """Fitted parameters, with one more for a hidden state."""
+    """Fitted parameters, with one more for a hidden state, and for another joint that was chosen among several."""
     count = 0.0
     for term in rival.terms:
         effect = get_effect(term.effect)
-        count += sum(p.fitted for p in effect.parameters) + (1 if effect.starts else 0)
+        count += sum(p.fitted for p in effect.parameters) + effect.hidden - effect.odds
+        count += "from_joint" in term.parameters
     return count - len(rival.replaces)
 
 

@@ -15,6 +15,7 @@ from zendsp.diagnosis.decide import Decision
 from zendsp.diagnosis.evidence import compare
 from zendsp.diagnosis.result import Estimate, Finding
 from zendsp.diagnosis.score import fit_scored
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
@@ -42,7 +43,8 @@ def shifted(
     list of (float, Finding)
     """
     joint = search.joint
-    if given.kind not in ("rotary", "linear") or {"elasticity", "backlash", "torque_gain"} & set(found):
+    sprung = any(effect in library() and get_effect(effect).family == "transmission" for effect in found)
+    if given.kind not in ("rotary", "linear") or sprung or "torque_gain" in found:
         return []
     moves = {}
     for key, items in given.mechanism.items():

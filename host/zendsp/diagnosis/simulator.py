@@ -12,18 +12,26 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.reading import Signals, joint_columns
 from zendsp.errors import ModelError
-from zendsp.physics.joint import JointRecord, Scale, trace
-from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.effects import Effect, get_effect, library
+from zendsp.physics.effects.base import Scale
+from zendsp.physics.joint import JointRecord, along, sensed, trace
+from zendsp.physics.model import Model, per_joint
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
 
 Array = npt.NDArray[np.float64]
 Function = Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
 
-ON_COMMAND = ("delay", "lag")  # act on the command's timing
-ON_SENSOR = ("encoder_eccentricity",)  # act on the simulator's output
-NOT_ON_INPUT = ("elasticity", "backlash", "presliding", "hysteresis")  # states of their own, inside the simulator
+
+def on_timing() -> list[Effect]:
+    """The effects that act on the command's timing."""
+    return [effect for effect in library().values() if effect.retime is not None]
+
+
+def on_input(effect: Effect) -> bool:
+    """Whether an effect can act on a simulator's input or output: not one with states of its own, inside the simulator."""
+    return effect.site not in ("setup", "body") or effect.retime is not None or bool(effect.same_as)
 
 
 def load_entry(model: Model) -> Function:
@@ -132,35 +140,26 @@ class Bench:
         columns = []
         for i, record in enumerate(self.records):
             gain = per_joint(model.actuator.gain, i + 1, 1.0)
-            terms = tuple(t for t in model.at(i + 1) if t.effect not in (*ON_COMMAND, *ON_SENSOR, "inertia"))
+            effects = [(t, get_effect(t.effect)) for t in model.at(i + 1)]
+            terms = tuple(t for t, effect in effects if effect.site not in ("setup", "sensor"))
             floor = max(2.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed)
             torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
-            torque = torque + record.motion.states[2] * sum(t.value("amount") for t in model.at(i + 1) if t.effect == "inertia")
-            columns.append(_late(record.command, record.sample_time, model.at(i + 1)) - torque / gain)
+            motion, command = along(record, model), record.command
+            for term, effect in effects:
+                numbers = {name: q.value for name, q in term.parameters.items()}
+                if effect.retime is not None:
+                    command = effect.retime(command, record.sample_time, numbers)
+                elif effect.column is not None and on_input(effect):
+                    torque = torque + effect.column(motion, numbers)
+            columns.append(command - torque / gain)
         return np.stack(columns, axis=1)
 
     def _sensor(self, out: Array, model: Model) -> Array:
         out = out.copy()
-        for t in model.terms:
-            if t.effect == "encoder_eccentricity":
-                out[:, t.joint - 1] += t.value("amplitude") * np.sin(out[:, t.joint - 1] + t.value("phase"))
+        for i, record in enumerate(self.records):
+            if terms := tuple(t for t in model.at(i + 1) if get_effect(t.effect).site == "sensor"):
+                out[:, i] += sensed(record, model, terms, np.ascontiguousarray(out[:, i]))
         return np.clip(np.nan_to_num(out, nan=1e6), -1e6, 1e6)
-
-
-def _late(command: Array, period: float, terms: tuple[Term, ...]) -> Array:
-    out = command
-    for t in terms:
-        if t.effect == "delay":  # mean of the delayed hold over each sample
-            total = np.r_[0.0, np.cumsum(out)] * period
-            edges = np.arange(len(out) + 1) * period
-            late = np.interp(edges - t.value("time"), edges, total, left=0.0)
-            out = np.diff(late) / period
-        elif t.effect == "lag":
-            from scipy.signal import lfilter
-
-            keep = float(np.exp(-period / max(t.value("time_constant"), 1e-9)))
-            out = lfilter([1 - keep], [1, -keep], out, zi=[keep * out[0]])[0]
-    return out
 
 
 def bench(signals: Signals, model: Model, function: Function) -> Bench:
@@ -202,6 +201,7 @@ def bench(signals: Signals, model: Model, function: Function) -> Bench:
                 scale=scale,
                 base_offset=0.0,
                 position=np.ascontiguousarray(signals.position[:, i]),
+                columns=joint_columns(signals, i),
             )
         )
     return Bench(signals, tuple(records), function)

@@ -4,19 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 
-from zendsp.errors import AcquisitionError, Refused, RunnerDied
-from zendsp.link.circumstances import describe
+from zendsp.errors import AcquisitionError, Incomplete, Refused, RunnerDied, TooLarge, ZendspError
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.requests import PATIENCE_S
-from zendsp.link.transfer import FloatArray, Transfers
-from zendsp.recording import Recording
+from zendsp.link.transfer import Transfers
 from zendsp_protocol import messages as m
+from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.states import ProgramState, RecorderState
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from zendsp.link.transfer import FloatArray
+    from zendsp.recording import Recording
+else:
+    np = Lazily("numpy")
 
 Trigger = m.Trigger
+ENDED = (RecorderState.DONE, RecorderState.IDLE)
 POLL_S = 0.02
 END_S = 2.0  # for the loop to see that a ring was stopped
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
@@ -80,7 +89,7 @@ class Acquisition(ParameterSets, Transfers):
             The program crashed meanwhile; :meth:`acquire_load` brings home what was recorded until then.
         """
         status: m.Status = self.request("status")
-        if status.state != "running" and not start:
+        if status.state != ProgramState.RUNNING and not start:
             raise Refused(
                 f"nothing to record: the program is {status.state}; start it first, or give start=True"
             )
@@ -109,16 +118,16 @@ class Acquisition(ParameterSets, Transfers):
         try:
             self.acquire_configure(channels, seconds, decimation, trigger, take=take)
             return seconds
-        except AcquisitionError as error:
+        except TooLarge as error:
             # Only a loop that keeps to real time can be followed; and a trigger needs the whole shot in one piece.
-            if "shared memory" not in str(error) or trigger is not None or not may_follow:
+            if trigger is not None or not may_follow:
                 raise
             held = seconds / 2.0
             while True:
                 try:
                     self.acquire_configure(channels, held, decimation, continuous=True, take=take)
                     return held
-                except AcquisitionError:
+                except TooLarge:
                     held /= 2.0
                     if held < SHORTEST_RING_S:
                         raise error from None
@@ -153,11 +162,13 @@ class Acquisition(ParameterSets, Transfers):
                 if progress is not None:
                     progress(have / wanted)
                 continue
-            if status.state != "running" or (deadline is not None and time.monotonic() > deadline):
+            if status.state != RecorderState.RUNNING or (deadline is not None and time.monotonic() > deadline):
                 raise AcquisitionError(f"the recording ended after {have} of {wanted} rows ({status.state})")
             time.sleep(POLL_S)
         self.request("acquire_stop")
         status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
+        from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
+
         return describe(self, status, 0, data, note, patience)
 
     def acquire_configure(
@@ -253,6 +264,8 @@ class Acquisition(ParameterSets, Transfers):
         data = self.load_rows(
             status.first, status.count - status.first, len(status.channels), progress, patience
         )
+        from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
+
         return describe(self, status, status.first, data, note, patience)
 
     def acquire_finish(
@@ -277,13 +290,13 @@ class Acquisition(ParameterSets, Transfers):
 
         Raises
         ------
-        AcquisitionError
-            Not complete within ``timeout``, or the program no longer runs.
+        Incomplete
+            Not within ``timeout``, or the program no longer runs.
         RunnerDied
             The program crashed; :meth:`acquire_load` brings home what there is.
         """
         status: m.AcquireStatus = self.insist("acquire_status", patience)
-        if status.wanted == 0 and status.state == "running":
+        if status.wanted == 0 and status.state == RecorderState.RUNNING:
             self._end_ring(patience)
         else:
             self._wait_done(timeout, patience, progress)
@@ -293,7 +306,7 @@ class Acquisition(ParameterSets, Transfers):
         """Stop a ring and wait until the loop has seen it: what is loaded then no longer changes."""
         self.acquire_stop()
         deadline = time.monotonic() + END_S
-        while self.insist("acquire_status", patience).state == "running" and time.monotonic() < deadline:
+        while self.insist("acquire_status", patience).state == RecorderState.RUNNING and time.monotonic() < deadline:
             time.sleep(POLL_S)
 
     def _wait_done(
@@ -304,25 +317,27 @@ class Acquisition(ParameterSets, Transfers):
             status: m.AcquireStatus = self.insist("acquire_status", patience)
             if progress is not None and status.wanted:
                 progress(min(1.0, (status.count - status.first) / status.wanted))
-            if status.state in ("done", "idle") and status.count - status.first >= status.wanted:
+            if status.state in ENDED and status.count - status.first >= status.wanted:
                 return status
             overall: m.Status = self.insist("status", patience)
-            if overall.state == "crashed":
-                raise RunnerDied(f"{overall.crash}. What was recorded until then: acquire_load()")
-            if status.state in ("done", "idle"):
+            if overall.state == ProgramState.CRASHED:
+                raise _loadable(RunnerDied(overall.crash))
+            if status.state in ENDED:
                 return status  # ended before it was full, by a host
-            if overall.state != "running" and self.insist("acquire_status", patience).state not in (
-                "done",
-                "idle",
-            ):
+            if overall.state != ProgramState.RUNNING and self.insist("acquire_status", patience).state not in ENDED:
                 self.request("acquire_stop")
-                raise AcquisitionError(
+                raise _loadable(Incomplete(
                     f"the program was {overall.state} before the recording was complete "
-                    f"({status.count} of {status.wanted} rows); acquire_load() brings home what there is"
-                )
+                    f"({status.count} of {status.wanted} rows)"
+                ))  # fmt: skip
             if deadline is not None and time.monotonic() > deadline:
-                raise AcquisitionError(
-                    f"the recording is not complete after {timeout:g} s ({status.count} of {status.wanted} rows, "
-                    f"{status.state}); acquire_load() brings home what there is"
-                )
+                raise _loadable(Incomplete(
+                    f"the recording is not complete after {timeout:g} s ({status.count} of {status.wanted} rows, {status.state})"
+                ))  # fmt: skip
             time.sleep(POLL_S)
+
+
+def _loadable(error: ZendspError) -> ZendspError:
+    """Add to an error what can still be done."""
+    error.add_note("acquire_load() brings home what was recorded")
+    return error

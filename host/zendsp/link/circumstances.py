@@ -13,10 +13,9 @@ import numpy as np
 
 from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
-from zendsp.link.transfer import FloatArray
-from zendsp.link.variables import plain
+from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
-from zendsp.recording.names import split_element
+from zendsp.recording.names import FloatArray, split_element
 from zendsp_protocol import messages as m
 from zendsp_protocol.version import PROTOCOL
 
@@ -45,11 +44,13 @@ def describe(
     start_tick = status.start_tick + first * status.decimation
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
-    log = [c for c in target.insist("log", patience, since=program.log_start) if c.tick <= last]
     try:
-        parameters = dict(target.parameters().values)
+        names = target.parameter_names()
+        read = target.read(names) if names else Reading(last, {})
     except (Refused, RunnerDied, LinkError):
-        parameters = {}  # the program is gone; its log still tells
+        read = Reading(last, {})  # the program is gone; its log still tells
+    # After the reading, so that it holds all changes that the reading shows.
+    changes: Sequence[m.Change] = target.insist("log", patience, since=program.log_start)
     return Recording(
         t=ticks / overall.rate_hz,
         data=data,
@@ -60,18 +61,49 @@ def describe(
         trigger_row=status.trigger_row - first if status.trigger_row >= 0 else -1,
         lost=status.lost,
         timing={name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()},
-        log=tuple(_change(change) for change in log),
-        parameters=parameters,
+        log=tuple(_change(change) for change in changes if change.tick <= last),
+        parameters=parameters_at(last, read, changes),
         sources=dict(program.sources),
         compiler=program.compiler,
         flags=tuple(program.flags),
         machine=overall.machine,
         target=target.link.target,
-        versions={**info.versions, "protocol": str(PROTOCOL), "host": _host_version()},
+        versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,
         extra=_extra(overall),
     )
+
+
+def parameters_at(tick: int, read: Reading, changes: Sequence[m.Change]) -> dict[str, Any]:
+    """Return the parameters as they were at a sample.
+
+    Parameters
+    ----------
+    tick : int
+    read : Reading
+        Of all parameters, at that sample or later.
+    changes : sequence of Change
+        The log, with all changes between the two.
+
+    Examples
+    --------
+    >>> change = m.Change(tick=8, host_time=0.0, name="Kp[1]", old=2.0, new=5.0, author="anna")
+    >>> parameters_at(7, Reading(9, {"Kp": [1.0, 5.0]}), [change])
+    {'Kp': [1.0, 2.0]}
+    """
+    values = {name: np.asarray(value).tolist() for name, value in read.values.items()}
+    for change in reversed(changes):
+        if not tick < change.tick <= read.tick:
+            continue
+        whole, element = split_element(change.name) or (change.name, None)
+        if whole not in values:
+            continue
+        if element is None:
+            values[whole] = plain(change.old)
+        else:
+            values[whole][element] = plain(change.old)
+    return values
 
 
 def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel, ...]:
@@ -106,5 +138,5 @@ def _change(change: m.Change) -> ParameterChange:
     )
 
 
-def _host_version() -> str:
+def host_version() -> str:
     return f"zendsp {metadata.version('zendsp')}, python {platform.python_version()}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -60,6 +59,8 @@ class Concealment(Requests):
             The record is not the one that was sealed.
         """
         answer: m.Revealed = self.request("reveal")
+        import hashlib
+
         if hashlib.sha256(answer.record.encode()).hexdigest() != answer.sha256:
             raise LinkError(
                 f"the target revealed a record that does not fit its seal {answer.sha256[:12]}…: do not trust it, start the target again"

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import json
 import os
-import select
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
 from zendsp.link.find import CONNECT, local_entries, reach, remote_endpoints
 from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
 from zendsp.link.target import Target
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import select
+    import subprocess
+    import tempfile
+else:  # only local() starts anything
+    select, subprocess, tempfile = map(Lazily, ("select", "subprocess", "tempfile"))
 
 START_S = 30.0  # for a target to come up, on a machine that is busy with everything else
 END_S = 5.0
@@ -28,6 +33,7 @@ def connect(
     connect: str | Sequence[str] | None = None,
     credentials: Credentials | None = None,
     timeout: float = 3.0,
+    shown: bool = True,
 ) -> Target:
     """Connect to a running target.
 
@@ -41,6 +47,8 @@ def connect(
     credentials : Credentials, optional
         Default: from the environment (``ZENDSP_TLS_CA``, ``ZENDSP_USER``, …).
     timeout : float, s
+    shown : bool
+        Stand among the hosts of the target's status; a second link of the same program need not.
 
     Raises
     ------
@@ -62,9 +70,9 @@ def connect(
 
     def reopen() -> Link:
         _, endpoints, own = locate(name, connect)
-        return Link(name, endpoints, given(own), timeout)
+        return Link(name, endpoints, given(own), timeout, shown)
 
-    return Target(Link(name, endpoints, given(own), timeout), reopen=reopen)
+    return Target(Link(name, endpoints, given(own), timeout, shown), reopen=reopen)
 
 
 def locate(
@@ -147,7 +155,7 @@ def local(
         sys.executable, "-m", "zendsp_target", "--machine", machine, "--name", name, "--rate", repr(float(rate)),
         "--clock", clock, "--parent", str(os.getpid()), "--json", *options,
     ]  # fmt: skip
-    said = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the target ends)
+    said = tempfile.TemporaryFile()
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
     try:
         _wait_ready(process, said, timeout)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import fnmatch
 import os
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import msgspec
@@ -92,16 +94,13 @@ def discover(
     >>> [found.name for found in discover("no-such-*")]
     []
     """
+    entries = [entry for entry in local_entries() if fnmatch.fnmatchcase(entry.name, pattern)]
+    places: list[tuple[Sequence[str], Credentials | None]] = [reach(entry) for entry in entries]
+    places += [([endpoint], None) for endpoint in remote_endpoints(connect)]
     found: dict[str, Found] = {}
-    for entry in local_entries():
-        if fnmatch.fnmatchcase(entry.name, pattern):
-            endpoints, credentials = reach(entry)
-            for one in _ask(endpoints, timeout, credentials):
-                if one.name == entry.name:
-                    found[entry.name] = one
-    for endpoint in remote_endpoints(connect):
-        for one in _ask([endpoint], timeout):
-            if fnmatch.fnmatchcase(one.name, pattern):
+    for entry, answers in zip_longest(entries, _ask_all(places, timeout)):
+        for one in answers:
+            if one.name == entry.name if entry else fnmatch.fnmatchcase(one.name, pattern):
                 found.setdefault(one.name, one)
     return [found[name] for name in sorted(found)]
 
@@ -112,6 +111,24 @@ def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
     if sockets or entry.user:
         return sockets or entry.endpoints, Credentials(user=entry.user, password=entry.password, own=True)
     return entry.endpoints, None
+
+
+def _ask_all(places: Sequence[tuple[Sequence[str], Credentials | None]], timeout: float) -> list[list[Found]]:
+    """What answers at each place; all are asked at once, so that one that is silent delays nobody else."""
+    answers: list[list[Found]] = [[] for _ in places]
+
+    def ask(k: int) -> None:
+        endpoints, credentials = places[k]
+        answers[k] = _ask(endpoints, timeout, credentials)
+
+    threads = [threading.Thread(target=ask, args=(k,), name="looking", daemon=True) for k in range(1, len(places))]
+    for thread in threads:
+        thread.start()
+    if places:
+        ask(0)
+    for thread in threads:
+        thread.join()
+    return answers
 
 
 def _ask(endpoints: Sequence[str], timeout: float, credentials: Credentials | None = None) -> list[Found]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import ctypes
 import getpass
 import itertools
 import os
@@ -28,9 +27,10 @@ from zendsp_protocol.verbs import VERBS, Verb
 _numbers = itertools.count(1)
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 _background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-_Ready = tuple[Verb, zenoh.Querier | None, codec.ReplyReader]
+_Ready = tuple[Verb, zenoh.Querier | None]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
+AGAIN_S = 0.002  # before a request that was dropped is sent again
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
 END_S = 1.0  # for saying goodbye when the process ends
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
@@ -47,6 +47,8 @@ class Link:
         Where to reach it.
     timeout : float, s
         For connecting.
+    shown : bool
+        Stand among the hosts of the target; a second link of the same program need not.
 
     Raises
     ------
@@ -55,11 +57,17 @@ class Link:
     """
 
     def __init__(
-        self, target: str, endpoints: Sequence[str], credentials: Credentials, timeout: float = 3.0
+        self,
+        target: str,
+        endpoints: Sequence[str],
+        credentials: Credentials,
+        timeout: float = 3.0,
+        shown: bool = True,
     ) -> None:
         self.target = target
         self.endpoints = tuple(endpoints)
         self.identity = credentials.identity
+        self.own = credentials.own  # of the same user on the same computer, by the target's entry
         self.author = _author(self.identity)
         self._alive = threading.Event()
         self._lost = threading.Event()
@@ -78,7 +86,8 @@ class Link:
             self._watch = Listener(tokens, self._liveliness, "alive")
             if not self._alive.wait(timeout):
                 raise LinkError(_not_there(self._session, target, endpoints))
-            self._token = self._session.liveliness().declare_token(keys.host(target, self.author))
+            liveliness = self._session.liveliness()
+            self._token = liveliness.declare_token(keys.host(target, self.author)) if shown else None
             self._queriers = {lane: self._querier(lane) for lane in ("quick", "sync", "stop")}
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -126,20 +135,29 @@ class Link:
         ZendspError
             Whatever the target says.
         """
-        row, querier, reader = self._ready.get(verb) or self._make_ready(verb)
+        row, querier = self._ready.get(verb) or self._make_ready(verb)
         payload = codec.encode_request(verb, arguments, self.author)
         if verb in ONCE:
             reply = self._once(row, querier, payload, timeout)
         else:
-            try:
-                if querier is not None and timeout is None:
-                    reply = querier.get(payload=payload).recv()
-                else:
-                    reply = self._patient(row, payload, timeout or row.timeout)
-            except zenoh.ZError as error:
-                raise self.silence(verb, STOP_S if row.lane == "stop" else row.timeout) from error
+            if querier is not None and timeout is None:
+                reply = self._quick(row, querier, payload)
+            else:
+                reply = self._patient(row, payload, timeout or row.timeout)
         sample = reply.ok
-        return self._refused(reply, row) if sample is None else reader.read(sample.payload.to_bytes())
+        return self._refused(reply, row) if sample is None else codec.decode_reply(sample.payload.to_bytes(), row.result)
+
+    def _quick(self, row: Verb, querier: zenoh.Querier, payload: bytes) -> zenoh.Reply:
+        """Ask until an answer comes: a target that others flood with requests drops some of them, unanswered."""
+        limit = STOP_S if row.lane == "stop" else row.timeout
+        begin = time.monotonic()
+        while True:
+            try:
+                return _ask(querier, payload)
+            except zenoh.ZError as error:
+                if self.closed or not self._alive.is_set() or time.monotonic() > begin + limit:
+                    raise self.silence(row.name, limit) from error
+                time.sleep(AGAIN_S)
 
     def _once(self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None) -> zenoh.Reply:
         """Have a change carried out once: where the link breaks, the request is sent again, and the target knows it by its stamp."""
@@ -148,12 +166,12 @@ class Link:
         deadline = time.monotonic() + (timeout or row.timeout)
         try:
             if querier is not None and timeout is None:
-                return querier.get(payload=payload, attachment=first).recv()
+                return _ask(querier, payload, first)
             return self._patient(row, payload, timeout or row.timeout, first)
         except (zenoh.ZError, LinkError):
             pass  # its request or its reply is lost
         again = stamp(self._name, number, instance, AGAIN)
-        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._alive.wait(left):
+        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._comes_back(left):
             # it may be that the news of a death, or of the lanes of one that is back, is a moment behind
             with contextlib.suppress(LinkError):
                 return self._patient(row, payload, max(left, STEP_S), again)
@@ -211,7 +229,7 @@ class Link:
             for querier in self._queriers.values():
                 # Zenoh keeps 16 kB of a session that closes with one declared.
                 with contextlib.suppress(zenoh.ZError):
-                    querier.undeclare()  # type: ignore[no-untyped-call]
+                    _undeclare(querier)
             self._session.close()  # type: ignore[no-untyped-call]
 
     def disown(self) -> None:
@@ -219,6 +237,8 @@ class Link:
 
         Even freeing it would wait for these threads for ever, so it is never freed.
         """
+        import ctypes
+
         self.closed = True
         for held in (self._session, self._watch, self._token, self._queriers, self._ready):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(held))
@@ -232,9 +252,9 @@ class Link:
         return row
 
     def _make_ready(self, verb: str) -> _Ready:
-        """Look up once what each request of a verb needs: its row, its lane, and the reader of its replies."""
+        """Look up once what each request of a verb needs: its row and its lane."""
         row = self._row(verb)
-        ready = row, self._queriers.get(row.lane), codec.reply_reader(row.result)
+        ready = row, self._queriers.get(row.lane)
         self._ready[verb] = ready
         return ready
 
@@ -287,6 +307,18 @@ class Link:
         self._lost.wait(STEP_S)
         return self._alive.is_set()
 
+    def _comes_back(self, timeout: float) -> bool:
+        """Wait until the target is reachable; False also as soon as it is known that its process has ended."""
+        from zendsp.link.find import local_entries
+
+        deadline = time.monotonic() + timeout
+        while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
+            if time.monotonic() >= deadline:
+                return False
+            if self.own and self.target not in {entry.name for entry in local_entries()}:
+                return False
+        return True
+
     def _meet(self) -> None:
         """Learn which run of the target has come back; with a timeout, so that no querier is in use when the link is closed."""
         with contextlib.suppress(ZendspError):
@@ -310,8 +342,35 @@ class Link:
                 background("returned", callback)
 
 
-def background(name: str, work: Callable[..., object], *arguments: object) -> None:
-    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for a little.
+def _ask(querier: zenoh.Querier, payload: bytes, attachment: bytes | None = None) -> zenoh.Reply:
+    """Send a request and wait for its reply.
+
+    Raises
+    ------
+    zenoh.ZError
+        There is none, or another thread closes the link now.
+    """
+    try:
+        return querier.get(payload=payload, attachment=attachment).recv()
+    except RuntimeError as error:  # it is being undeclared: "Already mutably borrowed"
+        raise zenoh.ZError(str(error)) from error
+
+
+def _undeclare(querier: zenoh.Querier) -> None:
+    """Undeclare a querier, as soon as no other thread is just sending a request with it."""
+    end = time.monotonic() + END_S
+    while True:
+        try:
+            querier.undeclare()  # type: ignore[no-untyped-call]
+            return
+        except RuntimeError:  # "Already borrowed"
+            if time.monotonic() > end:
+                return
+            time.sleep(AGAIN_S)
+
+
+def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
+    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for a little; return it.
 
     Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it, and Rust takes
     the whole process down for that ("FATAL: exception not rethrown"): so the links are closed first, which ends
@@ -320,6 +379,7 @@ def background(name: str, work: Callable[..., object], *arguments: object) -> No
     thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
     _background.add(thread)
     thread.start()
+    return thread
 
 
 class Listener:

@@ -8,10 +8,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
 import zenoh
 
 from zendsp.errors import LinkError, ZendspError
@@ -19,8 +17,16 @@ from zendsp.link.link import Listener
 from zendsp.link.requests import Requests
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
+from zendsp_protocol.lazily import Lazily
 
-FloatArray = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    FloatArray = npt.NDArray[np.float64]
+else:
+    np = Lazily("numpy")
+
 WAITING = 4096  # messages that may wait for the thread that takes them
 BACKLOG = 256  # blocks that an iterator may lag behind before the oldest are dropped
 

@@ -6,12 +6,16 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import VariableError
 from zendsp.link.variables import Variables, plain
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    np = Lazily("numpy")
 
 FORM = 1
 LARGEST = 1024  # elements; longer arrays are data, not parameters
@@ -86,7 +90,7 @@ class ParameterSets(Variables):
 
     def parameters(self) -> ParameterSet:
         """Read all parameters of the running code, from one sample."""
-        names = self._parameter_names()
+        names = self.parameter_names()
         values = (
             {name: np.asarray(value).tolist() for name, value in self.read(names).values.items()}
             if names
@@ -114,7 +118,7 @@ class ParameterSets(Variables):
     def reset(self) -> int:
         """Put every parameter back to its initial value, in one sample."""
         infos = self.variables()
-        return self._apply({name: plain(infos[name].initial) for name in self._parameter_names()})
+        return self._apply({name: plain(infos[name].initial) for name in self.parameter_names()})
 
     def _apply(self, values: Mapping[str, Any]) -> int:
         staged, self._staged = self._staged, {}
@@ -123,7 +127,8 @@ class ParameterSets(Variables):
         finally:
             self._staged = staged
 
-    def _parameter_names(self) -> list[str]:
+    def parameter_names(self) -> list[str]:
+        """Names of all parameters of the running code; large arrays are data, not parameters."""
         return [i.name for i in self.variables().values() if i.kind == "parameter" and i.length <= LARGEST]
 
 

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from zendsp.errors import CompileFailed, LinkError, NotStopped, RunnerDied, ZendspError
 from zendsp.link.requests import Requests
-from zendsp_isr.sources import Source, gather
+from zendsp.link.stop_page import StopPage, find
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import DriveState, ProgramState
+
+if TYPE_CHECKING:
+    from zendsp_isr.sources import Source
 
 POLL_FIRST_S, POLL_LAST_S = 0.001, 0.05
+TAKEN_S = 0.05  # for the loop to take a STOP from shared memory: 50 samples at 1 kHz
 STOPPED_S = 1.0  # for the loop to say that it stopped
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
 
@@ -18,14 +26,23 @@ WATCHED_S = 0.25  # of the target's time: a program that runs for so long has be
 def stopped(status: m.Status) -> str:
     """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
     if status.trip is None:
-        what = "no program is loaded" if status.state == "empty" else "the program crashed"
+        what = "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
         return f"stopped: {what}, nothing moves"
     why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
     return f"stopped, at sample {status.trip.tick}{why}"
 
 
+def stopped_at(sample: int) -> m.Status:
+    """What is known once the loop has taken a STOP, where the target itself does not answer."""
+    trip = m.Trip(reason="stop", joint=0, tick=sample, value=0.0, limit=0.0, text=f"STOP was requested (sample {sample})")
+    return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
+
+
 class Programs(Requests):
     """Methods of a target that concern its program."""
+
+    _page: StopPage | None = None
+    _page_of = b""  # run of the target
 
     def compile(self, source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
         """Compile C code on the target; the running program is not touched.
@@ -47,6 +64,8 @@ class Programs(Requests):
         CompileFailed
             With file, line and column of each message; the attribute ``result`` holds them.
         """
+        from zendsp_isr.sources import gather  # with all that compiles: most commands have nothing to compile
+
         result: m.CompileResult = self.request("compile", sources=gather(source), flags=list(flags))
         if not result.ok:
             error = CompileFailed(
@@ -97,7 +116,8 @@ class Programs(Requests):
         -------
         Status
             Once the loop itself says that it has stopped, with the sample in ``trip.tick``; at once where no program is
-            loaded or it has crashed: then nothing moves.
+            loaded or it has crashed: then nothing moves. Where the loop has stopped and the target's own process does not
+            answer, only ``state``, ``tick`` and ``trip`` are known.
 
         Raises
         ------
@@ -105,17 +125,37 @@ class Programs(Requests):
             Nothing says so within a second. Use the machine's emergency stop.
         """
         begin = time.monotonic()
+        page = self.stop_page()
+        sample = None if page is None else page.taken(page.ask(), TAKEN_S)
+        if sample is not None:
+            return self._stopped_at(sample)
         try:
             self.request("stop")
             while True:
-                status = self.request("status", timeout=max(0.1, begin + STOPPED_S - time.monotonic()))
-                if status.trip is not None or status.state in ("empty", "crashed"):
+                status = self.request("stopped")  # on the lane of STOP: others may flood that of `status`
+                if status.trip is not None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
                     return status  # type: ignore[no-any-return]
                 if time.monotonic() > begin + STOPPED_S:
                     raise LinkError(f"asked, but the loop of {self.link.target!r} goes on or hangs: it is {status.state}")
                 time.sleep(0.002)
         except ZendspError as error:
             raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
+
+    def stop_page(self) -> StopPage | None:
+        """The file through which :meth:`stop` goes first: only of a target of this user on this computer, None elsewhere."""
+        instance = self.link.instance
+        if instance != self._page_of:
+            self._page, self._page_of = find(self.link.target, instance), instance
+        return self._page
+
+    def _stopped_at(self, sample: int) -> m.Status:
+        """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or the target may be stuck."""
+        known = stopped_at(sample)
+        try:
+            status: m.Status = self.request("stopped")
+        except LinkError:
+            return known
+        return status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
 
     def acknowledge(self) -> None:
         """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""
@@ -179,7 +219,7 @@ class Programs(Requests):
         while True:
             status = self.status()
             first = status.t if first is None else first
-            if status.state != "running" or status.t - first >= seconds or time.monotonic() > deadline:
+            if status.state != ProgramState.RUNNING or status.t - first >= seconds or time.monotonic() > deadline:
                 return status
             time.sleep(0.01)
 
@@ -204,11 +244,11 @@ class Programs(Requests):
         pause = POLL_FIRST_S
         while True:
             status = self.status()
-            if status.state == "crashed":
+            if status.state == ProgramState.CRASHED:
                 raise RunnerDied(status.crash)
             if on_status is not None:
                 on_status(status)
-            if status.state != "running":
+            if status.state != ProgramState.RUNNING:
                 return status
             if time.monotonic() > deadline:
                 raise LinkError(
@@ -220,10 +260,10 @@ class Programs(Requests):
 
 def trouble(status: m.Status) -> str:
     """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do next; else ``""``."""
-    if status.state == "crashed":
+    if status.state == ProgramState.CRASHED:
         return f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or download()"
     if status.trip is not None:
-        what = "stopped" if status.drive == "stopped" else "tripped"
+        what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         cause = (status.trip.text or status.trip.reason).removesuffix("; outputs are safe until acknowledged")
         return f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then start again"
     return ""

@@ -2,21 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import LinkError
 from zendsp.link.connect import local
 from zendsp.link.target import Target
 from zendsp.link.variables import plain
 from zendsp_protocol import messages as m
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    from zendsp.recording import Recording
+else:
+    np = Lazily("numpy")
 
 LONGEST_S = 120.0  # of real time, for the twin's run
+MOST_ROWS = 200_000  # of the twin's record, from which the peaks are read
+SPEED_S = 0.01  # over which the runtime measures speed
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The most that one quantity of one joint came to on the twin: value and limit in the joint's own units."""
+
+    quantity: str  # "torque" | "force" | "speed"
+    joint: int  # from 1
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def share(self) -> float:
+        """Of the limit that trips."""
+        return abs(self.value / self.limit)
+
+    def __str__(self) -> str:
+        return f"{self.quantity} {abs(self.value):.3g} of {self.limit:.3g} {self.unit} (joint {self.joint}, {100 * self.share:.0f} %)"
 
 
 @dataclass(frozen=True)
@@ -30,12 +56,15 @@ class Rehearsal:
     trip : Trip or None
         The limit that would be passed.
     text : str
-        One sentence for people: which limit, when, by how much, and what to do.
+        One sentence for people: which limit, when, by how much, and what to do; or how far from the limits it stayed.
+    peaks : tuple of Peak
+        Of each quantity that has a limit, the joint that came nearest to it; empty where the run tripped.
     """
 
     simulated: bool
     trip: m.Trip | None
     text: str
+    peaks: tuple[Peak, ...] = ()
 
     @property
     def good(self) -> bool:
@@ -76,6 +105,8 @@ def rehearse(
     Rehearsal
     """
     info, status, program = target.machine(), target.status(), target.program()
+    from importlib import resources
+
     if not resources.files("zendsp_isr").joinpath("machines", f"{info.name}.c").is_file():
         return Rehearsal(False, None, f"it could not be simulated: there is no simulation of {info.name} here")
     rate, ticks = status.rate_hz, max(1, round(seconds * status.rate_hz))
@@ -104,14 +135,37 @@ def rehearse(
             twin.update(**{**present, **values})
         for name, rows in tables.items():
             twin.upload(name, rows)
+        decimation = 1 + ticks // MOST_ROWS
+        twin.acquire_configure(["cmd", "enc"], seconds, decimation)
+        twin.acquire_start()
         twin.start(ticks)
         try:
             ended = twin.wait(timeout, tell)
         except LinkError:
             return Rehearsal(False, None, f"its simulation took longer than {timeout:g} s: simulate a shorter motion")
+        peaks = _peaks(twin.acquire_load(), info.joints, limits) if ended.trip is None else ()
     if ended.trip is None:
-        return Rehearsal(True, None, f"simulated for {seconds:.1f} s: no limit is passed")
+        most = f": {', '.join(map(str, peaks))}" if peaks else ""
+        return Rehearsal(True, None, f"no limit is passed in the simulation of {seconds:.1f} s{most}", peaks)
     return Rehearsal(True, ended.trip, _words(ended.trip, rate))
+
+
+def _peaks(record: Recording, joints: Sequence[m.JointInfo], limits: m.Limits) -> tuple[Peak, ...]:
+    """The peaks by the runtime's own measures: torque of the command, speed from counts over 10 ms."""
+    cmd, enc = np.atleast_2d(record["cmd"].T).T, np.atleast_2d(record["enc"].T).T
+    window = max(1, round(SPEED_S / record.sample_time))
+    moved = (enc[window:] - enc[:-window]) / (window * record.sample_time)
+    found: dict[str, list[Peak]] = {}
+    for j, joint in enumerate(joints):
+        for quantity, values, scale, limit in (
+            ("force" if joint.unit == "m" else "torque", cmd[:, j], joint.mv_per_torque, limits.torque_max[j]),
+            ("speed", moved[:, j], joint.counts_per_unit, limits.speed_max[j]),
+        ):
+            if scale != 0.0 and np.isfinite(limit) and limit > 0.0 and len(values):
+                unit = f"{joint.unit}/s" if quantity == "speed" else {"force": "N", "torque": "N m"}[quantity]
+                value = values[np.argmax(np.abs(values))] / scale
+                found.setdefault(quantity, []).append(Peak(quantity, j + 1, float(value), limit, unit))
+    return tuple(max(peaks, key=lambda peak: peak.share) for peaks in found.values())
 
 
 def _words(trip: m.Trip, rate: float) -> str:

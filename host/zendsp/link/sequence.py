@@ -7,6 +7,7 @@ import time
 from zendsp.errors import Refused
 from zendsp.link.requests import Requests
 from zendsp_protocol import messages as m
+from zendsp_protocol.states import ProgramState
 
 POLL_S = 0.02
 
@@ -53,7 +54,7 @@ class Sequence(Requests):
             status: m.Status = self.request("status")
             if status.trip is not None:
                 raise Refused(f"homing ended: {status.trip.text or status.trip.reason}")
-            if status.homed and status.state != "running":
+            if status.homed and status.state != ProgramState.RUNNING:
                 return "homed"
             if time.monotonic() > deadline:
                 raise Refused(f"homing is not done after {timeout:g} s; STOP, and look at the machine")

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING
 
 from zendsp.errors import VariableError
 from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp_protocol import messages as m
 from zendsp_protocol.chunks import CHUNK, crc, spans
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+else:
+    np = Lazily("numpy")
 
 _DTYPES = {"double": "<f8", "float": "<f4", "int32": "<i4", "bool": "|b1"}
 

@@ -171,8 +171,10 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     True
     """
     from zendsp.physics.codegen_model import rigid_code
-    from zendsp.physics.simulate_plant import joint_count
+    from zendsp.physics.joint import own_terms
+    from zendsp.physics.simulate_plant import joint_count, with_bodies
 
+    model = with_bodies(model)
     n = joint_count(model)
     kinds = [model.joint_kind(j + 1) for j in range(n)]
     numbers, rigid, arrays, note = rigid_code(model)
@@ -180,7 +182,8 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     numbers += [Variable("model_sign_speed", sign_speed, "rad/s", "speed over which dry friction changes its sign; 0: at once")]
     numbers += [v for line in made for v in line.variables]
     defined, declared = declare(numbers)
-    left_out = [f"   Not in it: {t.effect} of joint {t.joint} ({why_not(t.effect)})." for t in model.terms if not compensable(t)]
+    terms = own_terms(model.terms)  # bodies have entered the rigid body
+    left_out = [f"   Not in it: {t.effect} of joint {t.joint} ({why_not(t.effect)})." for t in terms if not compensable(t)]
     about = "\n".join([f"The model {model.name!r} for the ISR: {note}.", *left_out])
     effects = "".join(_extra(line) for line in made if not line.inverse)
     inverse = "".join(

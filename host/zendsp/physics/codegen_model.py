@@ -12,7 +12,7 @@ from zendsp.errors import ModelError
 from zendsp.physics.codegen_terms import Variable, kernel_terms, number
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.simulate_native import simulator_library
-from zendsp.physics.simulate_plant import joint_count, tree_of
+from zendsp.physics.simulate_plant import joint_count, tree_of, with_bodies
 
 Array = npt.NDArray[np.float64]
 
@@ -166,7 +166,7 @@ def inverse_dynamics(model: Model, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt
     shape = np.shape(q)
     n = joint_count(model)
     q2, qd2, qdd2 = (np.ascontiguousarray(np.asarray(x, dtype=np.float64).reshape(-1, n)) for x in (q, qd, qdd))
-    out = _rigid(model, q2, qd2, qdd2)
+    out = _rigid(with_bodies(model), q2, qd2, qdd2)
     sign = np.tanh(qd2 / sign_speed) if sign_speed > 0 else np.sign(qd2)
     for term in kernel_terms(model):
         j = term.joint - 1

@@ -9,11 +9,6 @@ from dataclasses import dataclass
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Actuator, Model, Term, per_joint
 
-# Effects that act in the actuator: what to send in place of a wanted torque {tau}, so that this torque comes out.
-_INVERSE = {
-    "torque_gain": "{tau} / (1.0 + p[0])",
-    "dead_zone": "{tau} + p[0] * {gain} * tanh({tau} / (0.05 * p[0] * {gain} + 1e-12))",
-}
 # The law of a coupling is part of the structure, not a number to be tuned: 0 inertia, 1 coriolis, 2 viscous, 3 coulomb.
 _COUPLING = (
     "p[2] * acc[{other}]",
@@ -23,17 +18,6 @@ _COUPLING = (
 )
 # In C the arguments have names of their own: programs have globals q, qd, tau.
 _NAMES = {"q": "pos[{}]", "qd": "vel[{}]", "qdd": "acc[{}]", "tau": "torque"}
-_WHY_NOT = {
-    "friction_drift": "it changes with time: identify friction again when the machine is warm",
-    "presliding": "it depends on a deflection that is not measured",
-    "hysteresis": "it depends on a state that is not measured",
-    "elasticity": "its motion is not that of the motor: control both sides, or filter the resonance",
-    "backlash": "within the gap no torque reaches the load",
-    "saturation": "no command passes the limit: plan below it",
-    "lag": "a torque cannot come sooner: lower the bandwidth, or predict the reference",
-    "delay": "a torque cannot come sooner: lower the bandwidth, or predict the reference",
-    "encoder_eccentricity": "it is in the sensor: correct the measured angle",
-}
 
 
 @dataclass(frozen=True)
@@ -83,7 +67,7 @@ def why_not(effect: str) -> str:
     -------
     str
     """
-    return _WHY_NOT.get(effect, "a torque that depends on position, speed and acceleration cannot undo it")
+    return get_effect(effect).why_not or "a torque that depends on position, speed and acceleration cannot undo it"
 
 
 def compensable(term: Term) -> bool:
@@ -97,7 +81,8 @@ def compensable(term: Term) -> bool:
     -------
     bool
     """
-    return term.effect in _INVERSE or term.effect == "coupling" or bool(get_effect(term.effect).compensable)
+    effect = get_effect(term.effect)
+    return bool(effect.inverse or effect.compensable) or term.effect == "coupling"
 
 
 def number(value: float) -> str:
@@ -146,9 +131,9 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
     kind = kinds[j] if j < len(kinds) else "rotary"
     gain = per_joint(actuator.gain, term.joint, 1.0)
     sign = f"{prefix}_sign"
-    inverse = term.effect in _INVERSE
+    inverse = bool(effect.inverse)
     if inverse:
-        body = _INVERSE[term.effect].format(tau="wanted", gain=number(gain))
+        body = re.sub(r"\bgain\b", number(gain), effect.inverse)
     elif term.effect == "coupling":
         body = _COUPLING[int(term.value("law"))].format(other=int(term.value("from_joint")) - 1, joint=j)
     else:

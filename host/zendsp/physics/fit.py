@@ -22,8 +22,6 @@ from zendsp.physics.native import LANES
 
 Array = npt.NDArray[np.float64]
 
-# with these the command is not what accelerates the inertia, which Data.ranges takes for granted
-UNLIKE_THE_COMMAND = ("elasticity", "backlash", "saturation")
 TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
 TRIES = 8  # ever shorter steps before a fit ends
 FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
@@ -57,7 +55,8 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
 def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = True) -> tuple[Handle, ...]:
     """The numbers of a model that may be calibrated.
 
-    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated.
+    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated. Numbers of bodies are free only where
+    all joints decide.
 
     Parameters
     ----------
@@ -80,6 +79,8 @@ def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = Tr
     for i, term in enumerate(model.terms):
         if term.joint in wanted:
             effect = get_effect(term.effect)
+            if effect.site == "body" and len(wanted) < model.joints:
+                continue
             handles += [
                 Handle("term", i, p.name)
                 for p in effect.parameters
@@ -238,7 +239,7 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
             value = float(get_values(model, [h])[0])
             signed = h.place == "mechanism" and h.key in ("p3", "gravity")
             wide = (value / TOO_FAR, value * TOO_FAR)
-            free = any(t.effect in UNLIKE_THE_COMMAND for t in model.terms)
+            free = any(get_effect(t.effect).loosens_inertia for t in model.terms)  # Data.ranges takes the command for what accelerates
             lower, upper = (-np.inf, np.inf) if signed else wide if free else data.ranges.get(h.key, wide)
             low.append(lower)
             high.append(upper)
@@ -300,7 +301,7 @@ def fit(
     centre = get_values(model, handles)
 
     # impacts make the cost rough on a fine scale: differences over a tenth of a percent look past it
-    coarse = 2e-3 if any(t.effect == "backlash" for t in model.terms) else 1e-4
+    coarse = 2e-3 if any(get_effect(t.effect).rough for t in model.terms) else 1e-4
     with ThreadPoolExecutor(max(1, jobs)) as pool:
 
         def evaluate(points: Sequence[Array]) -> Array:

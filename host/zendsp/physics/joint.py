@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.errors import RecordingError
+from zendsp.physics.bodies import Links, body_terms
 from zendsp.physics.effects import get_effect
+from zendsp.physics.effects.base import Along, Facts, Scale
 from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.native import LANES, native
 from zendsp.physics.rigid import Basis
@@ -18,38 +21,9 @@ from zendsp.physics.signals import Measurement, Motion
 Array = npt.NDArray[np.float64]
 
 MAX_EFFECTS, MAX_PARAMETERS = 24, 6
+_NOTHING = np.zeros(0)
 RAN_AWAY = 1e9  # what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5 rad/s or m/s
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Typical sizes along a recording, SI: they set steps, starts and bounds of the parameters of effects."""
-
-    torque: float
-    speed: float
-    position: float
-    inertia: float
-    command: float
-    seconds: float
-    turn: float = 1.0  # rad or m per turn of the ripple search: 1 for rotary joints
-
-    def of(self, size: str) -> float:
-        """Typical value of a parameter that measures ``size`` (see ``Parameter.size``)."""
-        table = {
-            "torque": self.torque,
-            "torque/speed": self.torque / self.speed,
-            "torque/speed2": self.torque / self.speed**2,
-            "torque/position": self.torque / self.position,
-            "torque/position3": self.torque / self.position**3,
-            "speed": self.speed,
-            "position": self.position,
-            "time": self.seconds,
-            "inertia": self.inertia,
-            "command": self.command,
-            "order": 1.0 / self.turn,
-        }
-        return table.get(size, 1.0)
 
 
 @dataclass
@@ -67,8 +41,12 @@ class JointRecord:
     scale: Scale
     base_offset: float
     position: Array  # as measured, quantised
+    links: Links | None = None  # of the whole machine; None where its kind has none
+    slides: bool = False  # a linear joint
+    columns: Mapping[str, Array] = field(default_factory=dict)  # optional ones by their role in [columns], (n,)
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
+    _facts: Facts | None = None
 
     @property
     def n(self) -> int:
@@ -117,14 +95,63 @@ class JointRecord:
             value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
             inertia += value * basis.inertia
             bias += value * basis.bias
+        if self.links is not None and (terms := body_terms(model)):
+            change = self.links.change(terms, self.joint - 1)
+            inertia += change.inertia
+            bias += change.bias
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
-    def reference_inertia(self, model: Model) -> float:
+    def reference_inertia(self, model: Model, inertia: Array) -> float:
         """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the mean where a URDF tells no more."""
         constant = [key for key in self.basis if key not in ("fixed", "p3")]
         if not constant:
-            return float(np.mean(self.inertia_and_bias(model)[0]))
+            return float(np.mean(inertia))
         return float(sum(mechanism_value(model, key, self.joint) * self.basis[key].inertia[0] for key in constant))
+
+
+def facts(record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None) -> Facts:
+    """What a recording and, where given, a model say to the effects of a joint.
+
+    Parameters
+    ----------
+    record : JointRecord
+    model : Model, optional
+        Gives inertia and friction level.
+    replaced : mapping, optional
+        Numbers of the term that an effect would replace.
+
+    Returns
+    -------
+    Facts
+    """
+    if record._facts is None:
+        q, qd = record.motion.states[:2]
+        command = np.abs(record.command)
+        fast, fastest = (float(x) for x in np.quantile(np.abs(qd), (0.95, 0.99)))
+        record._facts = Facts(
+            scale=record.scale, centre=0.5 * (float(q.max()) + float(q.min())), fast=fast, fastest=fastest,
+            strong=float(np.quantile(command, 0.999)), strongest=float(command.max()), sample_time=record.sample_time,
+            slides=record.slides, joint=record.joint, joints=len(record.others), gain=1.0, inertia=record.scale.inertia,
+            temperature=float(record.columns["temperature"][0]) if "temperature" in record.columns else float("nan"),
+        )  # fmt: skip
+    if model is None:
+        return record._facts
+    dry = sum(t.value("level") for t in model.at(record.joint) if get_effect(t.effect).site == "dry")
+    return replace(
+        record._facts, gain=per_joint(model.actuator.gain, record.joint, 1.0), friction=dry,
+        inertia=float(np.mean(effective_inertia(record, model))), replaced=dict(replaced or {}),
+    )  # fmt: skip
+
+
+def along(record: JointRecord, model: Model) -> Along:
+    """The measured motion of a joint, for the column of an effect."""
+    q, qd, qdd = record.motion.states
+    return Along(
+        q=q, qd=qd, qdd=qdd, t=np.asarray(record.t0 + record.sample_time * np.arange(record.n), dtype=np.float64),
+        torque=per_joint(model.actuator.gain, record.joint, 1.0) * record.command, sample_time=record.sample_time,
+        inertia=effective_inertia(record, model),
+        gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,
+    )  # fmt: skip
 
 
 def effective_inertia(record: JointRecord, model: Model) -> Array:
@@ -143,21 +170,25 @@ def mechanism_value(model: Model, key: str, joint: int) -> float:
     return items[joint - 1].value if joint - 1 < len(items) else items[0].value
 
 
+def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """The terms that the kernel evaluates at a joint: bodies have entered its inertia and bias instead."""
+    return tuple(term for term in terms if get_effect(term.effect).site != "body")
+
+
 def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
     """Effects as the kernel takes them: indices and a table of parameters.
 
     The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give the breakaway).
     """
     index = native().index
+    terms = own_terms(terms)
     kinds = np.zeros(max(1, len(terms)), np.int32)
     table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
     for row, term in enumerate(terms):
         effect = get_effect(term.effect)
         kinds[row] = index[term.effect]
         for column, parameter in enumerate(effect.parameters):
-            table[row, column] = term.value(parameter.name, parameter.default or 0.0)
-        if term.effect == "coupling":
-            table[row, 0] -= 1
+            table[row, column] = term.value(parameter.name, parameter.default or 0.0) - (parameter.size == "joint")
     return kinds, table
 
 
@@ -265,7 +296,13 @@ def _numbers(record: JointRecord, model: Model) -> bytes:
     numbers = [mechanism_value(model, key, j) for key in record.basis]
     numbers += [mechanism_value(model, "gravity", j), per_joint(model.actuator.gain, j, 1.0), per_joint(model.actuator.limit, j, 0.0)]
     numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
+    numbers += _body_numbers(model)
     return pack(model.at(j))[1].tobytes() + np.array(numbers).tobytes()
+
+
+def _body_numbers(model: Model) -> tuple[float, ...]:
+    """All numbers of a model's bodies: every joint's inertia and bias may depend on them."""
+    return tuple(q.value for term in body_terms(model) for q in term.parameters.values())
 
 
 def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: int, known: dict[tuple[float, ...], tuple[Array, Array]] | None = None) -> list[Any]:
@@ -273,7 +310,7 @@ def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: in
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
     kinds, table = pack(model.at(record.joint))
-    values = tuple(1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis)
+    values = tuple(1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis) + _body_numbers(model)
     known = {} if known is None else known
     if values not in known:
         known[values] = record.inertia_and_bias(model)
@@ -285,10 +322,12 @@ def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: in
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     m.shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
     m.m, m.half, m.k1, m.k2, m.w = p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w)
-    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model)
+    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
     m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
     m.other, m.extra = p(record.others), ffi.NULL
-    m.nfx, m.kind, m.p = len(model.at(record.joint)), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    own = own_terms(model.at(record.joint))
+    m.temperature = p(_felt(record, own))
+    m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     m.q0, m.qd0 = float(rq[0] + m.shift), float(rqd[0])
     soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
     m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
@@ -305,11 +344,43 @@ def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floo
     m = ffi.new("zk_model *")
     m.n, m.T, m.t0 = n, record.sample_time, record.t0
     m.gain, m.limit = per_joint(model.actuator.gain, record.joint, 1.0), 0.0
-    m.other, m.nfx = p(record.others), len(terms)
+    m.other, m.nfx, m.temperature = p(record.others), len(own_terms(terms)), p(_felt(record, terms))
     m.kind, m.p = ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
     motion = np.ascontiguousarray(record.motion.states)
     out = np.empty(n)
     lib.lib.zk_trace(m, p(motion), p(record.command), speed_floor, p(out))
+    return out
+
+
+def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
+    """The temperature column, (n,) °C; empty where there is none and no term asks for it.
+
+    Raises
+    ------
+    RecordingError
+        A term reads a column that the recording has not.
+    """
+    for term in terms:
+        for column in get_effect(term.effect).reads:
+            if column not in record.columns:
+                raise RecordingError(
+                    f"the model's {term.effect} of joint {term.joint} needs a column of {column}: name it in [columns] {column}"
+                )
+    felt = record.columns.get("temperature", _NOTHING)
+    if len(felt) not in (0, record.n):
+        raise RecordingError(f"temperature has {len(felt)} rows; expected {record.n}, as many as the position")
+    return felt
+
+
+def sensed(record: JointRecord, model: Model, terms: tuple[Term, ...], position: Array | None = None) -> Array:
+    """What the position sensor adds to a motion, (n,) rad or m; the measured one where no ``position`` is given."""
+    lib = native()
+    p, ffi = lib.doubles, lib.ffi
+    q = np.ascontiguousarray(record.motion.states[0] if position is None else position)
+    kinds, table = pack(terms)
+    m, out = ffi.new("zk_model *"), np.empty(len(q))
+    m.n, m.nfx, m.kind, m.p = len(q), len(terms), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    lib.lib.zk_sense(m, p(q), p(out))
     return out
 
 

@@ -13,6 +13,7 @@
 #define FOR_LANES __attribute__((simd("notinbranch"), const))
 double exp(double) FOR_LANES;
 double sin(double) FOR_LANES;
+double cos(double) FOR_LANES;
 double pow(double, double) FOR_LANES;
 #endif
 
@@ -36,6 +37,7 @@ typedef struct {
     double reference;         /* inertia that the inertia of a load is a part of: the rest is the motor's, at any pose */
     double gravity;           /* torque = gravity sin(q) evaluated on the predicted position */
     const double *other;      /* joints x 3 x n: measured q, qd, qdd of every joint */
+    const double *temperature; /* n: degrees C, where an effect feels it */
     const double *extra;      /* n: torque added from outside, may be 0 */
     int nfx;
     const int *kind;          /* nfx */
@@ -59,6 +61,9 @@ static inline double clip(double v, double lim) { return v > lim ? lim : v < -li
 #define LOOK_AT(joint) for (int l = 0; l < LANES; l++) { \
         const double *j = M->other + (size_t)(joint) * 3 * M->n + k + stride * l; \
         S->oq[l] = j[0]; S->oqd[l] = j[M->n]; S->oqdd[l] = j[2 * (size_t)M->n]; }
+
+/* the recorded temperature */
+#define FEEL for (int l = 0; l < LANES; l++) S->temp[l] = M->temperature[k + stride * l];
 
 static inline double cum(const zk_model *M, double t) /* integral of the held command up to t */
 {
@@ -119,16 +124,34 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
     const int n = M->n;
     for (int first = 0; first < n; first += LANES) {
         const int k = n < LANES ? 0 : first < n - LANES ? first : n - LANES, some = n < LANES ? n : LANES; /* the last ones twice */
-        double torque[LANES], scale[LANES], level[LANES], acted[LANES], in[LANES] = {0};
+        double torque[LANES], scale[LANES], level[LANES], acted[LANES], asked[LANES], in[LANES] = {0};
         for (int l = 0; l < some; l++) {
             S->q[l] = motion[k + l]; S->qd[l] = motion[n + k + l]; S->qdd[l] = motion[2 * (size_t)n + k + l];
-            S->t[l] = M->t0 + (k + l) * M->T; in[l] = S->u[l] = u[k + l]; S->tau[l] = M->gain * u[k + l];
+            S->t[l] = M->t0 + (k + l) * M->T; in[l] = S->u[l] = u[k + l]; asked[l] = S->tau[l] = M->gain * u[k + l];
         }
         gather_many(M, N, S, k, some == LANES, torque, scale);
         dry_many(M, N, S, S->qd, scale, level);
-        act_many(M, N, in, acted);
+        act_many(M, N, S, in, acted);
         for (int l = 0; l < some; l++)
-            out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) + (S->tau[l] - acted[l]);
+            out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) + (asked[l] - acted[l]);
+    }
+}
+
+/* What the position sensor adds to a motion q[n]. */
+void zk_sense(const zk_model *M, const double *q, double *out)
+{
+    zk_model same[LANES];
+    numbers_many numbers, *N = &numbers;
+    state_many state, *S = &state;
+    memset(S, 0, sizeof *S);
+    for (int l = 0; l < LANES; l++) same[l] = *M;
+    set_up_many(same, N);
+    for (int first = 0; first < M->n; first += LANES) {
+        const int some = M->n - first < LANES ? M->n - first : LANES;
+        double at[LANES] = {0}, seen[LANES];
+        for (int l = 0; l < some; l++) at[l] = q[first + l];
+        sense_many(M, N, S, at, seen);
+        for (int l = 0; l < some; l++) out[first + l] = seen[l] - at[l];
     }
 }
 /* What added torque columns d (cols x n) do to the innovations, to first order: the observer's error dynamics, out (cols x n).

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, pack
+from zendsp.physics.effects import get_effect
+from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, own_terms, pack
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.native import native
 
 Array = npt.NDArray[np.float64]
+ROOM = 20.0  # °C
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ def simulate_joint_loop(
     inertia: float,
     resolution: float = 0.0,
     inner: int = 4,
+    temperature: float = ROOM,
 ) -> Looped:
     """Simulate command = kp (reference − position) − kd velocity on one joint.
 
@@ -54,6 +57,8 @@ def simulate_joint_loop(
         Of the sensor, rad or m.
     inner : int
         Integration steps per sample.
+    temperature : float
+        °C.
 
     Returns
     -------
@@ -63,7 +68,7 @@ def simulate_joint_loop(
     p, ffi = lib.doubles, lib.ffi
     kinds, table = pack(model.at(joint))
     reference = np.ascontiguousarray(reference, float)
-    zeros, inertias = np.zeros(n), np.full(n, inertia)
+    zeros, inertias, warm = np.zeros(n), np.full(n, inertia), np.full(n, temperature)
     cumulative, out = np.zeros(n + 1), np.empty(n)
     others = np.zeros((model.joints, 3, n))
     m = ffi.new("zk_model *")
@@ -77,11 +82,11 @@ def simulate_joint_loop(
     )
     m.gain, m.limit = per_joint(model.actuator.gain, joint, 1.0), per_joint(model.actuator.limit, joint, 0.0)
     m.m, m.half, m.k1, m.k2, m.w = (p(zeros) for _ in range(5))
-    m.inertia, m.bias = p(inertias), p(zeros)
+    m.inertia, m.bias, m.reference, m.temperature = p(inertias), p(zeros), inertia, p(warm)
     m.gravity = mechanism_value(model, "gravity", joint) if model.kind == "rotary" else 0.0
     m.other, m.nfx, m.kind, m.p = (
         p(others),
-        len(model.at(joint)),
+        len(own_terms(model.at(joint))),
         ffi.cast("int *", ffi.from_buffer(kinds)),
         p(table),
     )
@@ -94,7 +99,12 @@ def simulate_joint_loop(
     )
     m.kp, m.kd, m.ref, m.resolution = kp, kd, p(reference), resolution
     lib.lib.zk_run(m, p(out), ffi.NULL, ffi.NULL, ffi.NULL)
-    return Looped(out, np.diff(cumulative) / sample_time)
+    command = np.diff(cumulative) / sample_time
+    for term in model.at(joint):
+        effect = get_effect(term.effect)
+        if effect.mechanism == "measurement" and effect.retime is not None:  # what is recorded of what acted
+            command = effect.retime(command, sample_time, {name: -q.value for name, q in term.parameters.items()})
+    return Looped(out, command)
 
 
 def mean_inertia(record: JointRecord, model: Model) -> float:

@@ -24,7 +24,8 @@ CDEF = """
 typedef struct {
     int n; int sub; double T; const double *ucum; double delay; double gain; double limit;
     const double *m; double shift; const double *half; const double *k1; const double *k2; const double *w;
-    const double *inertia; const double *bias; double reference; double gravity; const double *other; const double *extra;
+    const double *inertia; const double *bias; double reference; double gravity; const double *other; const double *temperature;
+    const double *extra;
     int nfx; const int *kind; const double *p; double q0; double qd0; double a0; int load_sensor; int reset;
     const double *rq; const double *rqd; double t0;
     double kp; double kd; const double *ref; double resolution; double *uloop;
@@ -32,6 +33,7 @@ typedef struct {
 int zk_run(const zk_model *M, double *r, double *xq, double *xqd, double *torque);
 int zk_run_lanes(const zk_model *M, double *r);
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out);
+void zk_sense(const zk_model *M, const double *q, double *out);
 void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *active,
                const double *inertia, const double *damp, int cols, const double *d, int meas, double *out);
 void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k2, double *w);
@@ -41,22 +43,20 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
 
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
-# what observer.c does for each lane with an effect
-_TORQUE = "case {i}: {look}EACH torque[l] += OF(fx_{name})(p, S, l); break;"
-_VISCOUS = "case {i}: EACH visc[l] += OF(fx_{name})(p, S, l); break;"
-_SCALE = "case {i}: EACH scale[l] *= OF(fx_{name})(p, S, l); break;"
-_DRY = "case {i}: EACH level[l] += OF(fx_{name})(p, S, l, v[l] > 0 ? 1 : -1); break;"
-_ACTUATOR = "case {i}: EACH u[l] = OF(fx_{name})(p, l, u[l]); break;"
-_SENSOR = "case {i}: EACH out[l] += OF(fx_{name})(p, S, l); break;"
-_PLACES = {  # of an effect: the mark in observer.c and the case
-    "torque": ("FORCE", _TORQUE),
-    "viscous": ("FORCE", _VISCOUS),
-    "scale": ("FORCE", _SCALE),
-    "dry": ("DRY", _DRY),
-    "actuator": ("ACTUATOR", _ACTUATOR),
-    "sensor": ("SENSOR", _SENSOR),
-    "setup": ("SETUP", "case {i}: {c} break;"),
+_PLACES = {  # of an effect: the mark in observer.c, and what is done there for each lane
+    "torque": ("FORCE", "EACH torque[l] += OF(fx_{name})(p, S, l);"),
+    "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
+    "scale": ("FORCE", "EACH {{ const double c = OF(fx_{name})(p, S, l); scale[l] *= c; thick[l] *= c; }}"),
+    "dry_scale": ("FORCE", "EACH scale[l] *= OF(fx_{name})(p, S, l);"),
+    "drive": ("FORCE", "EACH {{ const double c = OF(fx_{name})(p, S, l, S->tau[l]); torque[l] += S->tau[l] - c; S->tau[l] = c; }}"),
+    "dry": ("DRY", "EACH level[l] += OF(fx_{name})(p, S, l, v[l] > 0 ? 1 : -1);"),
+    "actuator": ("ACTUATOR", "EACH u[l] = OF(fx_{name})(p, S, l, u[l]);"),
+    "sensor": ("SENSOR", "EACH out[l] += OF(fx_{name})(p, S, l);"),
+    "setup": ("SETUP", "{c}"),
 }
+_LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}  # what is fetched where an effect's C names it
+_MARKS = {"drive": "drives", "sensor": "senses"}  # what else is done where a model has one
+_MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
 
 def source_text(effects: dict[str, Effect]) -> str:
@@ -64,16 +64,19 @@ def source_text(effects: dict[str, Effect]) -> str:
     functions: list[str] = []
     cases: dict[str, list[str]] = {mark: [] for mark, _ in _PLACES.values()}
     for i, effect in enumerate(effects.values()):
+        if effect.site == "body":
+            continue
         if effect.site not in _PLACES:
             raise ZendspError(f"effect {effect.name!r}: unknown site {effect.site!r}")
-        mark, case = _PLACES[effect.site]
-        look = "LOOK_AT((int)p[0]) " if effect.name == "coupling" else ""
-        cases[mark].append(case.format(i=i, name=effect.name, look=look, c=effect.c))
+        mark, done = _PLACES[effect.site]
+        looks = "".join(look for name, look in _LOOKS.items() if re.search(name, effect.c))
+        cases[mark].append(f"case {i}: {looks}{done.format(name=effect.name, c=effect.c)} break;")
+        if effect.site in _MARKS:
+            cases["SETUP"].append(f"case {i}: {_MARKS[effect.site]} = 1; break;")
         if effect.site == "setup":
             continue
-        more = {"dry": ", int dir", "actuator": ", double u"}.get(effect.site, "")
-        state = "" if effect.site == "actuator" else "const OF(state) *s, "
-        functions.append(f"static inline double OF(fx_{effect.name})(const double *p, {state}int l{more}) {{ {_of_lane(effect)} }}")
+        head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"
+        functions.append(f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}")
     room = resources.files("zendsp.physics")
     observer = (room / "observer.c").read_text()
     for mark, lines in cases.items():
@@ -87,9 +90,9 @@ def _of_lane(effect: Effect) -> str:
     """The C of an effect with its parameters and its state taken from lane l."""
     other = re.search(r"\bp\b(?!\s*\[)|\bs\b(?!\s*->)", effect.c)
     if other:
-        raise ZendspError(f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1], … and s->q, s->qd, s->qdd, s->t, s->u, s->tau")
+        raise ZendspError(f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1], … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau")
     body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
-    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|oq|oqd|oqdd)\b", r"s->\1[l]", body)
+    return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
 
 
 def cache_folder() -> Path:
@@ -166,12 +169,13 @@ class Native:
         return self.ffi.cast("double *", self.ffi.from_buffer(array))
 
 
-_opened: dict[int, Native] = {}
+_opened: dict[tuple[str, ...], Native] = {}
 
 
 def native() -> Native:
     """The library for the present set of effects, compiled at first use."""
     effects = library()
-    if len(effects) not in _opened:
-        _opened[len(effects)] = Native(effects)
-    return _opened[len(effects)]
+    key = tuple(effects)
+    if key not in _opened:
+        _opened[key] = Native(effects)
+    return _opened[key]

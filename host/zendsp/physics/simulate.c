@@ -13,7 +13,9 @@
 
 /* EFFECT_FUNCTIONS */
 
-typedef struct { double smooth, dry_pos, dry_neg, visc; } sim_force;
+enum { ROOM = 20 }; /* degrees C, where nobody says */
+
+typedef struct { double smooth, dry_pos, dry_neg, visc, tau; } sim_force; /* tau: what the drive gives at this speed */
 
 /* Torque of all effects of one joint that opposes the drive, at the state in s. visc: N m s/rad. */
 static void gather(const sim *S, int joint, const double *x, const double *v, zs s, sim_force *f) {
@@ -32,11 +34,19 @@ static void gather(const sim *S, int joint, const double *x, const double *v, zs
     f->dry_pos = f->dry_pos * dry_scale > 0 ? f->dry_pos * dry_scale : 0;
     f->dry_neg = f->dry_neg * dry_scale > 0 ? f->dry_neg * dry_scale : 0;
     f->visc = visc / w.qd * visc_scale;
+    f->tau = s.tau;
     (void)x, (void)v;
 }
 
-static double act(const sim *S, int joint, double u) {
+/* degrees C in this sample */
+static double warmth(const sim *S) {
+    const int last = S->c.temperatures - 1;
+    return last < 0 ? ROOM : S->c.temperature[S->ticks - 1 < last ? (S->ticks > 0 ? S->ticks - 1 : 0) : last];
+}
+
+static double act(const sim *S, int joint, double u, double t) {
     const double limit = S->c.limit[joint];
+    const zs s = {.t = t};
     if (limit > 0)
         u = u > limit ? limit : u < -limit ? -limit : u;
     for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
@@ -46,6 +56,7 @@ static double act(const sim *S, int joint, double u) {
         default: break;
         }
     }
+    (void)s;
     return S->c.gain[joint] * u;
 }
 
@@ -66,7 +77,7 @@ static double sense(const sim *S, int joint, double q) {
 
 static void setup_joint(sim *S, int joint) {
     double delay = 0, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0, s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1;
-    double j_extra = 0;
+    double j_extra = 0, k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
     int two_mass = 0, lag_on = 0;
     for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
         const double *p = S->c.effect_p + i * SIM_P;
@@ -78,7 +89,38 @@ static void setup_joint(sim *S, int joint) {
     sim_joint *j = &S->j[joint];
     *j = (sim_joint){.delay = delay + S->c.delay, .lag = lag, .k_spring = k_spring, .c_spring = c_spring, .j_load = j_load,
                      .gap = gap, .s0 = s0, .s1 = s1, .bw_force = bw_force, .bw_a = bw_a, .bw_n = bw_n, .j_extra = j_extra,
-                     .two_mass = two_mass, .lag_on = lag_on && lag > 0, .motor = joint};
+                     .k_cubic = k_cubic, .w_amp = w_amp, .w_order = w_order, .w_phase = w_phase, .filter = filter,
+                     .column_late = column_late, .two_mass = two_mass, .lag_on = lag_on && lag > 0, .motor = joint};
+}
+
+/* What a transmission makes of a motor's position x; slope: of the load's speed to the motor's, bend: what that changes by with x. */
+static double through(const sim_joint *j, double x, double *slope, double *bend) {
+    if (j->w_amp == 0)
+        return *slope = 1, *bend = 0, x;
+    const double at = j->w_order * x + j->w_phase;
+    *slope = 1 + j->w_amp * j->w_order * cos(at);
+    *bend = -j->w_amp * j->w_order * j->w_order * sin(at);
+    return x + j->w_amp * sin(at);
+}
+
+/* Position and speed of a joint on the side that its sensor sees. */
+static double side(const sim *S, int joint, double *speed) {
+    const sim_joint *j = &S->j[joint];
+    const int at = S->c.load_sensor ? joint : j->motor;
+    double slope = 1, bend, x = S->x[at];
+    if (S->c.load_sensor && j->motor == joint)
+        x = through(j, x, &slope, &bend);
+    *speed = slope * S->v[at];
+    return x;
+}
+
+/* Positions y of the links where the joints' coordinates are x: motors' where a transmission is rigid. */
+static void links(const sim *S, const double *x, double *y, double *slope, double *bend) {
+    for (int i = 0; i < S->c.joints; i++) {
+        y[i] = x[i], slope[i] = 1, bend[i] = 0;
+        if (S->j[i].w_amp != 0 && S->j[i].motor == i)
+            y[i] = through(&S->j[i], x[i], &slope[i], &bend[i]);
+    }
 }
 
 /* Rigid-body inertia M (n x n) of the joints at x. */
@@ -111,13 +153,24 @@ static void bias(const sim *S, const double *x, const double *v, const tree_pose
             out[i] = S->c.weight[i] != 0 ? S->c.weight[i] * sin(x[i]) : 0.0;
 }
 
-/* Speeds after H seconds from speeds v, forces at (xm, ve). M: joints' inertia at xm. keep: also advance bristles and hysteresis. */
+/* Speeds after H seconds from speeds v, forces at (xm, ve). M: the links' inertia at xm. keep: also advance bristles and hysteresis. */
 static void stage(sim *S, double H, double t, const double *M, const tree_pose *pose, const double *xm, const double *v,
                   const double *ve, double *out, int keep) {
     const int n = S->c.joints, N = S->dof;
     double A[SIM_DOF * SIM_DOF], b[SIM_DOF], up[SIM_DOF], down[SIM_DOF], g[SIM_MAX];
-    double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX];
-    bias(S, xm, ve, pose, g);
+    double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX], yd[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX];
+    if (S->uneven) {
+        links(S, xm, y, slope, bend);
+        for (int i = 0; i < n; i++)
+            yd[i] = slope[i] * ve[i];
+        bias(S, y, yd, pose, g);
+        for (int i = 0; i < n; i++) { /* in the joints' coordinates, with what an uneven turn accelerates */
+            for (int k = 0; k < n; k++)
+                g[i] += M[i * n + k] * bend[k] * ve[k] * ve[k];
+            g[i] *= slope[i];
+        }
+    } else
+        bias(S, xm, ve, pose, g);
     for (int i = 0; i < N; i++) {
         up[i] = down[i] = 0;
         for (int k = 0; k < N; k++)
@@ -125,7 +178,7 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     }
     for (int i = 0; i < n; i++) {
         for (int k = 0; k < n; k++)
-            A[i * N + k] = M[i * n + k] + S->across[i][k];
+            A[i * N + k] = (S->uneven ? slope[i] * slope[k] : 1) * M[i * n + k] + S->across[i][k];
         const sim_joint *j = &S->j[i];
         if (j->motor != i) {
             A[i * N + i] -= j->j_motor;
@@ -141,10 +194,12 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     for (int i = 0; i < n; i++) {
         const sim_joint *j = &S->j[i];
         const int m = j->motor;
-        zs s = {.q = xm[m], .qd = ve[m], .t = t, .u = j->u, .tau = j->tau, .lag_t = H};
+        zs s = {.q = xm[m], .qd = ve[m], .t = t, .u = j->u, .tau = j->tau, .lag_t = H, .temp = warmth(S)};
         sim_force f;
         gather(S, i, xm, ve, s, &f);
-        double slope = f.visc, push = j->tau - f.smooth; /* slope: implicit damping, taken at the mean of old and new speed */
+        double damp = f.visc, push = j->tau - f.smooth; /* damp: implicit, taken at the mean of old and new speed */
+        if (keep)
+            S->torque[i] += f.tau;
         if (j->bw_force > 0) {
             double mean;
             zh[i] = hysteresis(j, j->hyst, ve[m], H, &mean);
@@ -157,26 +212,30 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
             decay(x, &phi[i], &psi);
             E[i] = exp(-x);
             push -= j->s0 * j->z * phi[i] + j->s1 * j->z * (E[i] - 1) / H;
-            slope += j->s0 * H * psi + j->s1 * phi[i];
+            damp += j->s0 * H * psi + j->s1 * phi[i];
         } else {
             up[m] = H * f.dry_pos;
             down[m] = H * f.dry_neg;
             E[i] = phi[i] = 0;
         }
-        A[m * N + m] += 0.5 * H * slope;
-        b[m] += H * (push - 0.5 * slope * v[m]);
+        A[m * N + m] += 0.5 * H * damp;
+        b[m] += H * (push - 0.5 * damp * v[m]);
         if (m != i) { /* spring between motor and load, contact judged halfway */
-            const double twist = S->x[m] - S->x[i], rate = v[m] - v[i];
+            double turn, unused;
+            const double twist = through(j, S->x[m], &turn, &unused) - S->x[i];
+            through(j, xm[m], &turn, &unused);
+            const double rate = turn * v[m] - v[i];
             const double open = soft(twist + 0.5 * H * rate, 0.5 * j->gap);
             if (j->gap <= 0 || open * (j->k_spring * open + j->c_spring * rate) > 0) { /* a contact pushes only */
                 const double rest = twist - (twist + 0.5 * H * rate - open); /* measured from the edge of the gap */
-                const double c = 0.5 * H * j->k_spring + j->c_spring;
-                A[m * N + m] += 0.5 * H * c;
+                const double hard = j->k_cubic * rest * rest, c = 0.5 * H * (j->k_spring + 3 * hard) + j->c_spring;
+                const double pull = (j->k_spring + hard) * rest + 0.5 * c * rate;
+                A[m * N + m] += 0.5 * H * c * turn * turn;
                 A[i * N + i] += 0.5 * H * c;
-                A[m * N + i] -= 0.5 * H * c;
-                A[i * N + m] -= 0.5 * H * c;
-                b[m] -= H * (j->k_spring * rest + 0.5 * c * rate);
-                b[i] += H * (j->k_spring * rest + 0.5 * c * rate);
+                A[m * N + i] -= 0.5 * H * c * turn;
+                A[i * N + m] -= 0.5 * H * c * turn;
+                b[m] -= H * pull * turn;
+                b[i] += H * pull;
             }
         }
     }
@@ -217,20 +276,30 @@ static void inner_step(sim *S, double tl, double h) {
             u = mean;
         }
         j->u = u;
-        j->tau = act(S, i, u);
-        S->torque[i] += j->tau / S->c.inner;
+        j->tau = act(S, i, u, S->c.t0 + tl + 0.5 * h);
     }
-    double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF];
+    double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF], y[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX], from[SIM_MAX], unused;
     tree_pose pose;
     for (int i = 0; i < S->dof; i++)
         xm[i] = S->x[i] + 0.5 * h * S->v[i];
-    inertia(S, xm, &pose, M);
+    if (S->uneven)
+        links(S, xm, y, slope, bend);
+    inertia(S, S->uneven ? y : xm, &pose, M);
+    for (int i = 0; i < n && S->filtered; i++)
+        from[i] = side(S, i, &unused);
     const double t = S->c.t0 + tl + 0.5 * h;
     stage(S, 0.5 * h, t, M, &pose, xm, S->v, S->v, vm, 0);
     stage(S, h, t, M, &pose, xm, S->v, vm, vn, 1);
     for (int i = 0; i < S->dof; i++) {
         S->x[i] += 0.5 * h * (S->v[i] + vn[i]);
         S->v[i] = vn[i];
+    }
+    for (int i = 0; i < n && S->filtered; i++) { /* filtered sensors, exactly for a position that moves evenly within the step */
+        sim_joint *j = &S->j[i];
+        if (j->filter <= 0)
+            continue;
+        const double to = side(S, i, &unused), lag = (to - from[i]) / h * j->filter;
+        j->seen = to - lag + (j->seen - from[i] + lag) * exp(-h / j->filter);
     }
 }
 
@@ -260,11 +329,23 @@ sim *sim_new(const sim_config *c, int room) {
         sim_joint *j = &S->j[i];
         if (j->two_mass) { /* the motor has what the load has not, of the inertia that is the same at every pose, as in kernel.c */
             const double all = c->kind == SIM_PLANAR2R ? (i == 0 ? c->p1 : c->p2) : M[i * c->joints + i];
+            if (j->j_load <= 0) /* nobody says how much of the inertia is the load, nor what damps it */
+                j->j_load = 0.5 * all;
+            if (j->c_spring < 0)
+                j->c_spring = 0.1 * sqrt(j->k_spring * j->j_load);
             j->j_motor = all - j->j_load > 0.02 * all ? all - j->j_load : 0.02 * all;
             j->motor = S->dof++;
             S->x[j->motor] = c->q0[i];
             S->v[j->motor] = c->qd0[i];
+            double slope, unused;
+            S->x[i] = through(j, c->q0[i], &slope, &unused);
+            S->v[i] = slope * c->qd0[i];
         }
+        S->uneven |= j->w_amp != 0 && j->motor == i;
+        S->filtered |= j->filter > 0;
+        double speed;
+        const double at = side(S, i, &speed);
+        j->seen = at - j->filter * speed; /* as if it had always moved so */
     }
     for (int i = 0; i < c->effects; i++) {
         const double *p = c->effect_p + i * SIM_P;
@@ -287,19 +368,20 @@ void sim_free(sim *S) {
 /* True motion of the side that the sensor sees, and the torque of the last sample. */
 void sim_truth(const sim *S, double *q, double *qd, double *torque) {
     for (int i = 0; i < S->c.joints; i++) {
-        const int at = S->c.load_sensor ? i : S->j[i].motor;
-        q[i] = S->x[at];
-        qd[i] = S->v[at];
+        q[i] = side(S, i, &qd[i]);
         torque[i] = S->torque[i];
     }
 }
 
+/* By how many seconds the recorded command of a joint is late. */
+double sim_column_late(const sim *S, int joint) { return S->j[joint].column_late; }
+
 /* What the sensors say: measured (own coordinates, quantised), counts (0 where continuous). */
 void sim_measure(const sim *S, double *measured, int32_t *counts) {
     const int n = S->c.joints;
-    double joint[SIM_MAX];
+    double joint[SIM_MAX], unused;
     for (int i = 0; i < n; i++)
-        joint[i] = sense(S, i, S->x[S->c.load_sensor ? i : S->j[i].motor]) - S->c.sensor_offset[i];
+        joint[i] = sense(S, i, S->j[i].filter > 0 ? S->j[i].seen : side(S, i, &unused)) - S->c.sensor_offset[i];
     for (int i = 0; i < n; i++) {
         double m = 0;
         for (int k = 0; k < n; k++)
@@ -330,6 +412,8 @@ int sim_advance(sim *S, const double *command) {
     const double h = S->c.period / S->c.inner;
     for (int i = 0; i < S->c.inner; i++)
         inner_step(S, k * S->c.period + i * h, h);
+    for (int i = 0; i < n; i++)
+        S->torque[i] /= S->c.inner;
     for (int i = 0; i < S->dof; i++)
         if (!(fabs(S->x[i]) < 1e5 && fabs(S->v[i]) < 1e7))
             return 1;

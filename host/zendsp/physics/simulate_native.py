@@ -20,12 +20,15 @@ _CASES = {
     "viscous": "case {i}: visc += fx_{name}(p, &w); break;",
     "dry": "case {i}: f->dry_pos += fx_{name}(p, &s, 1); f->dry_neg += fx_{name}(p, &s, -1); break;",
     "scale": "case {i}: {{ const double c = fx_{name}(p, &s); dry_scale *= c; visc_scale *= c; break; }}",
+    "dry_scale": "case {i}: dry_scale *= fx_{name}(p, &s); break;",
+    "drive": "case {i}: {{ const double c = fx_{name}(p, &s, s.tau); f->smooth += s.tau - c; s.tau = w.tau = c; break; }}",
 }
 _LOOK = "{ const int k = S->j[(int)p[0]].motor; o.oq = x[k]; o.oqd = v[k]; o.oqdd = 0; }"
 _ACROSS = "case {i}: if ((int)p[1] == 0) S->across[joint][(int)p[0]] += p[2]; break;"
 _HEADS = {
     "dry": "(const double *p, const zs *s, int dir)",
-    "actuator": "(const double *p, double u)",
+    "actuator": "(const double *p, const zs *s, double u)",
+    "drive": "(const double *p, const zs *s, double tau)",
 }
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=gnu11")
 
@@ -36,11 +39,13 @@ typedef struct {
     double inertia[8], weight[8], gain[8], limit[8], resolution[8];
     double command_matrix[64], sensor_matrix[64], sensor_offset[8], q0[8], qd0[8];
     const double *tree; const int32_t *effect, *effect_joint; const double *effect_p;
+    const double *temperature; int32_t temperatures, reserved;
 } sim_config;
 typedef struct sim sim;
 sim *sim_new(const sim_config *c, int room);
 void sim_free(sim *S);
 void sim_truth(const sim *S, double *q, double *qd, double *torque);
+double sim_column_late(const sim *S, int joint);
 void sim_measure(const sim *S, double *measured, int32_t *counts);
 int sim_advance(sim *S, const double *command);
 int sim_loop(sim *S, int rows, const double *r, const double *ff, const double *kp, const double *kd, const double *ki,
@@ -100,11 +105,13 @@ def source_text(effects: dict[str, Effect]) -> str:
     """
     parts: dict[str, list[str]] = {"FUNCTIONS": [], "FORCE": [], "ACTUATOR": [], "SENSOR": [], "SETUP": [], "ACROSS": []}
     for i, effect in enumerate(effects.values()):
+        if effect.site == "body":
+            continue
         if effect.site == "setup":
             parts["SETUP"].append(f"case {i}: {effect.c} break;")
             continue
         head = _HEADS.get(effect.site, "(const double *p, const zs *s)")
-        unused = "(void)p; " + ("(void)s; " if effect.site != "actuator" else "") + ("(void)dir; " if effect.site == "dry" else "")
+        unused = "(void)p; (void)s; " + ("(void)dir; " if effect.site == "dry" else "")
         parts["FUNCTIONS"].append(f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}")
         if effect.site in _CASES:
             coupled = effect.name == "coupling"
@@ -112,7 +119,7 @@ def source_text(effects: dict[str, Effect]) -> str:
             if coupled:
                 parts["ACROSS"].append(_ACROSS.format(i=i))
         elif effect.site == "actuator":
-            parts["ACTUATOR"].append(f"case {i}: u = fx_{effect.name}(p, u); break;")
+            parts["ACTUATOR"].append(f"case {i}: u = fx_{effect.name}(p, &s, u); break;")
         elif effect.site == "sensor":
             parts["SENSOR"].append(f"case {i}: out += fx_{effect.name}(p, &s); break;")
         else:

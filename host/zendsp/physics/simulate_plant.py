@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -10,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
+from zendsp.physics.bodies import body_terms, changed, turned_gravity
 from zendsp.physics.codegen_terms import kernel_terms
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import Model, Quantity, per_joint
 from zendsp.physics.rigid import urdf_path
 from zendsp.physics.simulate_native import (
     MAX_JOINTS,
@@ -21,7 +24,7 @@ from zendsp.physics.simulate_native import (
     SimulatorLibrary,
     simulator_library,
 )
-from zendsp.physics.tree import read_urdf
+from zendsp.physics.tree import GRAVITY, Body, read_urdf
 
 Array = npt.NDArray[np.float64]
 
@@ -30,10 +33,14 @@ INNER = 4  # integration steps per sample where nothing else is asked for
 
 
 @lru_cache(maxsize=16)
-def _tree(path: str, _changed: float) -> tuple[Array, Array]:
+def _tree(path: str, _changed: float) -> tuple[list[Body], Array]:
     bodies, gravity = read_urdf(path)
     if len(bodies) > MAX_JOINTS:
         raise ModelError(f"{path}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}")
+    return bodies, gravity
+
+
+def _rows(bodies: Sequence[Body]) -> Array:
     rows = np.zeros((len(bodies), TREE_ROW))
     for row, body in zip(rows, bodies, strict=True):
         row[0], row[1] = body.parent, body.slides
@@ -42,11 +49,11 @@ def _tree(path: str, _changed: float) -> tuple[Array, Array]:
         row[17], row[18:21] = body.mass, body.com
         I = body.inertia
         row[21:27] = I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
-    return rows, gravity
+    return rows
 
 
 def tree_of(model: Model) -> tuple[Array, Array]:
-    """The links of a URDF model.
+    """The links of a URDF model, with its payloads and what it knows to be wrong in the file.
 
     Parameters
     ----------
@@ -65,8 +72,51 @@ def tree_of(model: Model) -> tuple[Array, Array]:
         No such file, not a URDF, or joints that are neither revolute nor prismatic.
     """
     path = urdf_path(model)
-    rows, gravity = _tree(path, Path(path).stat().st_mtime)
-    return rows.copy(), gravity.copy()
+    bodies, gravity = _tree(path, Path(path).stat().st_mtime)
+    terms = body_terms(model)
+    return _rows(changed(bodies, terms)), turned_gravity(gravity, terms).copy()
+
+
+def with_bodies(model: Model) -> Model:
+    """The model with its payloads taken into the parameters of its mechanism, where its kind has no links of its own.
+
+    Raises
+    ------
+    ModelError
+        A body that these parameters cannot express.
+    """
+    if model.kind == "urdf" or not (terms := body_terms(model)):
+        return model
+    mechanism = {key: list(items) for key, items in model.mechanism.items()}
+
+    def add(key: str, joint: int, value: float) -> None:
+        items = mechanism.setdefault(key, [Quantity(0.0, free=False)])
+        if len(items) == 1:
+            items *= model.joints if model.kind == "rotary" else 1
+        at = joint - 1 if len(items) > 1 else 0
+        items[at] = replace(items[at], value=items[at].value + value)
+
+    for term in terms:
+        mass, x, y = (term.value(key) for key in ("mass", "com_x", "com_y"))
+        about_axis = mass * (x**2 + y**2) + term.value("inertia")
+        if term.effect != "payload" or model.kind not in ("planar2r", "rotary") or y != 0.0:
+            raise ModelError(
+                f"{model.name}: {term.effect} of joint {term.joint} with com_y = {y:g} m cannot be simulated with kind ="
+                f" {model.kind!r}: use a payload with com_y = 0, or a URDF"
+            )
+        if model.kind == "rotary":
+            add("inertia", term.joint, about_axis)
+            if per_joint(tuple(q.value for q in model.mechanism.get("gravity", ())), term.joint, 0.0) != 0:
+                add("gravity", term.joint, -GRAVITY[2] * mass * x)
+            continue
+        l1 = per_joint(tuple(q.value for q in model.mechanism.get("l1", ())), 1, 0.0)
+        if term.joint == 1:
+            add("p1", 1, about_axis)
+            continue
+        for key, value in (("p1", mass * l1**2 + about_axis), ("p2", about_axis), ("p3", mass * l1 * x)):
+            add(key, 1, value)
+    kept = tuple(t for t in model.terms if not any(t is term for term in terms))
+    return replace(model, mechanism={k: tuple(v) for k, v in mechanism.items()}, terms=kept)
 
 
 def joint_count(model: Model) -> int:
@@ -102,6 +152,8 @@ class Plant:
         Where it starts, rad or m, and rad/s or m/s; 0 where absent.
     t0 : float
         Time of the first sample, s (friction that drifts needs it).
+    temperature : array_like, shape (samples,), or float, optional
+        Of the machine, °C; the last one stays. 20 where absent.
 
     Raises
     ------
@@ -118,9 +170,11 @@ class Plant:
         position: npt.ArrayLike | None = None,
         velocity: npt.ArrayLike | None = None,
         t0: float = 0.0,
+        temperature: npt.ArrayLike | None = None,
     ) -> None:
         if model.kind not in KINDS:
             raise ModelError(f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected {', '.join(KINDS)}")
+        model = with_bodies(model)
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
         self.model, self.samples, self.period, self.inner = model, int(samples), float(model.sample_time), int(inner)
@@ -131,6 +185,10 @@ class Plant:
             raise ModelError(f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}")
         c = self.native.ffi.new("sim_config *")
         self._fill(c, position, velocity, t0)
+        warmth = np.atleast_1d(np.asarray([] if temperature is None else temperature, dtype=np.float64))
+        if warmth.ndim != 1 or not np.isfinite(warmth).all():
+            raise ModelError(f"{model.name}: temperature has shape {warmth.shape}; expected finite numbers, one a sample")
+        c.temperature, c.temperatures = self._pointer(warmth), len(warmth)
         self.config = c
         pointer = self.native.lib.sim_new(c, self.samples)
         if pointer == self.native.ffi.NULL:
@@ -165,17 +223,19 @@ class Plant:
         self._effects(c)
 
     def _effects(self, c: Any) -> None:
-        terms = sorted(kernel_terms(self.model), key=lambda term: term.joint)
+        bodies = body_terms(self.model)
+        terms = sorted((t for t in kernel_terms(self.model) if t not in bodies), key=lambda term: term.joint)
         table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
         kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(max(1, len(terms)), np.int32)
         for i, term in enumerate(terms):
             kinds[i], joints[i] = self.native.index[term.effect], term.joint - 1
             for k, parameter in enumerate(get_effect(term.effect).parameters):
-                table[i, k] = term.value(parameter.name, parameter.default or 0.0)
-            if term.effect == "coupling":
-                table[i, 0] -= 1
-                if not 0 <= table[i, 0] < self.joints:
-                    raise ModelError(f"{self.model.name}: coupling from_joint = {table[i, 0] + 1:g}; expected 1 … {self.joints}")
+                value = term.value(parameter.name, parameter.default or 0.0)
+                if parameter.size == "joint":
+                    if not 1 <= value <= self.joints:
+                        raise ModelError(f"{self.model.name}: {term.effect} {parameter.name} = {value:g}; expected 1 … {self.joints}")
+                    value -= 1
+                table[i, k] = value
         c.effects = len(terms)
         c.effect, c.effect_joint, c.effect_p = self._pointer(kinds), self._pointer(joints), self._pointer(table)
 
@@ -189,6 +249,17 @@ class Plant:
         measured, counts = np.empty(MAX_JOINTS), np.empty(MAX_JOINTS, np.int32)
         self.native.lib.sim_measure(self.pointer, self.native.doubles(measured), self.native.ints(counts))
         return measured[: self.joints].copy()
+
+    def recorded_command(self, command: Array) -> Array:
+        """The commands (n, joints) as their column holds them: shifted in time where the model says so."""
+        n, out = len(command), command.copy()
+        for j in range(self.joints):
+            rows = float(self.native.lib.sim_column_late(self.pointer, j)) / self.period
+            if rows:
+                more = int(abs(rows)) + 1  # rows before the first and after the last, like these
+                total = np.r_[0.0, np.cumsum(np.pad(command[:, j], more, mode="edge"))]
+                out[:, j] = np.diff(np.interp(np.arange(n + 1) + more - rows, np.arange(n + 2 * more + 1), total))
+        return out
 
     def truth(self) -> tuple[Array, Array, Array]:
         """Position, speed, and torque of the last sample, each (joints,)."""

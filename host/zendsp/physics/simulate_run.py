@@ -155,6 +155,7 @@ def simulate_loop(
     seconds: float | None = None,
     position: npt.ArrayLike | None = None,
     velocity: npt.ArrayLike | None = None,
+    temperature: npt.ArrayLike | None = None,
     inner: int = INNER,
     check: bool = False,
 ) -> Recording:
@@ -174,6 +175,8 @@ def simulate_loop(
         Default: as long as the longer of reference and command.
     position, velocity : array_like, shape (joints,), optional
         Start; default: at rest in the first row of the reference.
+    temperature : float or array_like, shape (N,), optional
+        Of the machine, °C; the last one stays. 20 where absent.
     inner : int
         Integration steps per sample, as for :func:`simulate`.
     check : bool
@@ -183,7 +186,7 @@ def simulate_loop(
     -------
     Recording
         Under the names of the model's ``[columns]`` (else position, command, reference): what the sensor said, the command, the
-        reference; and plant_q, plant_qd, plant_torque, the truth.
+        reference, the temperature where it was given; and plant_q, plant_qd, plant_torque, the truth.
 
     Raises
     ------
@@ -221,16 +224,19 @@ def simulate_loop(
     ff = _stretch(feed if feed is not None else np.zeros((1, n)), rows, hold=False)
 
     def run(steps: int) -> dict[str, Array]:
-        plant = Plant(model, rows + 1, inner=steps, position=start, velocity=velocity)
-        if callable(law):
-            return _python_loop(plant, law, rr, ff)
-        return _c_loop(plant, {} if open_loop else law, rr, ff)
+        plant = Plant(model, rows + 1, inner=steps, position=start, velocity=velocity, temperature=temperature)
+        out = _python_loop(plant, law, rr, ff) if callable(law) else _c_loop(plant, {} if open_loop else law, rr, ff)
+        return {**out, "command": plant.recorded_command(out["command"])}
 
     extra: dict[str, Any] = {"simulation": {"inner": inner, "model": model_text(model)}}
     if check:
         inner, extra["step_check"] = _converge(model, inner, lambda steps: run(steps)["q"])
         extra["simulation"]["inner"] = inner
-    return _recording(model, run(inner), rr if r is not None else None, extra)
+    out = run(inner)
+    if temperature is not None:
+        warmth = np.atleast_1d(np.asarray(temperature, dtype=np.float64))[:, None]
+        out["temperature"] = _stretch(warmth, len(out["measured"]), hold=True)
+    return _recording(model, out, rr if r is not None else None, extra)
 
 
 def _reference_rows(reference: Any, n: int, sample_time: float) -> tuple[Array | None, Array | None, str]:
@@ -311,6 +317,8 @@ def _recording(model: Model, out: dict[str, Array], r: Array | None, extra: dict
     put("command", out["command"], model.actuator.unit or torque)
     if r is not None:
         put("reference", r[: len(out["measured"])], unit)
+    if "temperature" in out:
+        put("temperature", out["temperature"], "°C")
     for name, key, u in (("plant_q", "q", unit), ("plant_qd", "qd", f"{unit}/s"), ("plant_torque", "torque", torque)):
         columns[name], units[name] = out[key] if out[key].shape[1] > 1 else out[key][:, 0], u
     columns, units = gather_vectors(columns, units)

@@ -28,6 +28,8 @@ typedef struct sim_config {
     const double *tree;          /* TREE_ROW numbers a joint */
     const int32_t *effect, *effect_joint; /* index into the library; joint, ascending */
     const double *effect_p;      /* SIM_P numbers an effect */
+    const double *temperature;   /* degrees C, one a sample; the last one stays */
+    int32_t temperatures, reserved;
 } sim_config;
 
 typedef struct { /* what an effect may look at (the names that the effects' C uses) */
@@ -35,10 +37,14 @@ typedef struct { /* what an effect may look at (the names that the effects' C us
     double u, tau;
     double oq, oqd, oqdd;
     double lag_t;
+    double temp;        /* degrees C */
 } zs;
 
 typedef struct sim_joint { /* what the effects of site "setup" set, and states */
     double delay, lag, k_spring, c_spring, j_load, gap, s0, s1, bw_force, bw_a, bw_n, j_extra;
+    double k_cubic, w_amp, w_order, w_phase; /* load = motor + w_amp sin(w_order motor + w_phase) */
+    double filter, seen;                     /* s; the position behind the filter */
+    double column_late;                      /* s: of the recorded command */
     int two_mass, lag_on;
     int motor;          /* degree of freedom on the motor side; the joint's own where it is rigid */
     double j_motor;     /* inertia on the motor side of an elastic joint */
@@ -50,6 +56,7 @@ typedef struct sim {
     sim_config c;
     sim_joint j[SIM_MAX];
     int dof, ticks, room;
+    int uneven, filtered;          /* whether a rigid transmission has an error, a sensor a filter */
     int first[SIM_MAX + 1];        /* effects of joint i: first[i] … first[i + 1] */
     double x[SIM_DOF], v[SIM_DOF]; /* position and speed: joints (load side), then motors of elastic joints */
     double across[SIM_MAX][SIM_MAX]; /* inertia couplings of the effects */

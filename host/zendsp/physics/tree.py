@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,19 +28,24 @@ class Body:
     mass: float  # kg
     com: Array  # m
     inertia: Array  # kg m^2, about the centre of mass
+    name: str = ""  # of the link
 
 
-def inverse_dynamics(
-    bodies: list[Body], gravity: Array, q: Array, qd: Array, qdd: Array
-) -> Array:
-    """Torque of each joint, N m or N, by recursive Newton-Euler; all of shape (n, joints)."""
-    n, joints = q.shape
-    R: list[tuple[Array, Array]] = []
-    W: list[Array] = []
-    WD: list[Array] = []
-    A: list[Array] = []
-    F: list[Array] = []
-    N: list[Array] = []
+@dataclass(frozen=True)
+class LinkMotion:
+    """How each link moves, in its own frame; every list has one entry a link, vectors are (n, 3)."""
+
+    turn: list[Array]  # of the link in its parent's frame, (3, 3) or (n, 3, 3)
+    place: list[Array]  # of its origin in its parent's frame, m
+    spin: list[Array]  # rad/s
+    spin_rate: list[Array]  # rad/s^2
+    push: list[Array]  # acceleration of its origin less gravity, m/s^2
+
+
+def link_motion(bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, qdd: Array) -> LinkMotion:
+    """Motion of every link for a motion of the joints (n, joints); gravity in the base's frame, m/s^2."""
+    n = len(q)
+    m = LinkMotion([], [], [], [], [])
     zero = np.zeros((n, 3))
     for k, b in enumerate(bodies):
         if b.slides:
@@ -48,8 +54,8 @@ def inverse_dynamics(
         else:
             turn, place = b.rotation @ _turn(b.axis, q[:, k]), np.broadcast_to(b.place, (n, 3))
         root = b.parent < 0
-        w, wd = (zero, zero) if root else (W[b.parent], WD[b.parent])
-        a = (zero - gravity) if root else A[b.parent]
+        w, wd = (zero, zero) if root else (m.spin[b.parent], m.spin_rate[b.parent])
+        a = (zero - gravity) if root else m.push[b.parent]
         a = a + _cross(wd, place) + _cross(w, _cross(w, place))
         w, wd, a = (np.einsum("nji,nj->ni", turn, v) for v in (w, wd, a))
         speed, rate = qd[:, k, None] * b.axis, qdd[:, k, None] * b.axis
@@ -58,12 +64,24 @@ def inverse_dynamics(
         else:
             wd = wd + rate + _cross(w, speed)
             w = w + speed
-        centre = a + _cross(wd, b.com) + _cross(w, _cross(w, b.com))
-        force = b.mass * centre
-        R.append((turn, place))
-        W.append(w)
-        WD.append(wd)
-        A.append(a)
+        m.turn.append(turn)
+        m.place.append(place)
+        m.spin.append(w)
+        m.spin_rate.append(wd)
+        m.push.append(a)
+    return m
+
+
+def inverse_dynamics(
+    bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, qdd: Array
+) -> Array:
+    """Torque of each joint, N m or N, by recursive Newton-Euler; all of shape (n, joints)."""
+    n, joints = q.shape
+    m = link_motion(bodies, gravity, q, qd, qdd)
+    F: list[Array] = []
+    N: list[Array] = []
+    for b, w, wd, a in zip(bodies, m.spin, m.spin_rate, m.push, strict=True):
+        force = b.mass * (a + _cross(wd, b.com) + _cross(w, _cross(w, b.com)))
         F.append(force)
         N.append(wd @ b.inertia + _cross(w, w @ b.inertia) + _cross(b.com, force))
     torque = np.empty((n, joints))
@@ -71,7 +89,7 @@ def inverse_dynamics(
         b = bodies[k]
         torque[:, k] = (F[k] if b.slides else N[k]) @ b.axis
         if b.parent >= 0:
-            turn, place = R[k]
+            turn, place = m.turn[k], m.place[k]
             force = np.einsum("nij,nj->ni", turn, F[k])
             F[b.parent] = F[b.parent] + force
             N[b.parent] = N[b.parent] + np.einsum("nij,nj->ni", turn, N[k]) + _cross(place, force)
@@ -79,7 +97,7 @@ def inverse_dynamics(
 
 
 def forward_dynamics(
-    bodies: list[Body], gravity: Array, q: Array, qd: Array, tau: Array
+    bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, tau: Array
 ) -> Array:
     """Acceleration of each joint in one state; all of shape (joints,)."""
     joints = len(bodies)
@@ -149,7 +167,7 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
             if not length > 0.0:
                 raise ModelError(f"{path}: joint {joint.attrib['name']!r} has an axis of no length")
             bodies.append(
-                Body(index, kind == "prismatic", axis / length, turn, at, 0.0, np.zeros(3), np.zeros((3, 3)))
+                Body(index, kind == "prismatic", axis / length, turn, at, 0.0, np.zeros(3), np.zeros((3, 3)), child)
             )
             visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
 
@@ -164,11 +182,12 @@ def _joined(b: Body, mass: float, com: Array, inertia: Array) -> Body:
     if total <= 0.0:
         return b
     centre = (b.mass * b.com + mass * com) / total
-    both = _about(b.mass, b.com - centre, b.inertia) + _about(mass, com - centre, inertia)
-    return Body(b.parent, b.slides, b.axis, b.rotation, b.place, total, centre, both)
+    both = about(b.mass, b.com - centre, b.inertia) + about(mass, com - centre, inertia)
+    return replace(b, mass=total, com=centre, inertia=both)
 
 
-def _about(mass: float, d: Array, inertia: Array) -> Array:
+def about(mass: float, d: Array, inertia: Array) -> Array:
+    """Inertia about a point that is ``d`` away from the centre of mass; ``inertia`` is about that centre."""
     return np.asarray(inertia + mass * (float(d @ d) * np.eye(3) - np.outer(d, d)))
 
 

@@ -33,6 +33,8 @@ class Finding:
     indistinguishable: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
     detail: str = ""  # of a coupling: its law and the joint that it comes from
+    mechanism: str = ""
+    body: str = ""  # the link, of a payload or a wrong body
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,15 @@ class Region:
     joint: int
     variable: str
     interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The smallest size of an effect that the recording would have shown, as the report states it."""
+
+    joint: int
+    effect: str
+    size: float
 
 
 @dataclass(frozen=True)
@@ -57,6 +68,10 @@ class Answer:
     noise_floor: float = math.nan
     seconds: float = math.nan  # wall clock of the whole command
     trouble: str = ""
+    refinements: tuple[Finding, ...] = ()
+    smallest: tuple[Smallest, ...] = ()
+    cpu: float = math.nan  # CPU seconds of the command and its children
+    untouched: tuple[float, float] = (math.nan, math.nan)  # error of the calibrated and of the improved model
 
     def to_json(self) -> dict[str, Any]:
         """Plain tables for a results file."""
@@ -64,21 +79,28 @@ class Answer:
 
     @staticmethod
     def from_json(table: Mapping[str, Any]) -> Answer:
-        findings = tuple(
-            Finding(
-                f["effect"],
-                f["joint"],
-                {k: Estimate(**v) for k, v in f["parameters"].items()},
-                f["confidence"],
-                tuple(f["indistinguishable"]),
-                tuple(f["replaces"]),
-                f.get("detail", ""),
-            )
-            for f in table["findings"]
-        )
         regions = tuple(Region(r["joint"], r["variable"], tuple(r["interval"])) for r in table["regions"])
-        rest = {k: v for k, v in table.items() if k not in ("findings", "regions", "times")}
-        return Answer(findings=findings, regions=regions, times=tuple(map(tuple, table["times"])), **rest)
+        made = {
+            "findings": tuple(kept_finding(f) for f in table["findings"]),
+            "refinements": tuple(kept_finding(f) for f in table["refinements"]),
+            "smallest": tuple(Smallest(**s) for s in table["smallest"]),
+            "regions": regions,
+            "times": tuple(map(tuple, table["times"])),
+            "untouched": tuple(table["untouched"]),
+        }
+        return Answer(**{**table, **made})
+
+
+def kept_finding(table: Mapping[str, Any]) -> Finding:
+    """A finding as a results file keeps it."""
+    return Finding(
+        **{
+            **table,
+            "parameters": {k: Estimate(**v) for k, v in table["parameters"].items()},
+            "indistinguishable": tuple(table["indistinguishable"]),
+            "replaces": tuple(table["replaces"]),
+        }
+    )
 
 
 def need(table: Mapping[str, Any], key: str, where: str) -> Any:
@@ -98,8 +120,7 @@ def number(value: Any, where: str) -> float:
     raise ContractError(f"report.json: {where} is {value!r}, expected a number")
 
 
-def read_finding(table: Mapping[str, Any], index: int) -> Finding:
-    where = f"findings[{index}]"
+def read_finding(table: Mapping[str, Any], where: str) -> Finding:
     parameters = {}
     for name, entry in need(table, "parameters", where).items():
         if not isinstance(entry, Mapping) or isinstance(entry.get("value"), str):
@@ -120,7 +141,14 @@ def read_finding(table: Mapping[str, Any], index: int) -> Finding:
         tuple(names(need(table, "indistinguishable", where))),
         tuple(names(need(table, "replaces", where))),
         f"{table['law']}, from joint {table['from_joint']}" if {"law", "from_joint"} <= set(table) else "",
+        str(table.get("mechanism", "")),
+        str(table.get("body", "")),
     )
+
+
+def read_findings(report: Mapping[str, Any], key: str) -> tuple[Finding, ...]:
+    """Every finding below one key of the report."""
+    return tuple(read_finding(f, f"{key}[{i}]") for i, f in enumerate(need(report, key, "the report")))
 
 
 def names(entries: Sequence[Any]) -> list[str]:
@@ -143,7 +171,7 @@ def read_report(path: Path, seconds: float) -> Answer:
     verdict = need(table, "verdict", "the report")
     if verdict not in VERDICTS:
         raise ContractError(f"report.json: verdict is {verdict!r}, expected one of {', '.join(VERDICTS)}")
-    findings = tuple(read_finding(f, i) for i, f in enumerate(need(table, "findings", "the report")))
+    findings = read_findings(table, "findings")
     if verdict == "complete" and findings:
         raise ContractError("report.json: verdict is complete but there are findings")
     if verdict == "missing" and not findings:
@@ -165,4 +193,9 @@ def read_report(path: Path, seconds: float) -> Answer:
         number(need(held, "improved", "fit.heldout"), "fit.heldout.improved"),
         number(need(fit, "noise_floor", "fit"), "fit.noise_floor"),
         seconds,
+        refinements=read_findings(table, "refinements") if "refinements" in table else (),
+        smallest=tuple(
+            Smallest(int(s["joint"]), str(s["effect"]), number(s["size"], "detectable.size"))
+            for s in table.get("detectable", ())
+        ),
     )

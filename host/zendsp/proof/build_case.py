@@ -2,50 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from zendsp.proof.case import Case as Case
+from zendsp.proof.case import NoUsableCase as NoUsableCase
+from zendsp.proof.case import Request as Request
+from zendsp.proof.case import Unusable as Unusable
 from zendsp.proof.conceal import KINDS
 from zendsp.proof.draft import Array, Concealed, Draft, Scale
 from zendsp.proof.effect_kit import inertia_of
 from zendsp.proof.files import NAMES, columns_of, format_for
 from zendsp.proof.given import model_file
 from zendsp.proof.machines import MACHINES
+from zendsp.proof.measure import apply_faults, jittered
 from zendsp.proof.oracle import Judge
 from zendsp.proof.reality import Run, inverse_dynamics, run
 from zendsp.proof.references import make_reference
 from zendsp.proof.rivals import inseparable
+from zendsp.proof.wam import urdf
 
 Rng = np.random.Generator
-
-
-@dataclass(frozen=True)
-class Request:
-    """What case to make."""
-
-    seed: int
-    kind: str  # a key of conceal.KINDS
-    machine: str = "rotary"
-    effect: str = ""  # for the kinds that conceal one effect
-    size: float = 1.0
-
-
-@dataclass(frozen=True)
-class Case:
-    """A finished case: what the tool sees, and the truth."""
-
-    train: Run
-    heldout: Run
-    model: dict[str, Any]
-    truth: dict[str, Any]
-    form: str
-    layout: str  # of the files: see Draft.layout
-
-
-class Unusable(RuntimeError):
-    """This draw makes no sensible recording; draw again."""
 
 
 def make_case(request: Request) -> Case:
@@ -53,7 +32,7 @@ def make_case(request: Request) -> Case:
 
     Raises
     ------
-    RuntimeError
+    NoUsableCase
         Twelve draws in a row gave no stable, well-behaved loop.
     """
     words = [
@@ -64,10 +43,23 @@ def make_case(request: Request) -> Case:
     trouble = ""
     for attempt in range(12):
         try:
-            return attempt_case(request, np.random.default_rng([*words, attempt]))
+            return attempting(request)(request, np.random.default_rng([*words, attempt]))
         except Unusable as error:
             trouble = str(error)
-    raise RuntimeError(f"no usable case for {request} in twelve draws; the last said: {trouble}")
+    raise NoUsableCase(f"no usable case for {request} in twelve draws; the last said: {trouble}")
+
+
+def attempting(request: Request) -> Callable[[Request, Rng], Case]:
+    """The maker of one draw, by who simulates it."""
+    if request.reality == "mujoco":
+        from zendsp.proof.mujoco import make
+
+        return make.attempt_case
+    if request.reality == "machines":
+        from zendsp.proof import shipped
+
+        return shipped.attempt_case
+    return attempt_case
 
 
 def attempt_case(request: Request, rng: Rng) -> Case:
@@ -87,7 +79,22 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     if d.open_loop:
         names.pop("reference")
     model = model_file(d, scales, columns_of(names, d.n, split), rng, f"{d.machine}_{request.seed}")
-    return Case(train, held, model, truth_of(d, request, scales), form, d.layout)
+    files = {"arm.urdf": urdf()} if d.kind == "urdf" else {}
+    truth = truth_of(d, request, scales)
+    untouched = record(d, d.heldout_shape, np.random.default_rng(rng.integers(2**63)), heldout=True)
+    check(d, untouched)
+    resolution = np.array([float(j["resolution"]) for j in d.joints])
+    train, held, untouched = (
+        logged(d, r, resolution, np.random.default_rng(rng.integers(2**63))) for r in (train, held, untouched)
+    )
+    return Case(train, held, model, truth, form, d.layout, untouched, files)
+
+
+def logged(d: Draft, r: Run, resolution: Array, rng: Rng) -> Run:
+    """The recording as the draft's logger writes it."""
+    if "jitter" in d.faults:
+        r = jittered(r, resolution, d.sample_time, rng)
+    return apply_faults(r, d.faults, d.sample_time, rng)
 
 
 def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool = False) -> Run:
@@ -232,12 +239,14 @@ def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
                 "size": c.size,
                 "accepted": c.accepted,
                 "accepted_joints": c.accepted_joints or [c.joint],
+                "mechanisms": c.mechanisms,
                 "unscored": c.unscored,
                 "note": c.note,
                 "oracle": look,
             }
             for c, look in zip(d.concealed, seen, strict=True)
         ],
+        "also_true": sorted(d.also_true),
         "replaces": d.replaces,
         "where": [place for c in d.concealed for place in c.where],
         "train": d.train_shape,

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from zendsp.proof.build_case import Request, make_case
+from zendsp.proof.build_case import NoUsableCase, Request, make_case
+from zendsp.proof.children import cluster, processes, workers
 from zendsp.proof.conceal import KINDS, PAIRS, REPLACEMENTS
 from zendsp.proof.effects import SINGLE
 from zendsp.proof.files import save, toml
+from zendsp.proof.foreign import NAMES as FOREIGN
 from zendsp.proof.machines import MACHINES
-from zendsp.proof.seal import seal, write_truth
-from zendsp.proof.wam import urdf
+from zendsp.proof.seal import digest, seal, write_truth
 
 SIZES = (1.0, 0.3, 0.1)
 # what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have no command to saturate
@@ -35,6 +36,8 @@ UNFIT = {
         "saturation",
     },
 }
+# how a complete machine is logged
+FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "origin")
 BEHIND = (
     "coulomb",
     "stribeck",
@@ -72,8 +75,13 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
         names = REPLACEMENTS
     elif kind in ("behind", "part"):
         names = tuple(e for e in (BEHIND if kind == "behind" else PART) if fits(machine, e))
+    elif kind == "foreign":  # names and sizes go round together
+        return [
+            Request(seed + k, kind, machine, FOREIGN[k % len(FOREIGN)], sizes[k % len(sizes)])
+            for k in range(count)
+        ]
     else:
-        names = ("",)
+        names = FAULTS if kind == "complete" else ("",)
     every = [(name, size) for size in sizes for name in names]
     return [
         Request(seed + k, kind, machine, *every[k % len(every)])
@@ -82,9 +90,17 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
 
 
 def write_case(order: Order) -> str:
-    """Make and write one case; returns one line for the terminal."""
+    """Make and write one case, unless its truth is there already; returns one line for the terminal.
+
+    A request whose draws make no sensible recording is left out: a campaign does not end with it.
+    """
     name = f"case_{order.number:04d}"
-    case = make_case(order.request)
+    if (Path(order.truth) / f"{name}.json").exists():  # written last
+        return f"{name} kept"
+    try:
+        case = make_case(order.request)
+    except NoUsableCase as error:
+        return f"{name} left out: {error}"
     folder = Path(order.cases) / name
     folder.mkdir(parents=True, exist_ok=True)
     columns = case.model["columns"]
@@ -97,22 +113,34 @@ def write_case(order: Order) -> str:
             ).name
         )
     (folder / "model.toml").write_text(toml(case.model), encoding="utf-8")
-    if order.request.machine == "urdf":
-        (folder / "arm.urdf").write_text(urdf(), encoding="utf-8")
+    for file, content in case.files.items():
+        (folder / file).write_text(content, encoding="utf-8")
     listing = {"train": train, "heldout": heldout, "model": "model.toml", "joints": case.train.q.shape[1]}
     (folder / "case.json").write_text(json.dumps(listing) + "\n", encoding="utf-8")
-    truth = {**case.truth, "case": name, "seed": order.request.seed}
-    write_truth(Path(order.truth), name, truth)
+    hidden = Path(order.truth)
+    hidden.mkdir(parents=True, exist_ok=True)
+    untouched = save(hidden, f"{name}_untouched", "npz", case.untouched, columns)
+    truth = {
+        **case.truth, "case": name, "seed": order.request.seed, "untouched": digest(untouched),
+        "reality": order.request.reality,
+    }  # fmt: skip
+    write_truth(hidden, name, truth)
     return f"{name} {order.request.machine} {order.request.kind}"
 
 
-def write_all(requests: list[Request], cases: Path, truth: Path, *, first: int = 1, jobs: int = 1) -> str:
-    """Write every case and seal the truth; returns the hash of the list of seals."""
-    orders = [Order(first + k, r, str(cases), str(truth)) for k, r in enumerate(requests)]
-    if jobs > 1:
-        with ProcessPoolExecutor(jobs) as pool:
-            for line in pool.map(write_case, orders):
-                print(line, file=sys.stderr)
+def write_all(
+    requests: list[Request], cases: Path, truth: Path, *, first: int = 1, jobs: int = 1, scheduler: str = ""
+) -> str:
+    """Write every case and seal the truth; returns the hash of the list of seals.
+
+    `jobs` at a time on this machine, or as the Dask cluster of `scheduler` has workers.
+    """
+    where = str(cases.resolve()), str(truth.resolve())
+    orders = [Order(first + k, r, *where) for k, r in enumerate(requests)]
+    if jobs > 1 or scheduler:
+        with workers(cluster(scheduler) if scheduler else processes(jobs)) as pool:
+            for done in as_completed([pool.submit(write_case, order) for order in orders]):
+                print(done.result(), file=sys.stderr)
     else:
         for order in orders:
             print(write_case(order), file=sys.stderr)

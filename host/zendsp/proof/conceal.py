@@ -90,6 +90,14 @@ def hide_pair(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng)
     d.terms[other] &= kept
 
 
+def prepare_complete(d: Draft, effect: str, rng: Rng) -> None:
+    """Only the logger has a fault, which the request names."""
+    if effect not in ("", "plain"):
+        d.faults.append(effect)
+    if effect == "filtered":
+        d.also_true.add("position_filter")
+
+
 def hide_nothing(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     """Complete: only figures are wrong."""
 
@@ -126,7 +134,7 @@ def prepare_hard(d: Draft, effect: str, rng: Rng) -> None:
 
 def hide_foreign(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
     joint = pick_joint(d, rng)
-    d.concealed.append(add_foreign(d, joint, scales[joint], size, rng))
+    d.concealed.append(add_foreign(d, effect, joint, scales[joint], size, rng))
 
 
 def prepare_behind(d: Draft, effect: str, rng: Rng) -> None:
@@ -190,7 +198,7 @@ KINDS: dict[str, Kind] = {
     "behind": Kind(prepare_behind, hide_behind),
     "part": Kind(prepare_part, hide_single),
     "replace": Kind(no_preparation, hide_replacement),
-    "complete": Kind(no_preparation, hide_nothing),
+    "complete": Kind(prepare_complete, hide_nothing),
     "complete_slow": Kind(prepare_slow, hide_nothing),
     "nuisance": Kind(prepare_nuisance, hide_nothing),
     "nuisance_single": Kind(prepare_nuisance, hide_single),

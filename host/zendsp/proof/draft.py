@@ -37,6 +37,8 @@ class Concealed:
     unscored: list[str] = field(default_factory=list)  # parameters that the given structure cannot separate
     note: str = ""
     where: list[dict[str, Any]] = field(default_factory=list)  # places that a locator should show
+    mechanisms: list[str] = field(default_factory=list)  # right besides the effect's own
+    body: str = ""  # the link whose body it is
 
 
 @dataclass
@@ -84,6 +86,8 @@ class Draft:
     down: tuple[float, float, float] = (0.0, 0.0, -9.81)
     centre: list[float] = field(default_factory=lambda: [0.0] * 7)  # of the motion, per joint
     stated_gain: list[float] = field(default_factory=list)  # torque per command unit that the model states
+    faults: list[str] = field(default_factory=list)  # of the logger: see zendsp.proof.measure
+    also_true: set[str] = field(default_factory=set)  # names that may stand beside the truth
     notes: list[str] = field(default_factory=list)
 
     @property

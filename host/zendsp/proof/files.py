@@ -61,7 +61,8 @@ def write_recording(path: Path, table: dict[str, Any]) -> None:
     else:
         head = ",".join(table)
         values = np.stack(list(table.values()), 1)
-        np.savetxt(path, values, fmt="%.10g", delimiter=",", header=head, comments="")
+        # a clock that counts from 1970 needs its sixteen digits; the first column is the time
+        np.savetxt(path, values, fmt=["%.16g"] + ["%.10g"] * (values.shape[1] - 1), delimiter=",", header=head, comments="")
 
 
 def write_hdf(path: Path, table: dict[str, Any]) -> None:

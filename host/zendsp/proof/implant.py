@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +17,10 @@ from scipy.io import loadmat, savemat
 from scipy.signal import butter, sosfiltfilt
 
 from zendsp.proof.answer import Answer, read_report
+from zendsp.proof.children import threads, workers
 from zendsp.proof.convert import Recordings, convert
 from zendsp.proof.draft import Array
+from zendsp.proof.mechanisms import SIZE
 from zendsp.proof.real import diagnose, model_folder
 from zendsp.proof.score import identity
 
@@ -44,6 +45,13 @@ class Implant:
         """Named first, or in the first finding's set."""
         first = self.answer.findings[0] if self.answer.findings else None
         return first is not None and self.effect in (first.effect, *first.indistinguishable)
+
+    @property
+    def above(self) -> bool | None:
+        """Larger than what the report says that the recording would have shown; None where it states no size."""
+        size = self.parameters.get(SIZE[self.effect], math.nan)
+        stated = [s.size for s in self.answer.smallest if s.effect == self.effect]
+        return abs(size) > min(stated) if stated else None
 
     def error(self) -> float | None:
         """Relative error of the leading parameter, where the very effect was found."""
@@ -136,7 +144,7 @@ def run_implants(
         return done
 
     wanted = [(e, x) for e in (EFFECTS[:2] if quick else EFFECTS) for x in (SIZES[:1] if quick else SIZES)]
-    with ThreadPoolExecutor(jobs) as pool:
+    with workers(threads(jobs)) as pool:
         return list(pool.map(lambda case: one(*case), wanted))
 
 
@@ -172,5 +180,13 @@ def implant_line(i: Implant) -> str:
 
 
 def implant_lines(done: list[Implant]) -> list[str]:
-    """One line per implant and a total."""
-    return [*map(implant_line, done), f"implants named first: {sum(i.named for i in done)} of {len(done)}"]
+    """One line per implant and a total; where reports state what they would have seen, the implants above that."""
+    lines = [*map(implant_line, done), f"implants named first: {sum(i.named for i in done)} of {len(done)}"]
+    above = [i for i in done if i.above]
+    if any(i.above is not None for i in done):
+        complete = sum(i.answer.verdict == "complete" for i in above)
+        lines.append(
+            f"above the size that the report states as seen: {sum(i.named for i in above)} of {len(above)} named first, "
+            f"{complete} called complete"
+        )
+    return lines

@@ -1,20 +1,28 @@
-"""Compares one answer with one sealed truth."""
+"""Compares one answer with one sealed truth: by mechanism, by law, and by what is named beyond the truth."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from zendsp.proof.answer import Answer, Finding
+from zendsp.proof.mechanisms import BODILY, MECHANISM, NEEDLESS, SIZE, mechanism_of
 
 # nothing to divide an error by: angles, and places that may lie near zero
 ANGLES = ("phase", "angle")
 PLACES = ("neutral",)
 Z90 = 1.645
-# kinds of case with a small slow random torque in the background
-NUISANCES = ("nuisance", "nuisance_single", "hard", "hard_complete")
+# a finding stated at least so sure that a wrong one misleads
+SURE = 0.8
+# error of the improved model over that of the calibrated one, above which untouched data are worse
+WORSE = 1.02
+
+# of the RMS torque: what a refit leaves of a foreign torque, below which "complete" is no wrong answer
+FAINTEST = 0.01
+
+Effect = Mapping[str, Any]  # one effect of a sealed truth
 
 
 @dataclass(frozen=True)
@@ -27,46 +35,123 @@ class Judgement:
     effects: tuple[str, ...]
     size: float
     detectable: bool
+    reality: str = "own"
+    mechanism: bool | None = None  # the first finding's mechanism acts, on that joint or body
+    law: bool | None = None  # and the law that it names is right
     strict: bool | None = None  # single effect: the very name first, on the right joint
-    named: bool | None = None  # first finding is right, or right set
-    both: bool | None = None  # pairs: both among the first two
+    named: bool | None = None  # single effect: first finding is right, or right set
+    both: bool | None = None  # several effects: all of them lead the findings
     replaced: bool | None = None  # the wrong law named as replaced, and the right ones found
     alarm: bool | None = None  # complete machines: something was claimed
-    refused: bool | None = None  # foreign torque: called unexplained, no physics claimed
+    refused: bool | None = None  # foreign torque: no law claimed
+    missed: bool | None = (
+        None  # called complete though larger than what the report says it would have seen
+    )
+    worse: bool | None = None  # the findings make an untouched recording worse
     set_size: int = 0  # of the first finding: itself and what it says it cannot tell from it
     errors: dict[str, float] = field(default_factory=dict)  # relative error per parameter
     covered: dict[str, bool] = field(default_factory=dict)  # 90 % interval holds the truth
     confidences: tuple[tuple[float, bool], ...] = ()  # stated, and whether that finding is right
-    extra: int = 0  # findings that match nothing in the truth
+    extra: int = 0  # findings beyond the truth
+    sure_wrong: bool = False  # a wrong name is stated as sure
     gap: float | None = None  # share of the gap that the improved model closes, held out
     localised: bool | None = None
     seconds: float = math.nan
+    cpu: float = math.nan
     said: str = ""  # for the list of failures
     trouble: str = ""
 
 
-def acceptable(effect: Mapping[str, Any]) -> set[str]:
+def acceptable(effect: Effect) -> set[str]:
     """Names that are right for one concealed effect on this recording."""
-    return {effect["effect"], *effect["accepted"], *effect.get("oracle", {}).get("inseparable", {})}
+    alike = set(effect.get("oracle", {}).get("inseparable", {})) - set(
+        NEEDLESS.get(effect["effect"], ())
+    )
+    return {effect["effect"], *effect["accepted"], *alike}
 
 
-def matches(finding: Finding, effect: Mapping[str, Any]) -> bool:
-    """The finding names the effect, or a set that holds it, on a joint where it acts."""
-    if finding.joint not in effect["accepted_joints"]:
+def mechanisms(effect: Effect) -> set[str]:
+    """Mechanisms that are right for it."""
+    named = {MECHANISM[name] for name in acceptable(effect) if name in MECHANISM}
+    return named | set(effect.get("mechanisms", ()))
+
+
+def placed(finding: Finding, effect: Effect) -> bool:
+    """The finding stands where the effect acts: on its body, or on its joint."""
+    if effect.get("body") and finding.effect in BODILY:
+        return finding.body in ("", effect["body"])
+    return finding.joint in effect["accepted_joints"]
+
+
+def matches(finding: Finding, effect: Effect) -> bool:
+    """The finding names the effect's law, or a set that holds it, where it acts."""
+    if not placed(finding, effect):
         return False
     return finding.effect in acceptable(effect) or effect["effect"] in finding.indistinguishable
 
 
-def assigned(findings: tuple[Finding, ...], effects: list[Mapping[str, Any]]) -> dict[int, int]:
+def same_mechanism(finding: Finding, effect: Effect) -> bool:
+    """The finding names the effect's mechanism where it acts, by whatever law."""
+    stated = mechanism_of(finding.effect, finding.mechanism)
+    return placed(finding, effect) and (stated in mechanisms(effect) or matches(finding, effect))
+
+
+def assigned(findings: Sequence[Finding], effects: Sequence[Effect]) -> dict[int, int]:
     """Truth index -> finding index, each finding used once, exact names first."""
     out: dict[int, int] = {}
     for exact in (True, False):
         for t, effect in enumerate(effects):
             for f, finding in enumerate(findings):
-                fits = matches(finding, effect) and (finding.effect == effect["effect"] or not exact)
+                fits = matches(finding, effect) and (
+                    finding.effect == effect["effect"] or not exact
+                )
                 if t not in out and f not in out.values() and fits:
                     out[t] = f
     return out
+
+
+def refined(answer: Answer, effects: Sequence[Effect], found: Mapping[int, int]) -> set[int]:
+    """Truths that stand among the refinements beside a larger one of their mechanism that was found."""
+    out = set()
+    for t, effect in enumerate(effects):
+        beside = any(
+            effects[other]["joint"] == effect["joint"]
+            and mechanism_of(effects[other]["effect"]) == mechanism_of(effect["effect"])
+            for other in found
+        )
+        if t not in found and beside and any(matches(r, effect) for r in answer.refinements):
+            out.add(t)
+    return out
+
+
+def rightness(
+    findings: Sequence[Finding], effects: Sequence[Effect], also_true: set[str]
+) -> list[str]:
+    """Of each finding: "law" where its law is right, "mechanism" where only that is, "" beyond the truth.
+
+    A second finding of a mechanism that acts once is beyond the truth, unless its law is right too.
+    """
+    out = [
+        "law" if f.effect in also_true or any(matches(f, e) for e in effects) else ""
+        for f in findings
+    ]
+    taken = {t for t, e in enumerate(effects) if any(matches(f, e) for f in findings)}
+    for k, finding in enumerate(findings):
+        if out[k]:
+            continue
+        for t, effect in enumerate(effects):
+            if t not in taken and same_mechanism(finding, effect):
+                out[k] = "mechanism"
+                taken.add(t)
+                break
+    return out
+
+
+def held_back(finding: Finding, effects: Sequence[Effect]) -> bool:
+    """A mechanism that acts, claimed without a law."""
+    if finding.effect == "disturbance":  # what no state explains: a mechanism that is its own law
+        return any("disturbance" in mechanisms(e) and placed(finding, e) for e in effects)
+    return finding.effect == "unknown" and any(same_mechanism(finding, e) for e in effects)
 
 
 def difference(name: str, found: float, true: float) -> float:
@@ -76,7 +161,7 @@ def difference(name: str, found: float, true: float) -> float:
 
 
 def compare_parameters(
-    finding: Finding, effect: Mapping[str, Any]
+    finding: Finding, effect: Effect
 ) -> tuple[dict[str, float], dict[str, bool]]:
     """Relative errors and 90 % coverage of the parameters that this case scores."""
     errors, covered = {}, {}
@@ -93,7 +178,7 @@ def compare_parameters(
     return errors, covered
 
 
-def located(answer: Answer, where: list[Mapping[str, Any]]) -> bool | None:
+def located(answer: Answer, where: Sequence[Mapping[str, Any]]) -> bool | None:
     """Whether a reported region, among the first three, holds the place where the truth acts."""
     if not where:
         return None
@@ -107,11 +192,8 @@ def located(answer: Answer, where: list[Mapping[str, Any]]) -> bool | None:
             continue
         for region in answer.regions[:3]:
             lo, hi = region.interval
-            if (
-                region.joint == place["joint"]
-                and region.variable == place["variable"]
-                and lo <= place["value"] <= hi
-            ):
+            here = region.joint == place["joint"] and region.variable == place["variable"]
+            if here and lo <= place["value"] <= hi:
                 return True
     return False
 
@@ -120,11 +202,39 @@ def describe(answer: Answer) -> str:
     """The answer in one short phrase."""
     if answer.trouble:
         return answer.trouble
-    words = [
-        f"{f.effect}@{f.joint}" + (f"~{'/'.join(f.indistinguishable)}" if f.indistinguishable else "")
-        for f in answer.findings
-    ]
+    words = []
+    for f in answer.findings:
+        name = f"{mechanism_of(f.effect, f.mechanism)}?" if f.effect == "unknown" else f.effect
+        also = f"~{'/'.join(f.indistinguishable)}" if f.indistinguishable else ""
+        words.append(f"{name}@{f.body or f.joint}{also}")
     return f"{answer.verdict}: {', '.join(words)}" if words else answer.verdict
+
+
+def overlooked(effects: Sequence[Effect], answer: Answer) -> bool | None:
+    """Called complete, though an effect is larger than the report says that the recording would have shown.
+
+    None where the report states no size for any of them.
+    """
+    known = []
+    for effect in effects:
+        name = SIZE.get(effect["effect"], "")
+        if name not in effect["parameters"]:
+            continue
+        size = abs(effect["parameters"][name]["value"])
+        known += [
+            size > s.size
+            for s in answer.smallest
+            if s.effect == effect["effect"] and s.joint in effect["accepted_joints"]
+        ]
+    return (answer.verdict == "complete" and any(known)) if known else None
+
+
+def worsened(answer: Answer) -> bool | None:
+    """Whether what was found makes the untouched recording worse; None where nothing was, or it was not tried."""
+    calibrated, improved = answer.untouched
+    if not answer.findings or math.isnan(calibrated) or math.isnan(improved):
+        return None
+    return improved > WORSE * calibrated
 
 
 def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
@@ -136,46 +246,89 @@ def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
         As sealed by ``zendsp.proof.cases``.
     answer : Answer
     """
-    effects: list[Mapping[str, Any]] = list(truth["effects"])
-    kind = truth["kind"]
-    physics = [e for e in effects if e["effect"] != "foreign"]
-    links = assigned(answer.findings, physics)
+    effects: list[Effect] = list(truth["effects"])
     first = answer.findings[0] if answer.findings else None
     table: dict[str, Any] = {
         "case": truth["case"],
         "machine": truth["machine"],
-        "kind": kind,
+        "kind": truth["kind"],
         "effects": tuple(e["effect"] for e in effects),
         "size": truth["size"],
+        "reality": truth.get("reality", "own"),
         "detectable": all(e.get("oracle", {}).get("detectable", True) for e in effects),
         "seconds": answer.seconds,
+        "cpu": answer.cpu,
         "said": describe(answer),
         "trouble": answer.trouble,
         "set_size": 1 + len(first.indistinguishable) if first else 0,
         "localised": located(answer, truth.get("where", [])),
+        "worse": worsened(answer),
     }
-    # a nuisance is a torque that no state explains: to call it a disturbance is true
-    also_true = {"disturbance"} if kind in NUISANCES else set()
+    also_true = set(truth.get("also_true", ()))
     if truth["verdict"] == "complete":
-        false = [f for f in answer.findings if f.effect not in also_true]
-        silent = answer.verdict == "complete" or bool(answer.findings)
-        table["alarm"] = None if answer.trouble else bool(false) or not silent
-        table["confidences"] = tuple((f.confidence, f.effect in also_true) for f in answer.findings)
-        return Judgement(**table)
+        return Judgement(**table, **of_nothing(answer, also_true))
+    physics = [e for e in effects if e["effect"] != "foreign"]
     if not physics:
-        table["refused"] = answer.verdict == "unexplained" and not answer.findings
-        table["confidences"] = tuple((f.confidence, False) for f in answer.findings)
-        return Judgement(**table)
-    right = [f.effect in also_true or any(matches(f, e) for e in physics) for f in answer.findings]
-    table["confidences"] = tuple((f.confidence, ok) for f, ok in zip(answer.findings, right, strict=True))
-    table["extra"] = len(right) - sum(right)
+        return Judgement(**table, **of_foreign(answer, effects, also_true))
+    return Judgement(**table, **of_physics(truth, answer, physics, also_true))
+
+
+def of_nothing(answer: Answer, also_true: set[str]) -> dict[str, Any]:
+    """Answers about a machine whose given model is complete: every name is an error."""
+    right = [f.effect in also_true for f in answer.findings]
+    unexplained = answer.verdict == "unexplained" and "unexplained" not in also_true
+    return {
+        "alarm": None
+        if answer.trouble
+        else not all(right) or (unexplained and not answer.findings),
+        **counted(answer, ["law" if ok else "" for ok in right]),
+    }
+
+
+def of_foreign(answer: Answer, effects: Sequence[Effect], also_true: set[str]) -> dict[str, Any]:
+    """Answers about a torque without a law: unexplained, or a mechanism that acts with no law claimed."""
+    right = [f.effect in also_true or held_back(f, effects) for f in answer.findings]
+    said = answer.verdict == "unexplained" or bool(answer.findings)
+    plain = max(e.get("oracle", {}).get("torque_share", 1.0) for e in effects) >= FAINTEST
+    unseen = answer.verdict == "complete" and not plain
+    return {
+        "refused": None if unseen else said and all(right),
+        **counted(answer, ["law" if ok else "" for ok in right]),
+    }
+
+
+def counted(answer: Answer, right: Sequence[str]) -> dict[str, Any]:
+    """What is counted over all findings, of the rightness of each."""
+    sound = [
+        r == "law" or (r == "mechanism" and f.effect == "unknown")
+        for f, r in zip(answer.findings, right, strict=True)
+    ]
+    stated = tuple((f.confidence, ok) for f, ok in zip(answer.findings, sound, strict=True))
+    return {
+        "confidences": stated,
+        "extra": sum(not r for r in right),
+        "sure_wrong": any(c >= SURE and not ok for c, ok in stated),
+    }
+
+
+def of_physics(
+    truth: Mapping[str, Any], answer: Answer, physics: Sequence[Effect], also_true: set[str]
+) -> dict[str, Any]:
+    """Answers about effects that have names."""
+    links = assigned(answer.findings, physics)
+    right = rightness(answer.findings, physics, also_true)
+    first = answer.findings[0] if answer.findings else None
+    table = counted(answer, right)
+    table["mechanism"] = first is not None and any(same_mechanism(first, e) for e in physics)
+    table["law"] = first is not None and any(matches(first, e) for e in physics)
+    table["missed"] = overlooked(physics, answer)
     leading = {t: f for t, f in links.items() if f < len(physics)}
     if len(physics) == 1:
         table["named"] = leading.get(0) == 0
         table["strict"] = bool(table["named"]) and answer.findings[0].effect == physics[0]["effect"]
-    elif kind == "pair":
-        table["both"] = len(leading) == len(physics)
-    if kind == "replace":
+    elif truth["kind"] in ("pair", "all"):
+        table["both"] = len(leading) + len(refined(answer, physics, leading)) == len(physics)
+    if truth["kind"] == "replace":
         gone = {name for f in answer.findings for name in f.replaces}
         table["replaced"] = len(leading) == len(physics) and set(truth["replaces"]) <= gone
     errors: dict[str, float] = {}
@@ -188,7 +341,7 @@ def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
     table["errors"], table["covered"] = errors, covered
     if len(leading) == len(physics) and all(e["effect"] != "disturbance" for e in physics):
         table["gap"] = gap_closed(answer)
-    return Judgement(**table)
+    return table
 
 
 def gap_closed(answer: Answer) -> float | None:

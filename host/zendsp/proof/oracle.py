@@ -110,9 +110,12 @@ class Judge:
 
 def observer(d: Draft, joint: int, inertia: float, rms: float) -> tuple[Array, Array, float]:
     """The steady Kalman observer as a filter from torque to innovation, and the innovation's variance from noise."""
-    dt, j = d.sample_time, d.joints[joint]
-    noise = j["resolution"] ** 2 * (1 / 12 + d.noise**2)
-    sigma = rms * np.hypot(PROCESS, d.nuisance)
+    noise = d.joints[joint]["resolution"] ** 2 * (1 / 12 + d.noise**2)
+    return steady_observer(d.sample_time, inertia, noise, rms * float(np.hypot(PROCESS, d.nuisance)))
+
+
+def steady_observer(dt: float, inertia: float, noise: float, sigma: float) -> tuple[Array, Array, float]:
+    """The same for a position noise of variance `noise` and a torque noise of deviation `sigma` per sample."""
     a = np.array([[1.0, dt], [0.0, 1.0]])
     b = np.array([[0.5 * dt**2], [dt]]) / inertia
     c = np.array([[1.0, 0.0]])

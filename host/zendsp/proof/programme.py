@@ -3,85 +3,164 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+import random
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from zendsp.proof.build_case import Request
+from zendsp.proof import shipped
+from zendsp.proof.case import Request
 from zendsp.proof.cases import plan, write_all
+from zendsp.proof.forms import FAINT
+from zendsp.proof.mujoco import programme as mujoco
 
 # (machine, kind, how many, sizes); 0: every effect once at every size
 FULL: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
     ("rotary", "single", 0, (1.0, 0.3, 0.1)),
-    ("rotary", "complete", 40, (1.0,)),
-    ("rotary", "complete_slow", 20, (1.0,)),
-    ("rotary", "nuisance", 20, (1.0,)),
+    ("rotary", "complete", 120, (1.0,)),
+    ("rotary", "complete_slow", 40, (1.0,)),
+    ("rotary", "nuisance", 40, (1.0,)),
     ("rotary", "pair", 18, (1.0,)),
-    ("rotary", "foreign", 14, (1.0,)),
+    ("rotary", "foreign", 84, FAINT),
     ("rotary", "replace", 12, (1.0, 0.3)),
     ("rotary", "behind", 12, (1.0,)),
     ("rotary", "part", 12, (1.0, 0.3)),
     ("rotary", "hard", 0, (0.3,)),
-    ("rotary", "hard_complete", 20, (1.0,)),
+    ("rotary", "hard_complete", 40, (1.0,)),
     ("pendulum", "single", 0, (0.3,)),
-    ("pendulum", "complete", 15, (1.0,)),
+    ("pendulum", "complete", 36, (1.0,)),
     ("pendulum", "pair", 4, (1.0,)),
     ("linear", "single", 0, (0.3,)),
-    ("linear", "complete", 15, (1.0,)),
-    ("linear", "foreign", 4, (1.0,)),
+    ("linear", "complete", 36, (1.0,)),
+    ("linear", "foreign", 14, FAINT),
     ("planar2r", "single", 0, (0.3,)),
-    ("planar2r", "complete", 15, (1.0,)),
+    ("planar2r", "complete", 30, (1.0,)),
     ("planar2r", "pair", 4, (1.0,)),
     ("urdf", "single", 7, (0.3,)),
-    ("urdf", "complete", 3, (1.0,)),
+    ("urdf", "complete", 6, (1.0,)),
 )
 QUICK: tuple[tuple[str, str, int, tuple[float, ...]], ...] = (
-    ("rotary", "single", 13, (1.0,)),
-    ("rotary", "complete", 4, (1.0,)),
+    ("rotary", "single", 8, (1.0,)),
+    ("rotary", "complete", 2, (1.0,)),
     ("rotary", "complete_slow", 1, (1.0,)),
     ("rotary", "nuisance", 1, (1.0,)),
-    ("rotary", "pair", 2, (1.0,)),
-    ("rotary", "foreign", 2, (1.0,)),
-    ("rotary", "replace", 2, (1.0,)),
-    ("pendulum", "single", 2, (1.0,)),
-    ("linear", "single", 2, (1.0,)),
+    ("rotary", "pair", 1, (1.0,)),
+    ("rotary", "foreign", 3, (0.1, 0.05, 0.02)),
+    ("rotary", "replace", 1, (1.0,)),
+    ("pendulum", "single", 1, (1.0,)),
+    ("linear", "single", 1, (1.0,)),
     ("planar2r", "single", 1, (1.0,)),
 )
 # development uses seeds below 500 000, the sealed set of development 710 000 and up
 FIRST_SEED = 2_000_000
+REALITIES = ("own", "machines", "mujoco")
 
 
-def requests(seed: int, quick: bool) -> list[Request]:
-    """Every case of a run; `seed` moves all of them."""
+def own(first_seed: int, turn: int, quick: bool) -> list[Request]:
+    """The cases of the own generator."""
     out: list[Request] = []
     for index, (machine, kind, count, sizes) in enumerate(QUICK if quick else FULL):
-        first = FIRST_SEED + 100_000 * seed + 1000 * index
+        first = first_seed + 1000 * index
         planned = plan(kind, machine, first, 0 if kind == "single" else count, sizes)
-        if kind == "single" and count:  # spread over the effects instead of the first ones of the table
+        if (
+            kind == "single" and count
+        ):  # spread over the effects instead of the first ones of the table
             step = max(1, len(planned) // count)
-            planned = [planned[(seed + k * step) % len(planned)] for k in range(count)]
+            planned = [planned[(turn + k * step) % len(planned)] for k in range(count)]
         out += planned
     return out
 
 
-def prepare(folder: Path, seed: int, quick: bool, jobs: int) -> tuple[Path, Path, str]:
+def requests(
+    seed: int, quick: bool, realities: Sequence[str] = ("own",), sample: int = 0
+) -> list[Request]:
+    """Every case of a run; `seed` moves all of them.
+
+    With `sample`, so many of them drawn by the seed: as many of each reality.
+    """
+    first = FIRST_SEED + 100_000 * seed
+    groups = []
+    for name in realities:
+        if name == "own":
+            groups.append(own(first, seed, quick))
+        elif name == "machines":
+            groups.append(shipped.requests(first + 40_000, quick))
+        else:  # MuJoCo itself is not needed to say what will be made
+            groups.append(mujoco.requests(first + 50_000, quick))
+    if sample:
+        rng = random.Random(seed)
+        shares = [sample // len(groups) + (k < sample % len(groups)) for k in range(len(groups))]
+        groups = [
+            [group[i] for i in sorted(rng.sample(range(len(group)), min(share, len(group))))]
+            for group, share in zip(groups, shares, strict=True)
+        ]
+    return [request for group in groups for request in group]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Where the cases of a run lie, and the hash of the list of their seals.
+
+    The hash is the one figure to write down before any diagnosis runs.
+    """
+
+    folder: Path
+    stamp: str
+
+    @property
+    def cases(self) -> Path:
+        return self.folder / "cases"
+
+    @property
+    def truth(self) -> Path:
+        return self.folder / "truth"
+
+
+def prepare(folder: Path, wanted: Sequence[Request], jobs: int, scheduler: str = "") -> Prepared:
     """Write the cases and seal their truth, or find those of an interrupted run.
 
-    Returns
-    -------
-    cases, truth : Path
-    stamp : str
-        Hash of the list of seals: the one figure to write down before any diagnosis runs.
+    Raises
+    ------
+    FileExistsError
+        `folder` holds other cases.
     """
-    cases, truth, note = folder / "cases", folder / "truth", folder / "programme.json"
-    wanted = requests(seed, quick)
-    text = json.dumps([asdict(r) for r in wanted])
+    note = folder / "programme.json"
+    asked = json.loads(json.dumps([asdict(r) for r in wanted]))
     if note.exists():
         kept = json.loads(note.read_text(encoding="utf-8"))
-        if kept["requests"] == json.loads(text):
-            return cases, truth, str(kept["stamp"])
-        raise FileExistsError(
-            f"{folder} holds another run (other seed, --quick or version); give another --out or remove it"
+        if kept["requests"] != asked:
+            raise FileExistsError(
+                f"{folder} holds another run (other seed, realities, --quick, --sample or version); "
+                "give another folder or remove it"
+            )
+        if kept["stamp"]:
+            return Prepared(folder, str(kept["stamp"]))
+    made = Prepared(folder, "")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_note(note, "", asked)  # an interrupted making goes on
+    stamp = write_all(list(wanted), made.cases, made.truth, jobs=jobs, scheduler=scheduler)
+    write_note(note, stamp, asked)
+    return Prepared(folder, stamp)
+
+
+def write_note(path: Path, stamp: str, asked: list[dict[str, Any]]) -> None:
+    """What was asked for, and the stamp once all of it is sealed."""
+    path.write_text(json.dumps({"stamp": stamp, "requests": asked}, indent=1), encoding="utf-8")
+
+
+def found(folder: Path) -> Prepared:
+    """The cases that were made under `folder` before.
+
+    Raises
+    ------
+    FileNotFoundError
+        There are none.
+    """
+    note = folder / "programme.json"
+    stamp = str(json.loads(note.read_text(encoding="utf-8"))["stamp"]) if note.exists() else ""
+    if not stamp:
+        raise FileNotFoundError(
+            f"{folder} holds no finished cases: make them with zendsp prove --make {folder}"
         )
-    stamp = write_all(wanted, cases, truth, jobs=jobs)
-    note.write_text(json.dumps({"stamp": stamp, "requests": json.loads(text)}, indent=1), encoding="utf-8")
-    return cases, truth, stamp
+    return Prepared(folder, stamp)

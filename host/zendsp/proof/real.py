@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from zendsp.physics.shipped import model_folder as model_folder
-from zendsp.proof.answer import Answer, ContractError, read_report
+from zendsp.proof.answer import Answer
+from zendsp.proof.children import command
 from zendsp.proof.convert import Recordings, altered, convert
-from zendsp.proof.score import COMMAND
+from zendsp.proof.score import asked
 
 
 @dataclass(frozen=True)
@@ -99,23 +98,10 @@ class Seen:
 
 def diagnose(model: Path, recordings: Recordings, out: Path, limit: float) -> Answer:
     """Run the command on a real recording."""
-    out.mkdir(parents=True, exist_ok=True)
-    line = [*COMMAND, *map(str, recordings.train), "--model", str(model), "--out", str(out), "--json"]
+    line = [*command("diagnose"), *map(str, recordings.train), "--model", str(model), "--json"]
     for path in recordings.heldout:
         line += ["--heldout", str(path)]
-    begin = time.perf_counter()
-    try:
-        done = subprocess.run(line, capture_output=True, text=True, timeout=limit)
-    except subprocess.TimeoutExpired:
-        return Answer("", trouble=f"no answer within {limit:g} s", seconds=limit)
-    seconds = time.perf_counter() - begin
-    if done.returncode != 0:
-        words = done.stderr.strip().splitlines() or ["no words"]
-        return Answer("", trouble=f"exit status {done.returncode}: {words[-1][:200]}", seconds=seconds)
-    try:
-        return read_report(out / "report.json", seconds)
-    except (ContractError, KeyError, TypeError, ValueError) as error:
-        return Answer("", trouble=f"broken report: {error}", seconds=seconds)
+    return asked(line, out, limit)
 
 
 def given_heldout(out: Path) -> float | None:

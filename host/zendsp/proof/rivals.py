@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from zendsp.proof.draft import Array, Draft, Scale
+from zendsp.proof.mechanisms import NEEDLESS
 from zendsp.proof.oracle import DETECTABLE, Judge
 
 
@@ -126,16 +127,6 @@ def lagged(drive: Array, seconds: float, dt: float) -> Array:
     return np.asarray(drive + (begin - drive) * (1 - decay) * seconds / dt)
 
 
-# a rival that contains the truth as a special case is not a rival but the truth with needless parameters
-CONTAINS: dict[str, tuple[str, ...]] = {
-    "viscous": ("viscous_asymmetry", "friction_drift"),
-    "coulomb": ("coulomb_asymmetry", "friction_drift", "position_friction", "presliding", "stribeck"),
-    "stiffness": ("cubic_stiffness",),
-    "torque_offset": ("stiffness", "cubic_stiffness"),
-    "coulomb_asymmetry": ("stiffness", "cubic_stiffness"),
-}
-
-
 def remainder(judge: Judge, rival: Rival) -> float:
     """Log-likelihood that is still missing with the best shape of a rival; smaller is a better rival."""
 
@@ -157,9 +148,10 @@ def inseparable(d: Draft, joint: int, scales: list[Scale], judge: Judge, truth: 
     """Names of the rivals that leave nothing detectable, with the log-likelihood that each leaves."""
     out = {}
     for name, rival in rivals(d, joint, scales, judge):
-        if name == truth or name in CONTAINS.get(truth, ()):
+        if name == truth or name in NEEDLESS.get(truth, ()):
             continue
         left = remainder(judge, rival)
         if left < DETECTABLE:
             out[name] = round(left, 2)
-    return out
+    needless = {more for name in out for more in NEEDLESS.get(name, ())}
+    return {name: left for name, left in out.items() if name not in needless}

@@ -8,60 +8,84 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import signal
-import subprocess
+import math
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict
+from concurrent.futures import as_completed
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import click
 
+from zendsp.proof import children
 from zendsp.proof.answer import Answer, ContractError, read_report
 from zendsp.proof.judge import Judgement, judge
 from zendsp.proof.scoreboard import failures, headline, text
 from zendsp.proof.seal import BrokenSeal, open_truth
 
 # rooms below zendsp/ whose code gives the answers
-JUDGED = ("diagnosis", "physics", "recording", "reference", "cli/diagnose.py")
-COMMAND = (sys.executable, "-c", "from zendsp.cli import main; main()", "diagnose")
+JUDGED = (
+    "diagnosis", "physics", "recording", "reference", "cli/diagnose.py", "proof/answer.py", "proof/untouched.py",
+)  # fmt: skip
 
 
-def diagnose(folder: Path, out: Path, limit: float, command: Sequence[str] = COMMAND) -> Answer:
-    """Run the command on one case within `limit` seconds; never raises for what the command does."""
+def diagnose(
+    folder: Path, out: Path, limit: float, *, hidden: Path | None = None, command: Sequence[str] = ()
+) -> Answer:
+    """Run the command on one case within `limit` seconds; never raises for what the command does.
+
+    Parameters
+    ----------
+    folder : path
+        Of the case.
+    out : path
+        Of the report.
+    limit : float
+        s.
+    hidden : path, optional
+        Folder of the truths: the untouched recording that lies there is tried after the diagnosis.
+    command : sequence of str
+        In place of ``zendsp diagnose``.
+    """
     listing = json.loads((folder / "case.json").read_text(encoding="utf-8"))
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "report.json").unlink(missing_ok=True)
-    line = [
-        *command,
-        *(str(folder / name) for name in listing["train"]),
-        "--model",
-        str(folder / listing["model"]),
-    ]
+    model = folder / listing["model"]
+    line = [*(command or children.command("diagnose")), *(str(folder / name) for name in listing["train"])]
+    line += ["--model", str(model)]
     for name in listing["heldout"]:
         line += ["--heldout", str(folder / name)]
-    line += ["--out", str(out), "--json", "--jobs", "1"]
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    begin = time.perf_counter()
-    with (out / "stderr.txt").open("w") as errors, (out / "stdout.txt").open("w") as output:
-        process = subprocess.Popen(line, stdout=output, stderr=errors, env=env, start_new_session=True)
-        try:
-            status = process.wait(limit)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            return Answer("", trouble=f"no answer within {limit:g} s", seconds=limit)
-    seconds = time.perf_counter() - begin
-    if status != 0:
-        words = (out / "stderr.txt").read_text(errors="replace").strip().splitlines() or ["no words"]
-        return Answer("", trouble=f"exit status {status}: {words[-1][:160]}", seconds=seconds)
+    answer = asked([*line, "--json", "--jobs", "1"], out, limit)
+    untouched = hidden / f"{folder.name}_untouched.npz" if hidden is not None else None
+    if answer.findings and untouched is not None and untouched.exists():
+        answer = replace(answer, untouched=tried(untouched, model, out, limit))
+    return answer
+
+
+def asked(line: Sequence[str], out: Path, limit: float) -> Answer:
+    """The answer of a command that writes its report under `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "report.json").unlink(missing_ok=True)
+    ended = children.run([*line, "--out", str(out)], out, limit)
+    if ended.status is None:
+        return Answer("", trouble=f"no answer within {limit:g} s", seconds=limit, cpu=ended.cpu)
+    if ended.status != 0:
+        words = f"exit status {ended.status}: {ended.last_words[:160]}"
+        return Answer("", trouble=words, seconds=ended.seconds, cpu=ended.cpu)
     try:
-        return read_report(out / "report.json", seconds)
+        return replace(read_report(out / "report.json", ended.seconds), cpu=ended.cpu)
     except (ContractError, KeyError, TypeError, ValueError) as error:
-        return Answer("", trouble=f"broken report: {error}", seconds=seconds)
+        return Answer("", trouble=f"broken report: {error}", seconds=ended.seconds, cpu=ended.cpu)
+
+
+def tried(recording: Path, model: Path, out: Path, limit: float) -> tuple[float, float]:
+    """Error of the calibrated and of the improved model on a recording that the diagnosis never saw; NaN where unknown."""
+    words = (str(recording), str(model), str(out / "calibrated.toml"), str(out / "model.toml"))
+    spot = out / "untouched"
+    ended = children.run(children.module("zendsp.proof.untouched", *words), spot, limit)
+    if ended.status != 0:
+        return math.nan, math.nan
+    calibrated, improved = json.loads((spot / "stdout.txt").read_text(encoding="utf-8"))
+    return float(calibrated), float(improved)
 
 
 def identity(*rooms: str) -> str:
@@ -100,15 +124,20 @@ def answers(
     limit: float,
     ask: Callable[[Path, Path, float], Answer] = diagnose,
     code: str = "",
+    scheduler: str = "",
 ) -> Iterator[tuple[str, Answer]]:
-    """Yield (case, answer) as they come, those of an earlier run first; each new one is kept on disk at once."""
+    """Yield (case, answer) as they come, those of an earlier run first; each new one is kept on disk at once.
+
+    `jobs` at a time on this machine, or as the Dask cluster of `scheduler` has workers.
+    """
     log = out.with_suffix(".jsonl")
     log.parent.mkdir(parents=True, exist_ok=True)
     known = known_answers(log, code)
     yield from ((f.name, known[f.name]) for f in folders if f.name in known)
     todo = [f for f in folders if f.name not in known]
     reports = out.parent / f"{out.stem}_reports"
-    with ThreadPoolExecutor(jobs) as pool:
+    workers = children.cluster(scheduler) if scheduler else children.threads(jobs)
+    with children.workers(workers) as pool:
         running = {pool.submit(ask, f, reports / f.name, limit): f.name for f in todo}
         for future in as_completed(running):
             name, answer = running[future], future.result()
@@ -153,7 +182,8 @@ def main(cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bo
         out.with_suffix(".jsonl").unlink(missing_ok=True)
     judged: list[Judgement] = []
     folders = [cases / name for name in chosen]
-    for count, (name, answer) in enumerate(answers(folders, out, jobs, limit, code=identity()), 1):
+    ask = partial(diagnose, hidden=truth)
+    for count, (name, answer) in enumerate(answers(folders, out, jobs, limit, ask, identity()), 1):
         j = judge(truths[name], answer)
         judged.append(j)
         mark = "FAIL" if failures([j]) else "ok"

@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,11 @@ from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, element_names, gather_vectors, listing
 from zendsp.recording.recording import Channel, ParameterChange, Recording
-from zendsp.recording.table import _upright, read_raw
+from zendsp.recording.roles import Role, role_of
+from zendsp.recording.table import READERS, _upright, read_raw
+from zendsp.recording.units import in_si
 
+WRITERS = (".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4")
 CHECK = "checksum"
 FORM = 1  # version of the layout below; readers refuse what is newer
 FIELDS = (
@@ -52,25 +56,18 @@ def check_suffix(path: str | Path) -> None:
     Raises
     ------
     RecordingError
-        Its suffix is none of ``.mat``, ``.npz``, ``.parquet``, ``.csv``.
+        Its suffix is none of :data:`WRITERS`.
     """
     _writer(Path(path))
 
 
 def _writer(path: Path) -> Callable[[Recording, str, Path], None]:
     suffix = path.suffix.lower()
-    if suffix == ".mat":
-        from zendsp.recording.formats.mat import write
-    elif suffix == ".npz":
-        from zendsp.recording.formats.npz import write
-    elif suffix == ".parquet":
-        from zendsp.recording.formats.parquet import write
-    elif suffix == ".csv":
-        from zendsp.recording.formats.csv import write
-    else:
+    if suffix not in WRITERS:
         raise RecordingError(
-            f"{path}: unknown kind of file {suffix or path.name!r}; choose .mat, .npz, .parquet or .csv"
+            f"{path}: unknown kind of file {suffix or path.name!r}; choose {', '.join(WRITERS[:-1])} or {WRITERS[-1]}"
         )
+    write: Callable[[Recording, str, Path], None] = import_module(f"zendsp.recording.formats.{READERS[suffix]}").write
     return write
 
 
@@ -108,12 +105,7 @@ def _plain(value: Any) -> Any:
 
 def load(path: Path) -> Recording:
     """See :meth:`Recording.load`."""
-    try:
-        raw = read_raw(path)
-    except RecordingError:
-        raise
-    except Exception as error:  # on damaged bytes the libraries raise whatever they ran into
-        raise RecordingError(f"{path}: is damaged: it cannot be read ({type(error).__name__}: {error})") from error
+    raw = read_raw(path)
     return _own(path, raw) if raw.circumstances else _foreign(path, raw)
 
 
@@ -161,8 +153,9 @@ def _matrix(path: Path, columns: Mapping[str, FloatArray], channels: tuple[Chann
 
 
 def _foreign(path: Path, raw: Raw) -> Recording:
-    columns, units = gather_vectors({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
-    time = next((name for name in TIMES if name in columns), None)
+    columns, units, notes = in_si({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
+    columns, units = gather_vectors(columns, units)
+    time = next((n for n in (*TIMES, *columns) if n in columns and (n in TIMES or role_of(n, units[n]) is Role.TIME)), None)
     if time is None:
         raise RecordingError(
             f"{path}: has no time column ({' or '.join(TIMES[:2])}); it has {listing(list(columns))}. "
@@ -170,4 +163,4 @@ def _foreign(path: Path, raw: Raw) -> Recording:
         )
     t = columns.pop(time)
     units.pop(time, None)
-    return Recording.from_columns(columns, t=t, units=units, extra={"constants": raw.constants})
+    return Recording.from_columns(columns, t=t, units=units, extra={"constants": raw.constants, "notes": [*raw.notes, *notes]})

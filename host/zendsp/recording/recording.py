@@ -238,7 +238,7 @@ class Recording:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the recording; the suffix chooses: ``.mat`` (v5), ``.npz``, ``.parquet`` or ``.csv``.
+        """Write the recording; the suffix chooses: ``.mat`` (v5), ``.npz``, ``.parquet``, ``.csv``, ``.mcap`` or ``.mf4``.
 
         The file appears complete or not at all (written beside, then renamed).
         """
@@ -248,7 +248,7 @@ class Recording:
 
     @classmethod
     def load(cls, path: str | Path) -> Recording:
-        """Read a recording written by :meth:`save`, or any table with a column ``t`` or ``time``.
+        """Read a recording written by :meth:`save`, or any table with a column of time, in SI units.
 
         Raises
         ------

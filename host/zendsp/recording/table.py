@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,28 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, split_unit
+from zendsp.recording.units import in_si
 
-SUFFIXES = (".csv", ".txt", ".csv.gz", ".mat", ".npz", ".parquet")
+READERS = {  # suffix: module of zendsp.recording.formats
+    ".csv": "csv", ".tsv": "csv", ".txt": "csv", ".csv.gz": "csv", ".tsv.gz": "csv", ".mat": "mat", ".npz": "npz",
+    ".parquet": "parquet", ".h5": "hdf5", ".hdf5": "hdf5", ".mcap": "mcap", ".db3": "ros", ".bag": "ros", ".mf4": "mdf",
+    ".mdf": "mdf", ".tdms": "tdms",
+}  # fmt: skip
+BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
+CONVERSIONS = {  # suffixes of what is not read: the command that makes something of it that is
+    ".xlsx": "libreoffice --headless --convert-to csv {path}",
+    ".xls": "libreoffice --headless --convert-to csv {path}",
+    ".ods": "libreoffice --headless --convert-to csv {path}",
+    ".ulg": "pip install pyulog && ulog2csv {path}",
+    ".blf": "pip install asammdf[gui] && asammdf  (Open, then Bus logging, then Save as .mf4)",
+    ".feather": "python -c \"import pandas; pandas.read_feather('{path}').to_csv('{stem}.csv', index=False)\"",
+    ".pkl": "python -c \"import pandas; pandas.read_pickle('{path}').to_csv('{stem}.csv')\"",
+    ".json": "python -c \"import pandas; pandas.read_json('{path}').to_csv('{stem}.csv', index=False)\"",
+    ".sldata": "matlab -batch \"load {path} -mat; save {stem}.mat -v7.3\"",
+    ".zip": "unzip {path}",
+    ".gz": "gunzip {path}",
+    ".zst": "unzstd {path}",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +50,15 @@ class Table:
         Numbers that stand beside the columns (a MAT file's ``kp``, ``dt``, …).
     path : Path
         Where it came from.
+    notes : tuple of str
+        What was done to the numbers: units converted, clocks joined.
     """
 
     columns: Mapping[str, FloatArray]
     units: Mapping[str, str] = field(default_factory=dict)
     constants: Mapping[str, float] = field(default_factory=dict)
     path: Path = Path()
+    notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a column; ``"q[1]"`` is one column of a vector, ``"q1 [rad]"`` is ``"q1"``.
@@ -61,12 +85,15 @@ class Table:
 
 
 def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
-    """Read a table of numbers: ``.csv``, ``.mat`` (v5, v7.3), ``.npz`` or ``.parquet``, zendsp's own or foreign.
+    """Read a table of numbers in SI units from a file of any of the kinds below, zendsp's own or foreign.
+
+    CSV and TSV, MAT (v5, v7.3), NPZ, Parquet, HDF5, MDF, TDMS, MCAP and bags of ROS. What is in degrees, milliseconds, rpm,
+    mN m … by a header, a row of units, the file's own unit, or a name such as ``theta_deg`` is converted.
 
     Parameters
     ----------
     path : path
-        Any of :data:`SUFFIXES`.
+        Its suffix says what it is; a folder is a bag of rosbag2.
     columns : sequence of str, optional
         Read and check these only; the others may then be of any length or kind.
 
@@ -95,26 +122,46 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
 
 def read_raw(path: Path) -> Raw:
     """Read a file by its suffix, without deciding what it means."""
-    suffix = "".join(path.suffixes[-2:]).lower() if path.suffix == ".gz" else path.suffix.lower()
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
+    suffix = _suffix(path)
     if path.is_dir():
-        raise RecordingError(f"{path}: is a folder; give a file ({', '.join(SUFFIXES)})")
-    if path.stat().st_size == 0:
+        if not (path / BAG).exists():
+            raise RecordingError(f"{path}: is a folder; give a file ({', '.join(READERS)}), or a bag of rosbag2 ({BAG} is in it)")
+        suffix = ".db3"
+    elif path.stat().st_size == 0:
         raise RecordingError(f"{path}: is empty (0 bytes)")
-    if suffix in (".csv", ".txt", ".csv.gz"):
-        from zendsp.recording.formats import csv as reader
-    elif suffix == ".mat":
-        from zendsp.recording.formats import mat as reader  # type: ignore[no-redef]
-    elif suffix == ".npz":
-        from zendsp.recording.formats import npz as reader  # type: ignore[no-redef]
-    elif suffix == ".parquet":
-        from zendsp.recording.formats import parquet as reader  # type: ignore[no-redef]
-    else:
-        raise RecordingError(
-            f"{path}: unknown kind of file {suffix or path.name!r}; expected {', '.join(SUFFIXES)}"
-        )
-    return reader.read(path)
+    if suffix not in READERS:
+        raise RecordingError(f"{path}: unknown kind of file {suffix or path.name!r}; {_convert(path)}")
+    reader = import_module(f"zendsp.recording.formats.{READERS[suffix]}")
+    try:
+        raw: Raw = reader.read(path)
+    except (RecordingError, MemoryError):
+        raise
+    except OSError as error:
+        if error.errno is not None:
+            raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
+        raise _damaged(path, error) from error
+    except Exception as error:  # on damaged bytes the libraries raise whatever they ran into
+        raise _damaged(path, error) from error
+    return raw
+
+
+def _suffix(path: Path) -> str:
+    return "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
+
+
+def _convert(path: Path) -> str:
+    command = CONVERSIONS.get(path.suffix.lower())
+    if command is None:
+        return f"expected {', '.join(READERS)}"
+    return f"convert it: {command.format(path=path, stem=path.with_suffix(''))}"
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    return RecordingError(
+        f"{path}: is damaged, cut short, or no {_suffix(path)} file: it cannot be read ({type(error).__name__}: {error})"
+    )
 
 
 def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
@@ -123,16 +170,17 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
             bare = split_unit(name)[0]
             if bare in raw.refused:
                 raise RecordingError(f"{path}: column {name!r} {raw.refused[bare]}")
-    columns = {name: _upright(values) for name, values in raw.columns.items()}
-    joined, units = gather_vectors(columns, raw.units) if _equal(columns) else (columns, dict(raw.units))
-    table = Table(joined, units, raw.constants, path)
+    columns, in_units, notes = in_si({name: _upright(values) for name, values in raw.columns.items()}, raw.units)
+    notes = raw.notes + notes
+    joined, units = gather_vectors(columns, in_units) if _equal(columns) else (columns, in_units)
+    table = Table(joined, units, raw.constants, path, notes)
     if wanted is not None:
         chosen = {name: table[name] for name in wanted}
-        return Table(_same_length(path, chosen), {n: _unit(units, n) for n in chosen}, raw.constants, path)
+        return Table(_same_length(path, chosen), {n: _unit(units, n) for n in chosen}, raw.constants, path, notes)
     if not joined:
         why = "; ".join(f"{name} {reason}" for name, reason in list(raw.refused.items())[:3])
         raise RecordingError(f"{path}: holds no column of numbers{f' ({why})' if why else ''}")
-    return Table(_same_length(path, joined), units, raw.constants, path)
+    return Table(_same_length(path, joined), units, raw.constants, path, notes)
 
 
 def _unit(units: Mapping[str, str], name: str) -> str:

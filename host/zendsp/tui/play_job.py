@@ -13,21 +13,14 @@ from typing import Any
 import numpy as np
 
 from zendsp.errors import Refused, ZendspError
+from zendsp.link.link import background
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
-from zendsp.tui.playing import (
-    Player,
-    Playlist,
-    Setup,
-    find_player,
-    lead_time,
-    make_playlist,
-    player_values,
-    present_position,
-)
+from zendsp.tui.playing import Player, Setup, present_position
 from zendsp.tui.port import Port, Shot
 from zendsp.tui.runs import Run, store_run
 from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.trial import Plan, Trial, make_plan
 
 LOOK_S = 0.05
 REST_S = 1.0  # for an arm to come to rest under its control law
@@ -66,16 +59,18 @@ class PlayJob:
         setup: Setup,
         runs: Path,
         sources: dict[str, str],
+        trial: Trial,
     ) -> None:
         self.progress = Progress("starting", 0.0)
         self.result: Future[Run | None] = Future()
         self._session, self._references, self._files = session, tuple(references), tuple(files)
         self._machine, self._setup, self._runs, self._sources = machine, setup, runs, sources
+        self._trial = trial
         self._abort = threading.Event()
 
     def start(self) -> None:
         """Begin."""
-        threading.Thread(target=self._run, name="tui-play", daemon=True).start()
+        background("tui-play", self._run)
 
     def abort(self) -> None:
         """End softly: what was acquired so far is kept."""
@@ -100,23 +95,17 @@ class PlayJob:
 
     def _play(self, port: Port) -> Run | None:
         snapshot = port.snapshot()
-        player = find_player(snapshot.variables)
-        here = present_position(snapshot, self._machine.joints)
-        if player is None or here is None:
-            raise Refused("the loaded program cannot play a table: see the preflight list")
-        playlist = make_playlist(self._references, self._machine, here, self._setup, player)
-        values = player_values(player, playlist)
-        lead = lead_time(player)
-        total = lead + playlist.duration + 0.1
-        if not self._rehearse(port, player, playlist, values, total):
-            return None
-        if snapshot.state == "running":
+        if snapshot.state == "running":  # what is tried begins where the arm then is
             port.pause()
-        if player.torque_table:  # first: the motion begins when `ref` switches over
-            port.fill(player.torque_table, playlist.torque)
-        port.fill(player.table, playlist.rows)
-        if values:
-            port.update(values)
+            snapshot = port.snapshot()
+        plan = make_plan(snapshot, self._references, self._machine, self._setup)
+        player, playlist, lead, total = plan.player, plan.playlist, plan.lead, plan.seconds
+        if not self._rehearse(port, plan):
+            return None
+        for name, rows in plan.tables.items():
+            port.fill(name, rows)
+        if plan.values:
+            port.update(plan.values)
         before = port.snapshot()
         begins, ends = playlist.play
         if self._setup.acquire:
@@ -129,17 +118,14 @@ class PlayJob:
             return None
         return self._keep(port, player, before, outcome, (begins + lead, ends + lead))
 
-    def _rehearse(
-        self, port: Port, player: Player, playlist: Playlist, values: dict[str, Any], seconds: float
-    ) -> bool:
-        """Try the run on a simulated twin before anything moves; False where it was aborted meanwhile."""
+    def _rehearse(self, port: Port, plan: Plan) -> bool:
+        """Try the run on a simulated twin before anything moves, if the preflight has not; False where it was aborted meanwhile."""
 
         def tell(share: float) -> None:
             self.progress = Progress("simulating", share)
 
         tell(0.0)
-        tables = {player.torque_table: playlist.torque} if player.torque_table else {}
-        found = port.rehearse({**tables, player.table: playlist.rows}, values, seconds, tell)
+        found = self._trial.found(plan) or port.rehearse(plan.tables, plan.values, plan.seconds, tell)
         if found.trip is not None:
             raise Refused(f"nothing was moved: {found.text}")
         self._session.events.add(f"run: {found.text}", "info" if found.good else "warning")

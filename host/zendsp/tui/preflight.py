@@ -8,8 +8,10 @@ from pathlib import Path
 
 from zendsp.errors import ReferenceError_
 from zendsp.reference import MACHINES, Machine, Reference, load_machine
-from zendsp.tui.playing import Player, Setup, find_player, make_playlist, present_position
+from zendsp.tui.playing import Setup, find_player, present_position
+from zendsp.tui.port import Port
 from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.trial import Plan, Trial, make_plan
 
 
 @dataclass(frozen=True)
@@ -27,10 +29,12 @@ def machine_of(snapshot: Snapshot) -> Machine | None:
 
 
 def preflight(
-    snapshot: Snapshot, references: Sequence[Reference], files: Sequence[Path], setup: Setup, busy: bool
-) -> list[Condition]:
-    """Return every condition of Start, in the order in which one would see to them."""
+    snapshot: Snapshot, references: Sequence[Reference], files: Sequence[Path], setup: Setup, busy: bool,
+    trial: Trial, port: Port | None,
+) -> list[Condition]:  # fmt: skip
+    """Return every condition of Start, in the order in which one would see to them; has the run tried where it can be."""
     s = snapshot
+    plan = None
     found = [Condition("link to a target", s.link == "up", "Ctrl+O connects")]
     machine = machine_of(s)
     found.append(
@@ -54,8 +58,10 @@ def preflight(
     if references and machine is not None:
         found.append(_fits(references, machine))
         if player is not None:
-            found.append(_playable(s, references, machine, setup, player))
-            found.append(Condition("Start tries the run on a simulated twin first", True))
+            plan, playable = _playable(s, references, machine, setup)
+            found.append(playable)
+            if plan is not None:
+                found.append(_tried(plan, trial, s.state == "running"))
     found.append(
         Condition(
             "no trip, no STOP",
@@ -75,6 +81,7 @@ def preflight(
         Condition("channels exist", not missing, f"the program has no {', '.join(missing)}: choose again (a)")
     )
     found.append(Condition("no run in progress", not busy, "abort it with b"))
+    trial.look(None if busy or s.state == "running" else plan, port)
     return found
 
 
@@ -104,13 +111,24 @@ def _fits(references: Sequence[Reference], machine: Machine) -> Condition:
 
 
 def _playable(
-    s: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup, player: Player
-) -> Condition:
-    here = present_position(s, machine.joints)
-    if here is None:
-        return Condition("position known", False, "no encoder readings come from the target")
+    s: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup
+) -> tuple[Plan | None, Condition]:
+    if present_position(s, machine.joints) is None:
+        return None, Condition("position known", False, "no encoder readings come from the target")
     try:
-        playlist = make_playlist(references, machine, here, setup, player)
+        plan = make_plan(s, references, machine, setup)
     except ReferenceError_ as error:
-        return Condition("can be played from here", False, str(error))
-    return Condition(f"can be played from here: {playlist.duration:.1f} s in all", True)
+        return None, Condition("can be played from here", False, str(error))
+    return plan, Condition(f"can be played from here: {plan.playlist.duration:.1f} s in all", True)
+
+
+def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:
+    """What the run would do by the simulated twin, before Start."""
+    found, problem = trial.found(plan), trial.problem(plan)
+    if found is not None:
+        return Condition(found.text, True) if found.trip is None else Condition("no limit is passed", False, found.text)
+    if moving:
+        return Condition("a program runs: Start pauses it, and tries the run on a simulated twin first", True)
+    if problem:
+        return Condition("tried on a simulated twin", False, problem)
+    return Condition("tried on a simulated twin", False, f"in progress, {100 * trial.share:.0f} %")

@@ -75,11 +75,12 @@ async def _execute(folder: Path, work: Path) -> list[Path]:
         app.chosen = (work / "references" / "circle.mat",)
         await _keys(pilot, "f3")
         await pilot.pause(1.0)
+        screen = app.screen
+        assert isinstance(screen, ExecuteScreen)
+        await _until(pilot, lambda: bool(screen.references) and all(c.met for c in screen.conditions))
         await _keys(pilot, "s")
         await _until(pilot, lambda: app.session.snapshot.t > 4.0)
         made.append(_write(app, folder / "execute.svg"))
-        screen = app.screen
-        assert isinstance(screen, ExecuteScreen)
         await _until(pilot, lambda: bool(screen.runs))
         await pilot.pause(1.0)
         await _keys(pilot, "space")

@@ -15,16 +15,18 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from zendsp.errors import LinkError, NotStopped, ZendspError
+from zendsp.link.link import background
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.stopper import EMERGENCY, STOPPERS, Stopper
+from zendsp.tui.stopper import EMERGENCY, STOPPERS, Field, Stopper
 
 T = TypeVar("T")
 SHOWN_S = 5.0  # at the least, of the word that the machine stopped
 POLL_S = 0.1  # between snapshots
 RETRY_S = 0.4  # between attempts to reconnect
+END_S = 3.0  # for all threads to end
 SILENCE_S = 3.0  # of curves while the program runs, after which they are asked for again
 
 
@@ -59,33 +61,30 @@ class Session:
         self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
         self.verdict: Verdict | None = None
         self.stopper: Stopper | None = None
-        self._stops: queue.SimpleQueue[Future[str]] = queue.SimpleQueue()
+        self._guarded = ""
+        self._stops: queue.SimpleQueue[Future[str] | None] = queue.SimpleQueue()
         self._live: Callable[[], None] | None = None
         self._live_wanted = False
         self._heard = (0, 0, 0.0)  # rows of the history, tick and time when a row last came
         self._lock = threading.Lock()
-        self._threads = [
-            threading.Thread(target=self._poll, name="tui-poller", daemon=True),
-            threading.Thread(target=self._work, name="tui-worker", daemon=True),
-        ]
-        for number in range(STOPPERS):
-            threading.Thread(target=self._stop, name=f"tui-stop-{number}", daemon=True).start()
+        self._threads = [background(f"tui-stop-{number}", self._stop) for number in range(STOPPERS)]
 
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start the threads."""
-        for thread in self._threads:
-            thread.start()
+        self._threads += [background("tui-poller", self._poll), background("tui-worker", self._work)]
 
     def close(self) -> None:
         """Leave the target as it is and end the threads."""
         self._closing.set()
         self._wake.set()
         self._jobs.put(None)
+        for _ in range(STOPPERS):
+            self._stops.put(None)
+        deadline = time.monotonic() + END_S
         for thread in self._threads:
-            if thread.is_alive():
-                thread.join(timeout=3.0)
+            thread.join(max(0.0, deadline - time.monotonic()))
         self._drop()
 
     def connect(self, name: str) -> None:
@@ -94,7 +93,6 @@ class Session:
         with self._lock:
             self._name = name
         self.snapshot = Snapshot(link="connecting", target=name)
-        self.verdict = None
         self._ready_stopper(name)
         self._wake.set()
 
@@ -103,19 +101,24 @@ class Session:
         self._drop()
         with self._lock:
             self._name, self._port = name, port
-        self.verdict = None
         self._ready_stopper(name)
         self._live_wanted = bool(self.channels)
         self._wake.set()
 
-    def guard_keys(self) -> None:
-        """From now on a process of its own reads the keys first and does STOP; see :mod:`zendsp.tui.stopper`."""
+    def guard_keys(self, name: str = "") -> None:
+        """From now on a process of its own reads the keys first and does STOP, of this target; see :mod:`zendsp.tui.stopper`."""
         self.stopper = Stopper(self._told)
+        self._ready_stopper(name)
 
     def release_keys(self) -> None:
         """End the process that reads the keys."""
         if self.stopper is not None:
             self.stopper.close()
+
+    def place_stop(self, field: Field) -> None:
+        """Say where the red field of STOP is."""
+        if self.stopper is not None:
+            self.stopper.place(field)
 
     def _told(self, state: str, text: str, detail: str = "") -> None:
         self.verdict = Verdict(state, text, time.monotonic())
@@ -126,6 +129,8 @@ class Session:
         self._wake.set()
 
     def _ready_stopper(self, name: str) -> None:
+        if name != self._guarded:  # the word of how STOP ended was another target's
+            self._guarded, self.verdict = name, None
         if self.stopper is not None:
             self.stopper.want(name)
 
@@ -136,6 +141,11 @@ class Session:
         future: Future[T] = Future()
         self._jobs.put((future, label, job))
         return future
+
+    @property
+    def port(self) -> Port | None:
+        """The open port, None where there is none."""
+        return self._port
 
     def require(self) -> Port:
         """Return the open port; raises LinkError where there is none."""
@@ -153,6 +163,8 @@ class Session:
     def _stop(self) -> None:
         while True:
             future = self._stops.get()
+            if future is None:
+                return
             port = self._port
             self._told("asked", "STOP asked: no word yet that it stopped")
             try:
@@ -284,7 +296,7 @@ class Session:
         self._live = None
         self.snapshot = replace(self.snapshot, link="lost", latency_s=float("nan"), recording=False)
         self.events.add(f"link lost: {why}", "error")
-        threading.Thread(target=_close_quietly, args=(port,), daemon=True).start()
+        background("tui-close", _close_quietly, port)
 
     def _drop(self) -> None:
         with self._lock:

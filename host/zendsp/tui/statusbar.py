@@ -16,6 +16,7 @@ from textual.widgets import Static
 from zendsp.tui.actions import SCREENS
 from zendsp.tui.session import Verdict
 from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.stopper import Field
 
 STATE_MARKS = {
     "running": ("●", "success"), "enabled": ("●", "success"), "homed": ("◉", "primary"), "ready": ("○", "primary"),
@@ -120,6 +121,11 @@ class StatusBar(Widget):
                 yield self._line1
                 yield self._line2
             yield StopButton()
+
+    @property
+    def field(self) -> Field:
+        """Where STOP is on the screen: the process of the keys sees to a click there, and only without it the click comes here."""
+        return Field(*self.query_one(StopButton).region)
 
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
         """Paint a snapshot; does nothing while nothing has changed."""

@@ -6,7 +6,8 @@ of the application's own could not promise anything.
 
     stdin  the terminal (or, in a browser, the packets of the page)
     1      what was read, for the application
-    CONTROL    in: the name of the target to be ready for, a line each; "!" is STOP (a click)
+    CONTROL    in, a line each: the name of the target to be ready for; "@ x y width height", where the red field is;
+               "!", which is STOP (by the palette of commands)
     VERDICTS   out: a line of JSON for each STOP: asked, then how it ended
 """
 
@@ -23,12 +24,19 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import NotStopped, ZendspError
+from zendsp.link import connect
+from zendsp.link.find import remote_endpoints
+from zendsp.link.link import background
+from zendsp.link.programs import TAKEN_S, stopped
+from zendsp.link.stop_page import StopPage, find
 
 if TYPE_CHECKING:
     from textual.driver import Driver
+    from textual.events import MouseDown
 
     from zendsp.link import Target
 
@@ -45,6 +53,21 @@ def is_stop(key: str) -> bool:
     return key.rpartition("+")[2] == "f9" or key in ("ctrl+@", "ctrl+space")
 
 
+@dataclass(frozen=True)
+class Field:
+    """Where the red field is on the screen, in characters."""
+
+    x: int = 0
+    y: int = 0
+    width: int = 0
+    height: int = 0
+
+    def holds(self, event: MouseDown) -> bool:
+        """Whether the first button was pressed in it."""
+        inside = self.x <= event.x < self.x + self.width and self.y <= event.y < self.y + self.height
+        return inside and event.button == 1
+
+
 # -- the process ----------------------------------------------------------------------------------------------------------
 
 
@@ -55,16 +78,23 @@ class Links:
         self.target: Target | None = None
         self.name = ""
         self._wanted = threading.Event()
-        threading.Thread(target=self._keep, name="links", daemon=True).start()
+        background("links", self._keep)
 
     def want(self, name: str) -> None:
         """Be ready for this target from now on; the same name once more: look it up again."""
         self.name = name
         self._wanted.set()
 
-    def _keep(self) -> None:
-        from zendsp.link import connect
+    def page(self) -> StopPage | None:
+        """The stop page of the target, where it runs here: it needs no link."""
+        target = self.target
+        if target is not None and target.name == self.name:
+            page = target.stop_page()
+            if page is not None:
+                return page
+        return None if remote_endpoints(None) else find(self.name)
 
+    def _keep(self) -> None:
         while True:
             self._wanted.wait()
             self._wanted.clear()
@@ -74,34 +104,67 @@ class Links:
                 old.close()
             while name and self.target is None and not self._wanted.is_set():
                 try:
-                    self.target = connect(name)
+                    self.target = connect(name, shown=False)  # the terminal itself stands there already
                 except ZendspError:
                     self._wanted.wait(RETRY_S)
 
 
-def _stop(stops: queue.SimpleQueue[float], links: Links, tell: Callable[..., None]) -> None:
-    from zendsp.link.programs import stopped
+class Stops:
+    """Asks the target for STOP, and tells how each ended.
 
-    while True:
-        until = stops.get() + INSIST_S
-        target = links.target
-        tell("asked", "STOP asked: no word yet that it stopped")
-        try:
-            if target is None:
-                raise NotStopped(f"{EMERGENCY} (there is no link to {links.name or 'a target'})")
-            tell("stopped", stopped(target.stop()))
-        except Exception as error:
-            detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
-            tell("not stopped", EMERGENCY, detail)
-            while target is not None and target is links.target and time.monotonic() < until:
-                time.sleep(RETRY_S)
-                with contextlib.suppress(ZendspError):
-                    tell("stopped", stopped(target.stop()))
-                    break
+    The request itself is one byte in shared memory, written where the key is read, if the target runs here and is this
+    user's; the rest, and targets elsewhere, have threads.
+    """
+
+    def __init__(self, links: Links, tell: Callable[..., None]) -> None:
+        self._links, self._tell = links, tell
+        self._pressed = queue.SimpleQueue[tuple[float, StopPage | None, int]]()
+        for _ in range(STOPPERS):
+            background("stop", self._run)
+
+    def press(self) -> None:
+        """STOP. Never waits."""
+        page = self._links.page()
+        asked = page.ask() if page is not None else 0
+        self._pressed.put((time.monotonic(), page, asked))
+
+    def _run(self) -> None:
+        while True:
+            pressed, page, asked = self._pressed.get()
+            self._tell("asked", "STOP asked: no word yet that it stopped")
+            sample = page.taken(asked, TAKEN_S) if page is not None else None
+            if sample is not None:
+                self._tell("stopped", f"stopped, at sample {sample}")
+            else:
+                self._insist(pressed + INSIST_S)
+
+    def _insist(self, until: float) -> None:
+        links, name, told = self._links, self._links.name, False
+        while True:
+            target = links.target
+            try:
+                if target is None:
+                    raise NotStopped(f"{EMERGENCY} (there is no link to {links.name or 'a target'})")
+                self._tell("stopped", stopped(target.stop()))
+                return
+            except Exception as error:
+                if not told:
+                    detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
+                    self._tell("not stopped", EMERGENCY, detail)
+                told = True
+            if time.monotonic() > until or name not in ("", links.name):
+                return
+            time.sleep(RETRY_S)
 
 
-def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
-    """Make what names the keys in bytes read; Textual's own parser tells them from pasted text in all terminals."""
+def be_prompt() -> None:
+    """Have this process run before ordinary ones, where that is permitted: it does little, and what it does cannot wait."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+
+
+def presses_of(web: bool) -> Callable[[bytes], Iterator[str | MouseDown]]:
+    """Make what finds keys (their names) and clicks in bytes read; Textual's own parser tells them from pasted text in all terminals."""
     from codecs import getincrementaldecoder
 
     from textual import events
@@ -113,7 +176,7 @@ def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
 
     silent_since, pasting = 0.0, False
 
-    def keys(data: bytes) -> Iterator[str]:
+    def presses(data: bytes) -> Iterator[str | MouseDown]:
         nonlocal parser, packets, silent_since, pasting
         if data:
             if pasting and time.monotonic() > silent_since + PASTE_S:
@@ -128,21 +191,24 @@ def keys_of(web: bool) -> Callable[[bytes], Iterator[str]]:
             if any(mark in data for mark in F9_MARKS):
                 yield "f9"
 
-    def parsed(data: bytes) -> Iterator[str]:
+    def parsed(data: bytes) -> Iterator[str | MouseDown]:
         parts: Iterable[Any] = (p for kind, p in packets.feed(data) if kind == "D" and p) if web else (data,)
         for part in parts if data else ():  # nothing means the end to the parser
             for event in parser.feed(decode(part)):
                 if isinstance(event, events.Key):
                     yield event.key
+                elif isinstance(event, events.MouseDown):
+                    yield event
         for event in parser.tick():
             if isinstance(event, events.Key):
                 yield event.key
 
-    return keys
+    return presses
 
 
 def serve(control: int, verdicts: int, web: bool) -> None:
     """Run until the application or the terminal is gone."""
+    be_prompt()  # first: threads inherit it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     lock = threading.Lock()
 
@@ -151,12 +217,17 @@ def serve(control: int, verdicts: int, web: bool) -> None:
         with lock, contextlib.suppress(OSError):
             os.write(verdicts, line.encode())
 
-    links, stops = Links(), queue.SimpleQueue[float]()
-    for _ in range(STOPPERS):
-        threading.Thread(target=_stop, args=(stops, links, tell), daemon=True).start()
-    keys, lines = keys_of(web), b""
+    links = Links()
+    stops = Stops(links, tell)
+    presses, field, lines = presses_of(web), Field(), b""
     waiting = b""  # for the application to take: it must never hold up the keys
     os.set_blocking(1, False)
+
+    def look(data: bytes) -> None:
+        for press in presses(data):
+            if is_stop(press) if isinstance(press, str) else field.holds(press):
+                stops.press()
+
     while True:
         readable, _, _ = select.select([0, control], [1] if waiting else [], [], 0.1)
         if 0 in readable:
@@ -166,14 +237,10 @@ def serve(control: int, verdicts: int, web: bool) -> None:
                 data = b""
             if not data:
                 return
-            for key in keys(data):
-                if is_stop(key):
-                    stops.put(time.monotonic())
+            look(data)
             waiting += data
         elif not readable:
-            for key in keys(b""):  # an Escape that nothing followed
-                if is_stop(key):
-                    stops.put(time.monotonic())
+            look(b"")  # an Escape that nothing followed
         if control in readable:
             data = os.read(control, 4096)
             if not data:  # the application is gone
@@ -181,7 +248,9 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             *whole, lines = (lines + data).split(b"\n")
             for line in whole:
                 if line == b"!":
-                    stops.put(time.monotonic())
+                    stops.press()
+                elif line.startswith(b"@"):
+                    field = Field(*map(int, line[1:].split()))
                 else:
                     links.want(line.decode())
         if waiting:
@@ -217,15 +286,21 @@ class Stopper:
         os.close(verdicts_out)
         assert self._process.stdout is not None
         os.dup2(self._process.stdout.fileno(), 0)
-        self.alive = True
+        self.alive, self.field = True, Field()
         threading.Thread(target=self._listen, name="tui-verdicts", daemon=True).start()
 
     def want(self, name: str) -> None:
         """Have a link to this target ready."""
         self._write(name)
 
+    def place(self, field: Field) -> None:
+        """Tell where the red field is: a click there is STOP."""
+        if field != self.field:
+            self.field = field
+            self._write(f"@ {field.x} {field.y} {field.width} {field.height}")
+
     def stop(self) -> bool:
-        """STOP, from a click; False where the process is gone."""
+        """STOP, not by a key or a click; False where the process is gone."""
         return self._write("!")
 
     def close(self) -> None:
@@ -278,10 +353,13 @@ def with_stop(base: type[Driver], stopper: Callable[[], Stopper | None], stop: C
             self._fileno = value
 
         def process_message(self, message: Message) -> None:
+            process = stopper()
+            alive = process is not None and process.alive
             if isinstance(message, events.Key) and is_stop(message.key):
-                process = stopper()
-                if process is None or not process.alive:
+                if not alive:
                     stop()
+                return
+            if alive and process is not None and isinstance(message, events.MouseDown) and process.field.holds(message):
                 return
             super().process_message(message)
 

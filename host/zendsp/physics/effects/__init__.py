@@ -5,13 +5,18 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import pkgutil
+from collections.abc import Collection
 from functools import cache
 from pathlib import Path
 
 from zendsp.errors import ModelError
-from zendsp.physics.effects.base import Effect, Parameter, unit_of
+from zendsp.physics.effects.base import MECHANISMS, Effect, Parameter, unit_of
 
-__all__ = ["Effect", "Parameter", "get_effect", "library", "load_effects", "unit_of"]
+__all__ = ["MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "laws_of", "library", "load_effects", "mechanism_of", "unit_of"]
+
+# names of findings that no term of a model stands for
+OUTSIDE = {"disturbance": "disturbance", "payload": "inertia", "body": "inertia", "base_tilt": "inertia"}
+SUPPORT = {"dry": ("dry",), "friction": ("dry", "viscous")}  # what else an effect may need, by the sites that give it
 
 _extra: dict[str, Effect] = {}
 
@@ -63,6 +68,68 @@ def get_effect(name: str) -> Effect:
         return _shipped().get(name) or _extra[name]
     except KeyError:
         raise ModelError(f"no physical effect is called {name!r}; known: {', '.join(library())}") from None
+
+
+def mechanism_of(name: str) -> str:
+    """The mechanism of a machine that an effect is a law of.
+
+    Parameters
+    ----------
+    name : str
+        As in model files and reports.
+
+    Returns
+    -------
+    str
+        One of ``MECHANISMS``; the name itself where none is stated: an effect of a user's own is a mechanism by itself.
+
+    Examples
+    --------
+    >>> from zendsp.physics.effects import mechanism_of
+    >>> mechanism_of("stribeck")
+    'dry_friction'
+    """
+    effect = library().get(name)
+    return (effect.mechanism if effect else OUTSIDE.get(name, "")) or name
+
+
+def laws_of(mechanism: str) -> tuple[str, ...]:
+    """The names of the effects that are laws of a mechanism.
+
+    Parameters
+    ----------
+    mechanism : str
+        One of ``MECHANISMS``.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order, those first that a model file can hold.
+
+    Examples
+    --------
+    >>> from zendsp.physics.effects import laws_of
+    >>> laws_of("fluid_friction")
+    ('quadratic_drag', 'viscous', 'viscous_asymmetry')
+    """
+    return tuple(name for name in (*library(), *OUTSIDE) if mechanism_of(name) == mechanism)
+
+
+def is_supported(effect: Effect, present: Collection[str]) -> bool:
+    """Whether a joint has what an effect means nothing without.
+
+    Parameters
+    ----------
+    effect : Effect
+    present : collection of str
+        Names of the joint's effects.
+
+    Returns
+    -------
+    bool
+    """
+    sites = {get_effect(name).site for name in present}
+    return all(need in present or bool(sites.intersection(SUPPORT.get(need, ()))) for need in effect.needs)
 
 
 def load_effects(path: str | Path) -> list[Effect]:

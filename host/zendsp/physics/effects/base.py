@@ -1,11 +1,140 @@
-"""What a physical effect is: defined once, used by the simulator, the screen, the fit, the report and the generated C."""
+"""What a physical effect is: defined once, used by simulator, screen, fit, report and C."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+
+Array = npt.NDArray[np.float64]
 Numbers = Mapping[str, float]
+
+MECHANISMS = (
+    "dry_friction",
+    "fluid_friction",
+    "transmission",
+    "position_torque",
+    "inertia",
+    "actuator",
+    "measurement",
+    "disturbance",
+)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Typical sizes along a recording, SI: steps, starts and bounds of parameters follow."""
+
+    torque: float
+    speed: float
+    position: float
+    inertia: float
+    command: float
+    seconds: float
+    turn: float = 1.0  # rad or m per turn of the ripple search: 1 for rotary joints
+
+    def of(self, size: str) -> float:
+        """Typical value of a parameter that measures ``size`` (see ``Parameter.size``)."""
+        table = {
+            "torque": self.torque,
+            "torque/speed": self.torque / self.speed,
+            "torque/speed2": self.torque / self.speed**2,
+            "torque/position": self.torque / self.position,
+            "torque/position3": self.torque / self.position**3,
+            "speed": self.speed,
+            "position": self.position,
+            "time": self.seconds,
+            "inertia": self.inertia,
+            "command": self.command,
+            "order": 1.0 / self.turn,
+            "temperature": 10.0,
+            "1/temperature": 0.1,
+        }
+        return table.get(size, 1.0)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What one joint's recording and model say to an effect, SI: grids, starts and bounds follow.
+
+    Attributes
+    ----------
+    scale : Scale
+        Typical sizes.
+    centre : float
+        Middle of the positions, rad or m; ``scale.position`` is their range.
+    fast, fastest : float
+        Speeds that 5 % and 1 % of the samples exceed, rad/s or m/s.
+    strong, strongest : float
+        Command that 0.1 % of the samples exceed, and the largest, command units.
+    sample_time : float
+        s.
+    slides : bool
+        A linear joint: its positions know no whole turn.
+    joint, joints : int
+        Number of the joint (1-based), and of joints.
+    gain : float
+        Torque per unit of command.
+    inertia : float
+        Mean inertia that the joint's torque accelerates, kg m² or kg.
+    friction : float
+        Dry friction level of the model; 0: none.
+    temperature : float
+        At the beginning, °C; nan where no column says.
+    replaced : mapping
+        Numbers of the term that the effect would replace; empty where there is none.
+    """
+
+    scale: Scale
+    centre: float
+    fast: float
+    fastest: float
+    strong: float
+    strongest: float
+    sample_time: float
+    slides: bool
+    joint: int
+    joints: int
+    gain: float
+    inertia: float
+    friction: float = 0.0
+    temperature: float = float("nan")
+    replaced: Numbers = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Along:
+    """A joint's measured motion and what drives it, for an effect's column. Arrays (n,), SI.
+
+    Attributes
+    ----------
+    q, qd, qdd, t : ndarray
+        Smoothed motion, and time.
+    torque : ndarray
+        What the command asks for.
+    sample_time : float
+        s.
+    inertia : ndarray
+        Inertia along the record.
+    gravity : float
+        The model's torque gravity · sin(q).
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
+    t: Array
+    torque: Array
+    sample_time: float
+    inertia: Array
+    gravity: float
+
+
+Axis = Sequence[float] | Callable[[Facts], Sequence[float]]
 
 
 @dataclass(frozen=True)
@@ -17,15 +146,17 @@ class Parameter:
     name : str
         Key in model and report files.
     size : str
-        What the number measures, from which its unit, its scale in a given recording and its step follow: ``"torque"``,
-        ``"torque/speed"``, ``"torque/speed2"``, ``"torque/position"``, ``"torque/position3"``, ``"speed"``, ``"position"``,
-        ``"time"``, ``"ratio"``, ``"angle"``, ``"order"``, ``"inertia"``, ``"command"``, ``"number"``.
+        What the number measures, from which its unit, its scale in a given recording and its step
+        follow: a key of ``UNITS``.
     lower, upper : float
-        Bounds in SI units; ``upper`` is also limited by the recording's scales.
+        Bounds in SI units.
     default : float or None
         Value where a model file leaves the key out; None: the key is required.
     fitted : bool
         False for numbers that are chosen, not estimated (a joint index).
+    limits : callable or None
+        Bounds in a given recording: physics outside them cannot be seen in it. None: ``lower`` and
+        ``upper``.
     """
 
     name: str
@@ -35,6 +166,7 @@ class Parameter:
     default: float | None = None
     fitted: bool = True
     meaning: str = ""
+    limits: Callable[[Facts], tuple[float, float]] | None = None
 
 
 UNITS = {
@@ -51,7 +183,13 @@ UNITS = {
     "order": "1/{q}",
     "inertia": "{J}",
     "command": "{u}",
+    "temperature": "°C",
+    "1/temperature": "1/K",
+    "joint": "1",
     "number": "1",
+    "mass": "kg",
+    "length": "m",
+    "body_inertia": "kg m²",
 }
 
 
@@ -67,7 +205,8 @@ def unit_of(size: str, kind: str, command_unit: str = "", torque_unit: str = "")
     command_unit : str
         Unit of the command; torque or force where empty.
     torque_unit : str
-        Unit of what moves the joint where it is neither N m nor N: A where a motor's current is taken as its torque.
+        Unit of what moves the joint where it is neither N m nor N: A where a motor's current is
+        taken as its torque.
 
     Returns
     -------
@@ -98,31 +237,84 @@ class Effect:
     name : str
         Name in model files and reports.
     site : str
-        Where it acts. ``torque``: a resisting torque. ``viscous``: the same, also scaled by a friction drift. ``dry``: a friction
-        level, per direction. ``scale``: a factor on all friction. ``actuator``: a map of the command. ``sensor``: a map of the
-        measured position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
+        Where it acts. ``torque``: a resisting torque. ``viscous``: the same, also scaled by a
+        friction drift. ``dry``: a friction level, per direction. ``scale``: a factor on all
+        friction; ``dry_scale``: on dry friction. ``actuator``: a map of the command. ``drive``: a
+        map of the actuator's torque that knows the speed. ``sensor``: added to the measured
+        position. ``setup``: a state of the kernel itself (springs, gaps, bristles, delays).
+        ``body``: bodies or gravity of the whole machine (see ``physics/bodies.py``), without C.
+    mechanism : str
+        What of the machine it is a law of: one of ``MECHANISMS``; empty: one by itself, under its
+        own name.
     c : str
-        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c), ``dir`` the direction for ``dry``.
+        Body of the C function; ``p`` are the parameters in order, ``s`` the state (see observer.c),
+        ``dir`` the direction for ``dry``.
+    over : str
+        What it is best drawn over: velocity, position, acceleration, command or time.
     linear : tuple of str
         Parameters in which the torque is linear: screened by one least squares.
     grid : mapping
-        For each nonlinear parameter, values to screen, in units of its scale.
-    starts : tuple of mapping
-        Start values for the fit of effects that no torque along the measured motion can screen, in units of the scales.
+        For each nonlinear parameter, values to screen: in units of its scale, or a function of the
+        recording's facts. Parameters that are not fitted tell hypotheses apart.
+    column : callable or None
+        What resists along the measured motion, N m or N, where the C function cannot say
+        (``setup``).
+    on_position : bool
+        ``column`` is what is lacking in the measured position, rad or m, instead.
+    retime : callable or None
+        Of what acts on the command's timing: the command that acts in each sample, from the column,
+        the sample time and the numbers.
+    scan : callable or None
+        Start values for the fit of effects that no column can screen, each tried by one simulation.
+    apart : str
+        Of the starts with the same value of this parameter only the likeliest is fitted.
+    restart : callable or None
+        A second start value, from the first.
+    hidden : bool
+        Has a state, or acts on the timing: counts as a parameter more.
+    essence : tuple of str
+        Parameters without which, at zero or at a bound, it is not itself; the one that it is linear
+        in where empty.
+    shape : str
+        Parameter that is judged as known when the essence is: without any size there is no shape.
+    least : callable or None
+        Sizes below which it is not itself, but the way in which a recording was sampled.
+    odds : float
+        Of hypotheses that explain a recording alike the commoner goes first: what this one counts
+        less (or, below 0, more), in parameters.
+    slow : bool
+        A fast observer follows it: it is fitted under a slow one.
+    rough : bool
+        Impacts make the cost rough on a fine scale.
+    loosens_inertia : bool
+        With it, the command is not what accelerates the whole inertia.
+    same_as : tuple of str
+        Free parameters of the mechanism that are the same thing.
+    sole : bool
+        At most one effect of its family at a joint.
+    reads : tuple of str
+        Optional columns of a recording without which it cannot be used.
     replaces : tuple of str
         Terms of a given model that this effect contains as a special case.
     needs : tuple of str
-        Terms without which it has no meaning; added with it where the model lacks them.
+        Terms without which it has no meaning: names of effects, ``"dry"`` for any dry friction
+        level, ``"friction"`` also for viscous.
+    aliases : tuple of str
+        Effects that can be exactly the same to any recording: no fit tells them apart.
     family : str
         Effects of one family explain the same traces; few recordings separate them.
     sentence : str
         Explanation, with parameter names in braces, ``{joint}`` included.
     experiment : str
         The experiment that would confirm it.
-    cost : float
-        Relative prior reluctance, in units of log-likelihood.
     compensable : str
-        C expression body of the compensating torque for the ISR, empty where it cannot be compensated by a torque.
+        C expression of the compensating torque for the ISR, empty where it cannot be compensated by
+        a torque.
+    inverse : str
+        C expression of what to send so that the torque ``wanted`` comes out (``gain``: torque per
+        unit of command).
+    why_not : str
+        Why no torque can compensate it.
     """
 
     name: str
@@ -131,16 +323,44 @@ class Effect:
     c: str
     sentence: str
     experiment: str
+    mechanism: str = ""
     equation: str = ""
+    over: str = "velocity"
     linear: tuple[str, ...] = ()
-    grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    starts: tuple[Numbers, ...] = ()
+    grid: Mapping[str, Axis] = field(default_factory=dict)
+    column: Callable[[Along, Numbers], Array] | None = None
+    on_position: bool = False
+    retime: Callable[[Array, float, Numbers], Array] | None = None
+    scan: Callable[[Facts], Sequence[Numbers]] | None = None
+    apart: str = ""
+    restart: Callable[[Facts, Numbers], Numbers] | None = None
+    hidden: bool = False
+    essence: tuple[str, ...] = ()
+    shape: str = ""
+    least: Callable[[Facts], Numbers] | None = None
+    odds: float = 0.0
+    slow: bool = False
+    rough: bool = False
+    loosens_inertia: bool = False
+    same_as: tuple[str, ...] = ()
+    sole: bool = False
+    reads: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
     family: str = ""
     rivals: tuple[str, ...] = ()
     repeatable: bool = False
     compensable: str = ""
+    inverse: str = ""
+    why_not: str = ""
+
+    def __post_init__(self) -> None:
+        if self.mechanism and self.mechanism not in MECHANISMS:
+            expected = " | ".join(MECHANISMS)
+            raise ModelError(
+                f"effect {self.name!r}: mechanism = {self.mechanism!r}: expected {expected}"
+            )
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError where there is none."""
@@ -153,3 +373,8 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters, in the order of the C function."""
         return tuple(p.name for p in self.parameters)
+
+    @property
+    def at_sensor(self) -> bool:
+        """Whether it acts on what the position sensor says, not on the joint."""
+        return self.site == "sensor" or self.on_position

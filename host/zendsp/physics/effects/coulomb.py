@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="coulomb",
     site="dry",
+    mechanism="dry_friction",
     parameters=(Parameter("level", "torque", lower=0),),
     c="return p[0];",
     sentence=(
@@ -15,6 +16,7 @@ EFFECT = Effect(
     experiment=("Slow moves both ways with reversals: the torque steps by twice the level at each reversal."),
     equation="Fc sign(q̇)",
     linear=("level",),
+    odds=0.01,
     rivals=("viscous", "stribeck"),
     compensable="p[0] * sgn(qd)",
 )

@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="coulomb_asymmetry",
     site="dry",
+    mechanism="dry_friction",
     parameters=(
         Parameter("level_pos", "torque", lower=0),
         Parameter("level_neg", "torque", lower=0),

@@ -8,6 +8,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="coulomb_tanh",
     site="viscous",
+    mechanism="dry_friction",
     parameters=(
         Parameter("level", "torque", lower=0),
         Parameter("speed", "speed", lower=1e-6, default=0.01),

@@ -7,8 +7,9 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="coupling",
     site="torque",
+    mechanism="inertia",
     parameters=(
-        Parameter("from_joint", "number", lower=0, upper=8, fitted=False),
+        Parameter("from_joint", "joint", lower=0, upper=8, fitted=False),
         Parameter(
             "law",
             "number",
@@ -25,5 +26,10 @@ EFFECT = Effect(
     experiment=("Move joint {from_joint} alone and hold joint {joint}."),
     equation="c q̈_from | c q̇_from² | c q̇_from | c sign(q̇ + q̇_from)",
     linear=("coefficient",),
+    grid={
+        "from_joint": lambda f: [float(j) for j in range(1, f.joints + 1) if j != f.joint],
+        "law": lambda f: (0.0, 1.0, 2.0, 3.0),
+        "smooth": (0.05,),
+    },
     repeatable=True,
 )

@@ -2,25 +2,50 @@
 
 from __future__ import annotations
 
-from zendsp.physics.effects.base import Effect, Parameter
+import itertools
+import math
+from collections.abc import Sequence
+
+from zendsp.physics.effects.axes import (
+    load_limits,
+    resonance,
+    transmission_damping_limits,
+    transmission_limits,
+)
+from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
+
+RESONANCES = (4.0, 8.0, 15.0, 30.0, 60.0)  # Hz
+SHARES = (0.2, 0.45, 0.75)  # of the inertia, on the load
+
+
+def _starts(facts: Facts) -> Sequence[Numbers]:
+    starts = []
+    for hertz, share in itertools.product(RESONANCES, SHARES):
+        stiffness, load = resonance(facts, hertz, share), share * facts.inertia
+        starts.append({"stiffness": stiffness, "load_inertia": load, "damping": 0.1 * math.sqrt(stiffness * load)})
+    return starts
+
 
 EFFECT = Effect(
     name="elasticity",
     site="setup",
+    mechanism="transmission",
     parameters=(
-        Parameter("stiffness", "torque/position", lower=1e-09),
-        Parameter("damping", "torque/speed", lower=0),
-        Parameter("load_inertia", "inertia", lower=1e-12),
+        Parameter("stiffness", "torque/position", lower=1e-09, limits=transmission_limits),
+        Parameter("damping", "torque/speed", lower=0, limits=transmission_damping_limits),
+        Parameter("load_inertia", "inertia", lower=1e-12, limits=load_limits),
     ),
     c="two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2];",
     sentence=("Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."),
     experiment=("Chirp or multisine around the resonance; steps and listen to the ringing."),
     equation="k (qm - ql) + c (q̇m - q̇l)",
-    starts=(
-        {"stiffness": -8.0, "load_inertia": 0.4},
-        {"stiffness": -20.0, "load_inertia": 0.4},
-        {"stiffness": -45.0, "load_inertia": 0.4},
-    ),
+    over="acceleration",
+    scan=_starts,
+    hidden=True,
+    essence=("stiffness", "load_inertia"),  # with infinite stiffness it is none
+    loosens_inertia=True,
     family="transmission",
+    sole=True,
+    why_not="its motion is not that of the motor: control both sides, or filter the resonance",
     rivals=("backlash", "delay"),
 )

@@ -12,6 +12,7 @@ _HIGH = "p[0] + p[4] * (p[1] + p[4] * (p[2] + p[3])) + {w} * (p[1] + p[4] * (2.0
 EFFECT = Effect(
     name="friction_block",
     site="dry",
+    mechanism="dry_friction",
     parameters=(
         Parameter("level", "torque", lower=0, default=0.0),
         Parameter("slope", "torque/speed", default=0.0),

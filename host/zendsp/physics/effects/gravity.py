@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="gravity",
     site="torque",
+    mechanism="position_torque",
     parameters=(
         Parameter("torque", "torque", lower=0),
         Parameter("angle", "angle", lower=-6.5, upper=6.5),
@@ -15,6 +16,7 @@ EFFECT = Effect(
     sentence=("A gravity torque of {torque} acts on joint {joint}, balanced at {angle}."),
     experiment=("Slow motion over a wide range, beyond ±90°."),
     equation="G sin(q - φ)",
+    over="position",
     linear=("torque",),
     grid={"angle": (0.0, -1.5707963267948966)},
     rivals=("stiffness", "torque_offset"),

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from zendsp.physics.effects.base import Effect, Parameter
+import itertools
+from collections.abc import Sequence
+
+from zendsp.physics.effects.axes import bristle_limits
+from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
+
+FORCES = (0.05, 0.15, 0.5)  # shares of the torque
+DEFLECTIONS = (3.0, 10.0, 30.0, 100.0, 300.0)  # of which one makes up the motion's range
+
+
+def _starts(facts: Facts) -> Sequence[Numbers]:
+    s = facts.scale
+    points = itertools.product(FORCES, DEFLECTIONS)
+    return [{"force": f * s.torque, "stiffness": n * f * s.torque / s.position} for f, n in points]
+
 
 EFFECT = Effect(
     name="hysteresis",
     site="setup",
+    mechanism="dry_friction",
     parameters=(
         Parameter("force", "torque", lower=0),
-        Parameter("stiffness", "torque/position", lower=1e-09),
+        Parameter("stiffness", "torque/position", lower=1e-09, limits=bristle_limits),
         Parameter("exponent", "number", lower=0.5, upper=6, default=1.0, fitted=False),
     ),
     c="bw_force = p[0]; bw_a = p[0] > 0 ? p[1] / p[0] : 0; bw_n = p[2];",
@@ -18,11 +33,11 @@ EFFECT = Effect(
     ),
     experiment=("Slow cycles of several amplitudes: loops that close."),
     equation="F z, ż = A q̇ - β |q̇||z|ⁿ⁻¹z - γ q̇|z|ⁿ",
-    starts=(
-        {"force": 0.2, "stiffness": 3.0},
-        {"force": 0.2, "stiffness": 20.0},
-        {"force": 0.2, "stiffness": 120.0},
-    ),
+    over="position",
+    scan=_starts,
+    hidden=True,
+    essence=("force", "stiffness"),
     family="presliding",
     rivals=("presliding", "coulomb", "stiffness"),
+    why_not="it depends on a state that is not measured",
 )

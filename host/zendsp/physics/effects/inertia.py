@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="inertia",
     site="setup",
+    mechanism="inertia",
     parameters=(Parameter("amount", "inertia"),),
     c="j_extra += p[0];",
     sentence=(
@@ -14,7 +15,10 @@ EFFECT = Effect(
     ),
     experiment=("Fast accelerations with and without the suspected payload."),
     equation="ΔJ q̈",
+    over="acceleration",
     linear=("amount",),
+    column=lambda along, p: along.qdd * p["amount"],
+    same_as=("inertia", "mass"),
     rivals=("torque_gain",),
     compensable="p[0] * qdd",
 )

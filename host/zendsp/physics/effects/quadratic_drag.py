@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="quadratic_drag",
     site="torque",
+    mechanism="fluid_friction",
     parameters=(Parameter("coefficient", "torque/speed2", lower=0),),
     c="return p[0] * s->qd * fabs(s->qd);",
     sentence=("Joint {joint} lacks quadratic drag of {coefficient}."),

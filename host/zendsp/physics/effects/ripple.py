@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from zendsp.physics.effects.axes import order_limits, orders
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="ripple",
     site="torque",
+    mechanism="position_torque",
     parameters=(
-        Parameter("order", "order", lower=0),
+        Parameter("order", "order", lower=0, limits=order_limits(1.5)),
         Parameter("amplitude", "torque", lower=0),
         Parameter("phase", "angle", lower=-6.5, upper=6.5),
     ),
@@ -18,8 +20,9 @@ EFFECT = Effect(
     ),
     experiment=("A slow constant-speed pass over the whole range."),
     equation="A sin(n q + φ)",
+    over="position",
     linear=("amplitude",),
-    grid={"order": (), "phase": (0.0, 1.5707963267948966)},
+    grid={"order": orders, "phase": (0.0, 1.5707963267948966)},
     rivals=("position_friction", "encoder_eccentricity", "gravity"),
     repeatable=True,
     compensable="p[1] * sin(p[0] * q + p[2])",

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from zendsp.physics.effects.axes import command_limits, of_command
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="saturation",
     site="actuator",
-    parameters=(Parameter("level", "command", lower=1e-09),),
+    mechanism="actuator",
+    parameters=(Parameter("level", "command", lower=1e-09, limits=command_limits),),
     c="return u > p[0] ? p[0] : u < -p[0] ? -p[0] : u;",
     sentence=("The actuator of joint {joint} saturates at {level}."),
     experiment=("Fast accelerations to the stated limit."),
     equation="clip(u, ±level)",
-    grid={"level": (0.9, 1.3, 1.8, 2.3, 2.8)},
+    over="command",
+    grid={"level": of_command(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)},
+    loosens_inertia=True,
+    why_not="no command passes the limit: plan below it",
 )

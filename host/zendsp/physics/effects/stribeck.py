@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from zendsp.physics.effects.axes import of_speed
 from zendsp.physics.effects.base import Effect, Parameter
 
 EFFECT = Effect(
     name="stribeck",
     site="dry",
+    mechanism="dry_friction",
     parameters=(
         Parameter("breakaway", "torque", lower=0),
-        Parameter("velocity", "speed", lower=1e-06),
+        Parameter("velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest)),
         Parameter("exponent", "number", lower=0.3, upper=4, default=2.0, fitted=False),
     ),
     c="return p[0] * exp(-pow(fabs(s->qd) / p[1], p[2]));",
@@ -21,7 +23,7 @@ EFFECT = Effect(
     ),
     equation="(Fs - Fc) exp(-|q̇/vs|^δ) sign(q̇)",
     linear=("breakaway",),
-    grid={"velocity": (0.01, 0.03, 0.1, 0.3)},
+    grid={"velocity": of_speed(0.01, 0.02, 0.05, 0.1, 0.2, 0.4)},
     needs=("coulomb",),
     rivals=("coulomb", "presliding"),
     compensable="p[0] * exp(-pow(fabs(qd) / p[1], p[2])) * sgn(qd)",

@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="torque_gain",
     site="actuator",
+    mechanism="actuator",
     parameters=(Parameter("ratio", "ratio", lower=-0.9, upper=5.0),),
     c="return u * (1.0 + p[0]);",
     sentence=("The actuator of joint {joint} gives {ratio} more (or less) torque than the command says."),
@@ -14,7 +15,8 @@ EFFECT = Effect(
         "A known mass or a force gauge: no motion record alone can tell a gain from inertia, gravity and friction together."
     ),
     equation="(1 + ε) u",
+    over="command",
     linear=("ratio",),
     rivals=("inertia",),
-    compensable="",
+    inverse="wanted / (1.0 + p[0])",
 )

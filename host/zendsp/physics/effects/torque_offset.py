@@ -7,12 +7,14 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="torque_offset",
     site="torque",
+    mechanism="actuator",
     parameters=(Parameter("level", "torque"),),
     c="return p[0];",
     sentence=("A constant torque of {level} acts on joint {joint}."),
     experiment=("The same poses reached from both sides."),
     equation="τ0",
     linear=("level",),
+    odds=0.01,
     rivals=("coulomb_asymmetry", "gravity", "stiffness"),
     compensable="p[0]",
 )

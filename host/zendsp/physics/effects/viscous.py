@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="viscous",
     site="viscous",
+    mechanism="fluid_friction",
     parameters=(Parameter("coefficient", "torque/speed", lower=0),),
     c="return p[0] * s->qd;",
     sentence=("Joint {joint} lacks viscous friction of {coefficient}."),

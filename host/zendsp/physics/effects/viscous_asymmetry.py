@@ -7,6 +7,7 @@ from zendsp.physics.effects.base import Effect, Parameter
 EFFECT = Effect(
     name="viscous_asymmetry",
     site="viscous",
+    mechanism="fluid_friction",
     parameters=(
         Parameter("coefficient_pos", "torque/speed", lower=0),
         Parameter("coefficient_neg", "torque/speed", lower=0),

@@ -2,6 +2,7 @@
 
 from zendsp.proof.reality.machine import (
     CouplingTruth,
+    ForeignTable,
     JointTruth,
     LinkTruth,
     MachineTruth,
@@ -10,4 +11,4 @@ from zendsp.proof.reality.machine import (
     run,
 )
 
-__all__ = ["CouplingTruth", "JointTruth", "LinkTruth", "MachineTruth", "Run", "inverse_dynamics", "run"]
+__all__ = ["CouplingTruth", "ForeignTable", "JointTruth", "LinkTruth", "MachineTruth", "Run", "inverse_dynamics", "run"]

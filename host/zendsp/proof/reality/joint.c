@@ -25,18 +25,20 @@ static double friction_level(const Joint *j, double q, double v, double torque, 
     return level > 0.0 ? level * drift(j, t) : 0.0;
 }
 
+/* place in a grid: the cell, and how far into it; a grid goes on as it ends */
+static double cell(double x, double first, double step, int count, int *at) {
+    double place = fmin(fmax((x - first) / step, 0.0), count - 1.0);
+    *at = (int)fmin(floor(place), count - 2.0);
+    return place - *at;
+}
+
+/* bilinear in a table */
 static double foreign(const Joint *j, double q, double v) {
-    double a = j->foreign_a, b = j->foreign_b, c = j->foreign_c;
-    switch ((int)j->foreign_kind) {
-    case 1: return a * q * q * v / (b * b);                            /* viscosity that grows with position squared */
-    case 2: return a * sin(b * q) * v;                                 /* pumping: damping and driving by turns */
-    case 3: return a * exp(-pow((fabs(v) - b) / c, 2)) * sign(v);      /* hump of resistance at one speed */
-    case 4: return q > b ? a * (q - b) : q < -b ? a * (q + b) : 0.0;   /* soft stops at both ends */
-    case 5: return a * tanh(q * v / b);                                /* towards or away from the middle */
-    case 6: return a * exp(-pow((q - b) / c, 2)) * v;                  /* a sticky place */
-    case 7: return a * sin(v / b);                                     /* resonance of speed */
-    default: return 0.0;
-    }
+    int row, column;
+    double y = cell(q, j->foreign_q, j->foreign_dq, j->foreign_rows, &row);
+    double x = cell(v, j->foreign_v, j->foreign_dv, j->foreign_columns, &column);
+    const double *low = j->foreign + (long)row * j->foreign_columns + column, *high = low + j->foreign_columns;
+    return (1 - y) * ((1 - x) * low[0] + x * low[1]) + y * ((1 - x) * high[0] + x * high[1]);
 }
 
 /* torques of the load's position and velocity */
@@ -45,7 +47,7 @@ static double resist_load(const Joint *j, double q, double v) {
     if (j->gravity != 0.0) f += j->gravity * sin(q - j->gravity_angle);
     f += j->stiffness * (q - j->neutral);
     if (j->cubic != 0.0) f += j->cubic * pow(q - j->cubic_neutral, 3);
-    if (j->foreign_kind != 0.0) f += foreign(j, q, v);
+    if (j->foreign) f += foreign(j, q, v);
     return f;
 }
 

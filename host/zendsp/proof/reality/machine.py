@@ -15,6 +15,15 @@ KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2}
 
 
 @dataclass(frozen=True)
+class ForeignTable:
+    """A torque over position and speed that opposes, like every effect; between its points it is bilinear."""
+
+    torque: Array  # (positions, speeds), N m or N
+    position: tuple[float, float]  # of the first row and the last, rad or m
+    speed: tuple[float, float]  # of the first column and the last
+
+
+@dataclass(frozen=True)
 class JointTruth:
     """Everything that acts on one joint; names, units and signs are those of ``Joint`` in ``reality.h``."""
 
@@ -62,10 +71,7 @@ class JointTruth:
     floor_counts: float = 0.0
     eccentricity: float = 0.0
     eccentricity_phase: float = 0.0
-    foreign_kind: float = 0.0
-    foreign_a: float = 0.0
-    foreign_b: float = 1.0
-    foreign_c: float = 1.0
+    foreign: ForeignTable | None = None
     extra_inertia: float = 0.0
 
 
@@ -197,7 +203,10 @@ def to_c(ffi: object, truth: MachineTruth) -> object:
     for i, joint in enumerate(truth.joints):
         for item in fields(joint):
             value = getattr(joint, item.name)
-            if isinstance(value, tuple):
+            if item.name == "foreign":
+                if value is not None:
+                    set_foreign(ffi, m.joint[i], value)
+            elif isinstance(value, tuple):
                 for k, element in enumerate(value):
                     getattr(m.joint[i], item.name)[k] = element
             else:
@@ -215,3 +224,15 @@ def to_c(ffi: object, truth: MachineTruth) -> object:
     m.down = truth.down
     m.sample_time, m.substeps, m.velocity_filter = truth.sample_time, truth.substeps, truth.velocity_filter
     return m
+
+
+def set_foreign(ffi: object, joint: object, table: ForeignTable) -> None:
+    """The table of one joint; `table` must outlive the struct, which only points at it."""
+    rows, columns = table.torque.shape
+    if not (table.torque.flags.c_contiguous and table.torque.dtype == np.float64):
+        raise ValueError("a foreign table is an array of float64, row by row")
+    (q0, q1), (v0, v1) = table.position, table.speed
+    joint.foreign = ffi.cast("double *", ffi.from_buffer(table.torque))  # type: ignore[attr-defined]
+    joint.foreign_rows, joint.foreign_columns = rows, columns  # type: ignore[attr-defined]
+    joint.foreign_q, joint.foreign_dq = q0, (q1 - q0) / (rows - 1)  # type: ignore[attr-defined]
+    joint.foreign_v, joint.foreign_dv = v0, (v1 - v0) / (columns - 1)  # type: ignore[attr-defined]

@@ -41,7 +41,10 @@ typedef struct {
     double floor_counts;            /* 1: floor, 0: round */
     double eccentricity, eccentricity_phase;
     /* something that the table of effects cannot say */
-    double foreign_kind, foreign_a, foreign_b, foreign_c;
+    const double *foreign;          /* torque on the load over position and speed, row by row; NULL: none [N m] */
+    int foreign_rows, foreign_columns;
+    double foreign_q, foreign_dq;   /* position of the first row, and from row to row [rad] */
+    double foreign_v, foreign_dv;   /* speed of the first column, and from column to column [rad/s] */
     double extra_inertia;           /* [kg m^2] */
 } Joint;
 

@@ -1,4 +1,4 @@
-"""CSV: a header of names (``q1`` or ``q1 [rad]``), then rows of numbers.
+"""CSV and TSV: a header of names (``q1`` or ``q1 [rad]``), perhaps a row of units, then rows of numbers.
 
 Recordings carry their circumstances in one comment line before the header; readers that know ``#`` skip it.
 Separators ``,`` ``;`` and tab are told from the header; ``;`` with decimal commas is understood. Gzip by suffix ``.gz``.
@@ -18,6 +18,7 @@ import numpy as np
 from zendsp.errors import RecordingError
 from zendsp.recording.formats.raw import Raw
 from zendsp.recording.names import split_unit
+from zendsp.recording.units import to_si
 
 if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
@@ -49,6 +50,9 @@ def read(path: Path) -> Raw:
         raise RecordingError(f"{path}: is empty; expected a line of column names, then rows of numbers")
     delimiter = next((d for d in (";", "\t", ",") if d in header_line), ",")
     names, units = _header(path, header_line, delimiter, first_line)
+    if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
+        units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
+        rows, first_line = rows.partition("\n")[2], first_line + 1
     columns = _numbers(path, rows, names, delimiter, first_line + 1)
     return Raw(columns, units, {}, circumstances)
 
@@ -81,6 +85,16 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
         if names.index(name) != k:
             raise RecordingError(f"{path}: line {number} names column {name!r} twice")
     return names, dict(split)
+
+
+def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
+    """The units in the row below the header; empty where that row holds anything else."""
+    cells = [cell.strip().strip("[]()").strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    words = [cell for cell in cells if cell not in ("", "-", "1")]
+    known = [word for word in words if to_si(word)]
+    if len(cells) != width or any(_is_number(word) for word in words) or 2 * len(known) <= len(words):
+        return []
+    return ["" if cell in ("-", "1") else cell for cell in cells]
 
 
 def _numbers(path: Path, rows: str, names: list[str], delimiter: str, first_line: int) -> dict[str, Any]:

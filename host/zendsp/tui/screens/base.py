@@ -62,6 +62,7 @@ class LabScreen(Screen[None]):
         if self not in self.app.screen_stack:  # another screen is shown; a dialog over this one is not another screen
             return
         snapshot = self.lab.session.snapshot
+        self.lab.session.place_stop(self.bar.field)
         self.bar.show(snapshot, self.lab.session.verdict)
         fresh = snapshot is not self._pulled
         self._pulled = snapshot

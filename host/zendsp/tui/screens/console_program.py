@@ -69,9 +69,9 @@ class ProgramActions(LabScreen):
     def action_host_lost(self) -> None:
         """Choose the policy."""
         options = [
-            Option("stop", "stop", "soft stop, then safe state (the default)"),
-            Option("hold", "hold", "keep the program running, hold the reference where it is"),
-            Option("finish", "finish", "let the motion end, then stop"),
+            Option("stop", "stop", "zero velocity at once, latched as a trip (the default)"),
+            Option("hold", "hold", "the program's parameter hold is set: it comes to rest on its path; without one, as stop"),
+            Option("finish", "finish", "the program goes on"),
         ]
 
         def chosen(keys: list[str] | None) -> None:

@@ -27,6 +27,9 @@ from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import percent, real
 from zendsp.tui.screens.execute_runs import RunActions
 from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.trial import Trial
+
+LOOK_S = 0.5  # between looks at the conditions, where nothing told that they changed
 
 
 class ExecuteScreen(RunActions):
@@ -42,6 +45,7 @@ class ExecuteScreen(RunActions):
         self.references: tuple[Reference, ...] = ()
         self.conditions: list[Condition] = []
         self.job: PlayJob | None = None
+        self.trial = Trial()
         self._looked = 0
         self._checked: object = None
 
@@ -82,9 +86,10 @@ class ExecuteScreen(RunActions):
         busy = self.job is not None and self.job.busy
         key = (snapshot.link, snapshot.state, snapshot.drive, snapshot.program, snapshot.machine, snapshot.mine, snapshot.trip,
                snapshot.commander, self.references, self.setup, busy, self.app.theme, self.size)  # fmt: skip
-        if key != self._checked or (self._looked % 30 == 0 and not busy):
+        frames = max(1, round(LOOK_S / self.lab.frame_s))
+        if key != self._checked or (self._looked % frames == 0 and not busy):
             self._checked = key
-            self.conditions = preflight(snapshot, self.references, self.files, self.setup, busy)
+            self.conditions = self.look(snapshot)
             self._paint(busy)
         if self.job is not None:
             self._follow(self.job, busy)
@@ -156,14 +161,18 @@ class ExecuteScreen(RunActions):
                 scope.limits = {}
         scope.redraw()
 
+    def look(self, snapshot: Snapshot) -> list[Condition]:
+        """Every condition of Start, now."""
+        busy = self.job is not None and self.job.busy
+        return preflight(snapshot, self.references, self.files, self.setup, busy, self.trial, self.lab.session.port)
+
     # -- the run ------------------------------------------------------------------------------------------------------
 
     @on(Button.Pressed, "#run-start")
     def action_start(self) -> None:
         """Start, if every condition is met."""
         snapshot = self.lab.session.snapshot
-        busy = self.job is not None and self.job.busy
-        self.conditions = preflight(snapshot, self.references, self.files, self.setup, busy)
+        self.conditions = self.look(snapshot)
         unmet = [x for x in self.conditions if not x.met]
         machine = machine_of(snapshot)
         if unmet or machine is None:
@@ -171,8 +180,9 @@ class ExecuteScreen(RunActions):
             return
         self._live(snapshot)
         self.job = PlayJob(
-            self.lab.session, self.references, self.files, machine, self.setup, self.lab.workspace.runs, self.lab.source_texts()
-        )
+            self.lab.session, self.references, self.files, machine, self.setup, self.lab.workspace.runs, self.lab.source_texts(),
+            self.trial,
+        )  # fmt: skip
         self.job.start()
 
     def _live(self, snapshot: Snapshot) -> None:

@@ -1,0 +1,189 @@
+"""The decision about bodies: as for the mechanisms of one joint, by what taking a body away costs on untouched recordings.
+
+The search of the joints has gone on with the bodies in the model. Here each body is taken away, everything else at the joints that it
+moves is fitted again, and the joints decide together: it is claimed where most of its torque acts at joints that miss it more than
+anything that stays unexplained there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zendsp.diagnosis.bodies import COM, LIMITS, BodySearch, FoundBody, Layout, refined, stated
+from zendsp.diagnosis.decide import FALSE_DISCOVERIES, Decision, dependence
+from zendsp.diagnosis.discrepancy import difference
+from zendsp.diagnosis.evidence import compare
+from zendsp.diagnosis.findings import NUMERIC, number
+from zendsp.diagnosis.mechanisms import LAWS_OF
+from zendsp.diagnosis.reading import Parts
+from zendsp.diagnosis.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.score import fit_scored
+from zendsp.physics.bodies import Links
+from zendsp.physics.fit import joint_handles
+from zendsp.physics.model import Model
+
+MOST = 0.5  # of a body's squared torque, over the joints: at so much it has to be larger than what is left
+SURE = 0.97  # no confidence beyond has been tested
+REJECTED = 4  # of its rivals are reported
+
+
+@dataclass(frozen=True)
+class BodyClaim:
+    """A body that is claimed: ``sizes`` are its RMS torques as a part of each joint's, ``gain`` is its deviance on the test recordings."""
+
+    found: FoundBody
+    sizes: dict[int, float]
+    gain: float
+    confidence: float
+
+    @property
+    def square(self) -> float:
+        """Its part in the explainable mismatch, in the unit of all joints' squared discrepancies."""
+        return sum(s**2 for s in self.sizes.values())
+
+
+def decide_bodies(
+    parts: Parts, search: BodySearch, decisions: Sequence[Decision], jobs: int
+) -> tuple[BodyClaim, ...]:
+    """Which of the proposed bodies are claimed.
+
+    Parameters
+    ----------
+    parts : Parts
+        Recordings to fit to, to choose by, and to test on.
+    search : BodySearch
+        Proposals; they stand in the models of the decisions.
+    decisions : sequence of Decision
+        What the joints came to with the bodies in place.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    tuple of BodyClaim
+        Those whose removal costs most first.
+    """
+    links = parts.fit.records[0][0].links
+    claims = [c for f in search.found if (c := _decided(parts, f, decisions, links, jobs)) is not None]
+    return tuple(sorted(claims, key=lambda c: -c.gain))
+
+
+def _decided(
+    parts: Parts, found: FoundBody, decisions: Sequence[Decision], links: Links | None, jobs: int
+) -> BodyClaim | None:
+    needed = math.log(len(decisions) * len(LAWS_OF) / FALSE_DISCOVERIES)
+    sizes: dict[int, float] = {}
+    borne = total = gain = rest = 0.0
+    for decision in decisions:
+        joint, final = decision.joint, decision.final
+        if not feels(found, joint, links):
+            continue
+        model = final.model.with_terms(tuple(t for t in final.model.terms if t != found.term))
+        data = replace(final.data, records=parts.fit.records)
+        handles = joint_handles(data, model, joint)
+        without = fit_scored(data, model, handles, (joint,), jobs=jobs, rounds=2, iterations=8)
+        held = compare(without, final, parts.test, joint)
+        size = difference(parts.test, without.model, final.model, joint)
+        log_e = 0.5 * held.gain / dependence(without, parts.test, joint)
+        sizes[joint] = size
+        total += size**2
+        gain += held.gain
+        if log_e > needed and held.z > 2.0 and size > decision.after.value:
+            borne += size**2
+            rest += decision.after.value**2
+    if borne <= MOST * total:
+        return None
+    ratio = math.sqrt(borne / max(rest, 1e-18))
+    sure = ratio**1.5 / (0.5 + ratio**1.5)
+    if found.indistinguishable:
+        sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
+    return BodyClaim(found, sizes, gain, float(min(SURE, max(0.05, sure))))
+
+
+def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
+    """Whether a joint (1-based) bears any of it."""
+    if found.term.effect == "base_tilt" or links is None:
+        return True
+    return links.moves(joint - 1, found.term.joint - 1)
+
+
+def settled(parts: Parts, claims: Sequence[BodyClaim], improved: Model, jobs: int) -> tuple[tuple[BodyClaim, ...], Model]:
+    """The claims with their numbers estimated again beside all that was found at the joints, and the model with these."""
+    links = parts.fit.records[0][0].links
+    if links is None:
+        return tuple(claims), improved
+    out = []
+    for claim in claims:
+        term = claim.found.term
+        rest = improved.with_terms(tuple(t for t in improved.terms if t != term))
+        layout = Layout(rest, links)
+        again = refined(parts.fit, parts.choose, rest, layout, claim.found.explained, replace(LIMITS, rounds=2), jobs, claim.found.aside)
+        new = stated(layout, again)
+        improved = improved.with_terms(tuple(new if t == term else t for t in improved.terms))
+        out.append(replace(claim, found=replace(claim.found, term=new, explained=again)))
+    return tuple(out), improved
+
+
+def body_finding(claim: BodyClaim, everything: float) -> Finding:
+    """A claim in words; ``everything`` is the explainable mismatch that it is a part of."""
+    found = claim.found
+    h, term = found.explained.hypothesis, found.term
+    values = {}
+    for key, value, std in zip(h.free, found.explained.values, found.explained.std, strict=True):
+        unit = "kg" if key == "mass" else "rad" if key.startswith("angle") else "kg m^2" if key == "inertia" else "m"
+        scale = abs(value) if key in ("mass", "inertia") else max(abs(value), 0.1)
+        values[key] = Estimate(float(value), float(np.hypot(std, NUMERIC * scale)), unit)
+    text = _sentence(found, values)
+    if found.indistinguishable:
+        text += f" This recording cannot tell it from {', '.join(found.indistinguishable)}."
+    share = min(1.0, claim.square / max(everything, 1e-300))
+    numbers = {"body": found.body} if found.body else {}
+    law = {term.effect: 1.0}
+    return Finding(
+        term.effect, term.joint, values, claim.confidence, share, _effects(found.indistinguishable), (), text, numbers, "inertia", law
+    )
+
+
+def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
+    effect, body = found.term.effect, found.body
+    link = f"The link {body} (joint {found.term.joint})"
+    centre = ", ".join(number(values[key]).removesuffix(" m") for key in COM if key in values)
+    if effect == "payload":
+        where = f"({centre}) m" if len([k for k in COM if k in values]) == 3 else f"{centre} m along it"
+        return f"{link} carries {number(values['mass'])} that the model lacks, with its centre at {where} in the link's frame."
+    if effect == "base_tilt":
+        about_x, about_y = (number(values[key]) for key in ("angle_x", "angle_y"))
+        return (
+            f"Gravity does not point where the model says: it is turned by {about_x} about the base's x axis and by"
+            f" {about_y} about its y axis, as on a tilted base."
+        )
+    if "mass" in values:
+        return f"{link} has another mass than the model says: the difference is {number(values['mass'])}."
+    return f"{link} has its centre of mass elsewhere than the model says: the difference is ({centre}) m."
+
+
+def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rejected]:
+    """Bodies that were proposed and not claimed, and rivals of those that are; where none was proposed, the best of what was tried."""
+    claimed = {(c.found.term.effect, c.found.term.joint) for c in claims}
+    refused = [f.explained for f in search.found if (f.term.effect, f.term.joint) not in claimed]
+    if not search.found:
+        refused = [e for e in search.tried if e.hypothesis.of_bodies and e.gain > 0][:REJECTED]
+    why = "is not what is missing, on the recordings held out"
+    out = [Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, -abs(e.gain)) for e in refused]
+    for claim in claims:
+        best = claim.found.explained.gain
+        for e in claim.found.rejected[:REJECTED]:
+            part = 100 * min(0.99, float(np.clip(e.share, 0, 1).mean()))
+            if e.hypothesis.effect != "unknown":
+                why = f"explains {part:.0f} % of it ({e.hypothesis.name})"
+                out.append(Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, 0.5 * (e.gain - best)))
+    return out
+
+
+def _effects(words: Sequence[str]) -> tuple[str, ...]:
+    """Effects of hypotheses in words ("payload of link3"), each once: reports name effects, the sentence says of which body."""
+    return tuple(dict.fromkeys(w.split(" of ")[0] for w in words))

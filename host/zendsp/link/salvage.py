@@ -1,0 +1,142 @@
+"""Recordings of targets that were killed: their rows outlive them in shared memory, on the same computer and for the same user."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zendsp.errors import AcquisitionError
+from zendsp_protocol import kept
+from zendsp_protocol.lazily import Lazily
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from zendsp.recording import Recording
+    from zendsp.recording.names import FloatArray
+else:
+    np = Lazily("numpy")
+
+SETTLE_S = 5.0  # for a loop that outlives its monitor by a moment
+LOG_LOST = "changes of parameters made while it recorded are not known; the values are those when it began"
+
+
+@dataclass(frozen=True)
+class Salvage:
+    """What one killed target had recorded.
+
+    Attributes
+    ----------
+    target, machine : str
+    begun : float, Unix s
+    rows, columns : int
+    folder : Path
+        In shared memory; it is freed by :meth:`drop`.
+    """
+
+    target: str
+    machine: str
+    begun: float
+    rows: int
+    columns: int
+    folder: Path
+
+    def load(self, note: str = "") -> Recording:
+        """Read it; it stays in shared memory until :meth:`drop`.
+
+        Parameters
+        ----------
+        note : str
+            Kept in the recording.
+
+        Raises
+        ------
+        AcquisitionError
+            It is gone.
+        """
+        from zendsp.link.circumstances import host_version, join_channels
+        from zendsp.link.variables import plain
+        from zendsp.recording import Recording
+        from zendsp_protocol.values import from_wire
+
+        found = kept.read(self.folder)
+        if found is None:
+            raise AcquisitionError(f"the recording of {self.target!r} is gone: it was dropped, or removed by a later start")
+        first, data = _rows(self.folder, found)
+        about, program = found.about, found.about.program
+        start_tick = found.word(self.folder, found.start_at) + first * found.decimation
+        fired = found.word(self.folder, found.fired_at)
+        return Recording(
+            t=(start_tick + found.decimation * np.arange(len(data))) / about.rate_hz,
+            data=data,
+            channels=join_channels(found.columns, found.units),
+            sample_time=found.decimation / about.rate_hz,
+            start_tick=start_tick,
+            decimation=found.decimation,
+            trigger_row=fired - first if fired >= 0 else -1,
+            lost=found.word(self.folder, found.missed_at),
+            parameters={name: plain(from_wire(value)) for name, value in about.parameters.items()},
+            sources=dict(program.sources),
+            compiler=program.compiler,
+            flags=tuple(program.flags),
+            machine=about.machine,
+            target=about.target,
+            versions={**about.versions, "host": host_version()},
+            created=about.begun,
+            note=note,
+            extra={**about.extra, "salvaged": LOG_LOST},
+        )
+
+    def drop(self) -> None:
+        """Free the memory; what was not loaded and saved is lost."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def find_salvage(target: str = "") -> tuple[Salvage, ...]:
+    """Find what targets of this user that were killed had recorded, the newest first.
+
+    A target keeps the last recording that was begun in shared memory until it ends in good order. If it is killed the rows stay,
+    those of the last three killed targets, until they are dropped or the computer is switched off.
+
+    Parameters
+    ----------
+    target : str
+        Only of targets of this name; default: of all.
+
+    Examples
+    --------
+    >>> for one in find_salvage("a target that was never killed"):
+    ...     one.load().save("run.mat")
+    ...     one.drop()
+    """
+    found = []
+    with kept.abandoned() as folders:
+        for folder in folders:
+            note = kept.read(folder)
+            if note is not None and target in ("", note.about.target):
+                about = note.about
+                first, count = _range(folder, note)
+                found.append(Salvage(about.target, about.machine, about.begun, count - first, len(note.columns), folder))
+    return tuple(sorted(found, key=lambda one: one.begun, reverse=True))
+
+
+def _range(folder: Path, note: kept.Kept) -> tuple[int, int]:
+    """The first row, and the first that was not written any more."""
+    count, fired = note.count(folder), note.word(folder, note.fired_at)
+    return kept.first_row(count, fired, note.rows, note.pre, note.ring, note.triggered), count
+
+
+def _rows(folder: Path, note: kept.Kept) -> tuple[int, FloatArray]:
+    width = len(note.columns)
+    deadline = time.monotonic() + SETTLE_S
+    while True:
+        first, count = _range(folder, note)
+        held = np.memmap(folder / note.file, np.float64, "r", note.rows_at, (note.capacity, width))
+        data = np.array(held[np.arange(first, count) % note.capacity])
+        if note.count(folder) == count:
+            return first, data
+        if time.monotonic() > deadline:
+            raise AcquisitionError(f"the loop of {note.about.target!r} still writes rows: end it, or look whether the target lives")

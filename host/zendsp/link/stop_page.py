@@ -1,0 +1,100 @@
+"""STOP through shared memory: for a target of this user on this computer, past its interpreter and past the link."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import time
+
+from zendsp.link.find import local_entries, remote_endpoints
+from zendsp_protocol import stop_page as page
+
+POLL_S = 0.0005
+
+
+class StopPage:
+    """The stop page of one target, mapped.
+
+    Parameters
+    ----------
+    path : str
+
+    Raises
+    ------
+    OSError
+        It is gone, not this user's, or of another version.
+    """
+
+    def __init__(self, path: str) -> None:
+        file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        try:
+            if os.fstat(file).st_uid not in (os.getuid(), 0) or os.fstat(file).st_size != page.SIZE:
+                raise OSError(f"{path} is not the stop page of a target of this user")
+            self._map = mmap.mmap(file, page.SIZE)
+        finally:
+            os.close(file)
+        if struct.unpack_from(page.HEAD, self._map) != (page.MAGIC, page.VERSION):
+            raise OSError(f"{path} was made by another version of zendsp")
+        self._words = memoryview(self._map).cast("Q")  # read whole, unlike by `struct`
+
+    def ask(self) -> int:
+        """STOP, from the next sample on; returns what :meth:`taken` wants. Never waits."""
+        before = self._words[page.TAKEN // 8]
+        self._map[page.STOP] = 1
+        return before
+
+    def taken(self, asked: int, timeout: float) -> int | None:
+        """Wait until the loop has taken a STOP that was asked.
+
+        Parameters
+        ----------
+        asked : int
+            From :meth:`ask`.
+        timeout : float, s
+
+        Returns
+        -------
+        int or None
+            The sample at which it, or an earlier trip, was latched; None where no loop said so in time.
+        """
+        deadline = time.monotonic() + timeout
+        while self._words[page.TAKEN // 8] == asked:
+            if time.monotonic() > deadline:
+                return None
+            time.sleep(POLL_S)
+        return self._words[page.SAMPLE // 8]
+
+
+def here(name: str, connect: str | None) -> StopPage | None:
+    """Map the stop page of the target that a user means, as `connect` would find it; None where that is elsewhere, or not the only one.
+
+    Parameters
+    ----------
+    name : str
+        Empty: the only one there is.
+    connect : str or None
+        Endpoint, as given by the user.
+    """
+    if remote_endpoints(connect):
+        return None
+    entries = [entry for entry in local_entries() if name in ("", entry.name)]
+    return find(entries[0].name) if len(entries) == 1 else None
+
+
+def find(name: str, instance: bytes | None = None) -> StopPage | None:
+    """Map the stop page of a target; None where it runs elsewhere or is not this user's.
+
+    Parameters
+    ----------
+    name : str
+    instance : bytes, optional
+        Of its run; default: the one that runs now.
+    """
+    for entry in local_entries():
+        if entry.name == name and entry.stop and instance in (None, bytes.fromhex(entry.instance)):
+            try:
+                return StopPage(entry.stop)
+            except (OSError, ValueError):
+                return None
+    return None

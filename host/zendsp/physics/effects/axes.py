@@ -1,0 +1,129 @@
+"""What several effects say alike of a recording: values to screen, bounds, starts. All SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from zendsp.physics.effects.base import Along, Array, Facts, Numbers
+
+HARMONICS = 60
+SLOWEST, FASTEST = 0.5, 200.0  # Hz: a resonance beyond is not seen in a recording
+
+Limits = Callable[[Facts], tuple[float, float]]
+
+
+def orders(facts: Facts) -> Sequence[float]:
+    """Repeats to screen, 1/rad or 1/m: whole ones a turn from two on, finely spaced on an axis."""
+    if facts.slides:
+        return [math.pi / facts.scale.position * i for i in range(2, 320)]
+    return [float(i) for i in range(2, HARMONICS + 1)]  # once per turn is gravity
+
+
+def order_limits(turns: float) -> Limits:
+    """At least ``turns`` periods within the motion; 1.2 a turn in any case."""
+
+    def limits(facts: Facts) -> tuple[float, float]:
+        span = facts.scale.position
+        return max(
+            0.0, turns * 2 * math.pi / span if turns and span < 2 * math.pi else 1.2
+        ), math.inf
+
+    return limits
+
+
+def of_speed(*shares: float) -> Callable[[Facts], Sequence[float]]:
+    """Shares of the speed that 5 % of the samples exceed."""
+    return lambda facts: [share * facts.fast for share in shares]
+
+
+def of_command(*shares: float) -> Callable[[Facts], Sequence[float]]:
+    """Shares of the command that 0.1 % of the samples exceed."""
+    return lambda facts: [share * facts.strong for share in shares]
+
+
+def command_limits(facts: Facts) -> tuple[float, float]:
+    """From nothing to beyond the largest command."""
+    return 0.0, 1.2 * facts.strongest
+
+
+def around_centre(*shares: float) -> Callable[[Facts], Sequence[float]]:
+    """Positions, as shares of the motion's range from its middle."""
+    return lambda facts: [facts.centre + share * facts.scale.position for share in shares]
+
+
+def neutral_limits(facts: Facts) -> tuple[float, float]:
+    """A neutral point may lie outside of the motion, but not far."""
+    return facts.centre - 3 * facts.scale.position, facts.centre + 3 * facts.scale.position
+
+
+def near(power: int) -> Callable[[Facts, Numbers], Numbers]:
+    """Another start of a spring: neutral in the middle of the motion, or at its edge.
+
+    At the edge where the neutral point was far outside. What screens as a weak spring with a
+    distant neutral point may be a strong one with a near one: a constant torque and a stiffness lie
+    in one narrow valley, along which a fit hardly moves. ``power``: of the deflection in torque.
+    """
+
+    def other(facts: Facts, values: Numbers) -> Numbers:
+        reach = 0.5 * facts.scale.position
+        away = values["neutral"] - facts.centre
+        far = abs(away) > reach
+        return {
+            "neutral": facts.centre + (math.copysign(reach, away) if far else 0.0),
+            "coefficient": values["coefficient"]
+            * (abs(away) / reach + (0.0 if far else 1.0)) ** power,
+        }
+
+    return other
+
+
+def slow_limits(facts: Facts) -> tuple[float, float]:
+    """Time constants that a recording of this length can tell."""
+    return 0.01 * facts.scale.seconds, 5.0 * facts.scale.seconds
+
+
+def resonance(facts: Facts, hertz: float, share: float) -> float:
+    """Stiffness before a load of that share of the inertia that rings so fast, N m/rad or N/m."""
+    return (2 * math.pi * hertz) ** 2 * facts.inertia * share * (1 - share)
+
+
+def _fastest(facts: Facts) -> float:
+    return min(2 * math.pi * FASTEST, 1.0 / facts.sample_time)
+
+
+def transmission_limits(facts: Facts) -> tuple[float, float]:
+    """Stiffnesses whose resonance a recording can show."""
+    inertia = facts.scale.inertia
+    return 0.05 * inertia * (2 * math.pi * SLOWEST) ** 2, 0.25 * inertia * _fastest(facts) ** 2
+
+
+def transmission_damping_limits(facts: Facts) -> tuple[float, float]:
+    """Up to what lets nothing swing."""
+    return 0.0, 0.4 * facts.scale.inertia * _fastest(facts)
+
+
+def load_limits(facts: Facts) -> tuple[float, float]:
+    """A load is a part of the whole inertia."""
+    return 0.02 * facts.scale.inertia, 0.97 * facts.scale.inertia
+
+
+def bristle_limits(facts: Facts) -> tuple[float, float]:
+    """From a spring as soft as the motion is wide to next to rigid."""
+    return (
+        0.05 * facts.scale.torque / facts.scale.position,
+        1e5 * facts.scale.torque / facts.scale.position,
+    )
+
+
+def off_centre(_facts: Facts) -> tuple[float, float]:
+    """3.4 degrees at most: no encoder disc is further off centre."""
+    return 0.0, 0.06
+
+
+def late(along: Along, p: Numbers) -> Array:
+    """What a command that acts late lacks, to first order, N m or N; ``p`` has the time only."""
+    (time,) = p.values()
+    return np.diff(along.torque, prepend=along.torque[0]) * (time / along.sample_time)

@@ -1,0 +1,70 @@
+"""The command column is shifted in time against the position column.
+
+Its rows were written before or after the sample that they belong to. A column that is late holds at
+each row what acted before: the command of the future explains the motion, which no machine can. One
+that is early is a delay of the actuator by another name, and the delay the likelier of the two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zendsp.physics.effects.axes import late
+from zendsp.physics.effects.base import Along, Array, Effect, Facts, Numbers, Parameter
+
+ROW = 0.25  # of a row: a machine that is integrated in steps is off by a part of a step
+
+
+def _early(along: Along, p: Numbers) -> Array:
+    return -late(along, p)
+
+
+def _limits(facts: Facts) -> tuple[float, float]:
+    """A few rows: what is further off is seen by eye."""
+    most = max(0.05, 5 * facts.sample_time)
+    return -most, most
+
+
+def _moved(command: Array, sample_time: float, p: Numbers) -> Array:
+    """What acted in each sample, (n,), where the column holds it late."""
+    edges = np.arange(len(command) + 1) * sample_time
+    total = np.r_[0.0, np.cumsum(command)] * sample_time
+    ahead = np.interp(edges + p["time"], edges, total, left=0.0)
+    return np.diff(ahead) / sample_time
+
+
+EFFECT = Effect(
+    name="column_shift",
+    site="setup",
+    mechanism="measurement",
+    parameters=(
+        Parameter(
+            "time",
+            "time",
+            lower=-0.2,
+            upper=0.2,
+            limits=_limits,
+            meaning="late; early where negative",
+        ),
+    ),
+    c="column_late += p[0];",
+    sentence=(
+        "The command column of joint {joint} is {time} late against the position column "
+        "(negative: early): the rows are shifted."
+    ),
+    experiment="A step of the command: the row in which the motion begins shows the shift.",
+    equation="u(t + s) in place of u(t)",
+    over="acceleration",
+    linear=("time",),
+    column=_early,
+    retime=_moved,
+    hidden=True,
+    least=lambda f: {"time": ROW * f.sample_time},
+    odds=-1.0,
+    family="timing",
+    rivals=("delay", "lag", "position_filter"),
+    why_not=(
+        "it is in the recording, not in the machine: write command and position of one sample "
+        "into one row"
+    ),
+)

@@ -1,0 +1,35 @@
+"""The position column is low-passed: the drive's filter, or one in whatever wrote the recording."""
+
+from __future__ import annotations
+
+from zendsp.physics.effects.base import Effect, Parameter
+
+EFFECT = Effect(
+    name="position_filter",
+    site="setup",
+    mechanism="measurement",
+    parameters=(
+        Parameter(
+            "time_constant",
+            "time",
+            lower=1e-5,
+            upper=0.2,
+            limits=lambda f: (0.1 * f.sample_time, 0.2),
+        ),
+    ),
+    c="filter = p[0];",
+    sentence=(
+        "The position of joint {joint} is recorded through a low-pass filter with a time "
+        "constant of {time_constant}."
+    ),
+    experiment="Fast motion beside a second sensor, or the unfiltered channel of the drive.",
+    equation="T y' + y = q",
+    over="acceleration",
+    linear=("time_constant",),
+    column=lambda along, p: p["time_constant"] * along.qd,
+    on_position=True,
+    hidden=True,
+    family="timing",
+    rivals=("delay", "lag", "column_shift"),
+    why_not="it is in the sensor: correct the recorded position, or take the unfiltered channel",
+)

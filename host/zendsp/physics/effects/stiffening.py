@@ -1,0 +1,75 @@
+"""A transmission that stiffens as it is loaded: the spring of a harmonic drive."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+from zendsp.physics.effects.axes import (
+    load_limits,
+    transmission_damping_limits,
+    transmission_limits,
+)
+from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
+
+SOFTER = (0.4, 0.7, 1.0)  # of the constant stiffness that was found in its place
+SHARES = (0.3, 1.0, 3.0)  # of the cubic term in the torque, at the typical torque of the load
+
+
+def _starts(facts: Facts) -> Sequence[Numbers]:
+    starts = []
+    for soft, share in itertools.product(SOFTER, SHARES):
+        stiffness, load = soft * facts.replaced["stiffness"], facts.replaced["load_inertia"]
+        bend = facts.scale.torque * load / facts.inertia / stiffness
+        starts.append(
+            {**facts.replaced, "stiffness": stiffness, "stiffness3": share * stiffness / bend**2}
+        )
+    return starts
+
+
+EFFECT = Effect(
+    name="stiffening",
+    site="setup",
+    mechanism="transmission",
+    parameters=(
+        Parameter("stiffness", "torque/position", lower=1e-9, limits=transmission_limits),
+        Parameter("stiffness3", "torque/position3", lower=0),
+        Parameter(
+            "load_inertia",
+            "inertia",
+            lower=0,
+            default=0.0,
+            limits=load_limits,
+            meaning="0: half of the joint's",
+        ),
+        Parameter(
+            "damping",
+            "torque/speed",
+            lower=0,
+            default=0.0,
+            limits=transmission_damping_limits,
+            meaning="0: a twentieth of critical",
+        ),
+    ),
+    c=(
+        "two_mass = 1; k_spring = p[0]; k_cubic = p[1]; j_load = p[2]; c_spring = p[3] > 0 ? "
+        "p[3] : -1;"
+    ),
+    sentence=(
+        "The transmission of joint {joint} stiffens as it bends: {stiffness} at rest, and "
+        "{stiffness3} times the bend cubed."
+    ),
+    experiment="Chirps of two amplitudes: the resonance rises with the amplitude.",
+    equation="k φ + k₃ φ³, φ = qm - ql",
+    over="command",
+    scan=_starts,
+    hidden=True,
+    essence=("stiffness3", "load_inertia"),
+    loosens_inertia=True,
+    family="transmission",
+    sole=True,
+    replaces=("elasticity",),
+    needs=("elasticity",),
+    rivals=("elasticity", "backlash"),
+    why_not="its motion is not that of the motor: control both sides, or filter the resonance",
+)

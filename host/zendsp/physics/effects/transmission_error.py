@@ -1,0 +1,52 @@
+"""The load turns unevenly with the motor: eccentric or worn gears, a harmonic drive's two errors.
+
+Beside a spring between motor and load the error bends it. Where the model has none, the
+transmission is rigid and all inertia but added rotors is the load's: turned unevenly it takes
+torque, the more the faster.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zendsp.physics.effects.axes import off_centre, orders
+from zendsp.physics.effects.base import Along, Array, Effect, Numbers, Parameter
+
+
+def _column(along: Along, p: Numbers) -> Array:
+    """What the load resists in a rigid transmission, to first order in the amplitude."""
+    amplitude, order = p["amplitude"], p["order"]
+    error, slope = (
+        np.sin(order * along.q + p["phase"]),
+        order * np.cos(order * along.q + p["phase"]),
+    )
+    inert = along.inertia * (2 * slope * along.qdd - order**2 * error * along.qd**2)
+    return np.asarray(
+        amplitude * (inert + along.gravity * (slope * np.sin(along.q) + error * np.cos(along.q)))
+    )
+
+
+EFFECT = Effect(
+    name="transmission_error",
+    site="setup",
+    mechanism="transmission",
+    parameters=(
+        Parameter("order", "order", lower=0, limits=lambda f: (0.8, 1e9)),
+        Parameter("amplitude", "position", lower=0, limits=off_centre),
+        Parameter("phase", "angle", lower=-6.5, upper=6.5),
+    ),
+    c="w_order = p[0]; w_amp = p[1]; w_phase = p[2];",
+    sentence=(
+        "The transmission of joint {joint} errs by {amplitude}, {repeats}: the load runs ahead "
+        "of the motor and behind."
+    ),
+    experiment="Constant speeds over whole turns, slow and fast, or a second sensor on the load.",
+    equation="ql = qm + A sin(n qm + φ)",
+    over="position",
+    linear=("amplitude",),
+    grid={"order": lambda f: [1.0, *orders(f)], "phase": (0.0, 1.5707963267948966)},
+    column=_column,
+    hidden=True,
+    rivals=("ripple", "sensor_harmonic", "elasticity"),
+    why_not="the load's motion is not the motor's: correct the reference by the error",
+)

@@ -1,0 +1,42 @@
+"""A case, asked for and finished; what every reality makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from zendsp.proof.reality import Run
+
+
+@dataclass(frozen=True)
+class Request:
+    """What case to make."""
+
+    seed: int
+    kind: str  # a key of conceal.KINDS
+    machine: str = "rotary"
+    effect: str = ""  # for the kinds that conceal one effect
+    size: float = 1.0
+    reality: str = "own"  # who simulates it: own | mujoco
+
+
+@dataclass(frozen=True)
+class Case:
+    """A finished case: what the tool sees, and the truth."""
+
+    train: Run
+    heldout: Run
+    model: dict[str, Any]
+    truth: dict[str, Any]
+    form: str
+    layout: str  # of the files: see Draft.layout
+    untouched: Run  # of the same machine; no diagnosis ever sees it
+    files: dict[str, str] = field(default_factory=dict)  # what the model names besides, by file name
+
+
+class Unusable(RuntimeError):
+    """This draw makes no sensible recording; draw again."""
+
+
+class NoUsableCase(RuntimeError):
+    """No draw of a request makes a sensible recording."""

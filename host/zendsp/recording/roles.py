@@ -1,0 +1,96 @@
+"""What a column probably is, told by its name and its unit."""
+
+from __future__ import annotations
+
+import re
+from enum import Enum
+
+from zendsp.recording.units import to_si
+
+
+class Role(Enum):
+    """What a column of a recording holds; the value is the key in a model file's ``[columns]``."""
+
+    TIME = "time"
+    POSITION = "position"
+    COMMAND = "command"
+    REFERENCE = "reference"
+    VELOCITY = "velocity"
+    CURRENT = "current"
+    TEMPERATURE = "temperature"
+    TORQUE_MEASURED = "torque_measured"
+    NONE = ""
+
+
+WORDS = {
+    Role.TIME: {"t", "time", "timestamp", "stamp", "zeit", "clock"},
+    Role.POSITION: {"q", "theta", "phi", "pos", "position", "positions", "angle", "x", "enc", "encoder", "winkel", "qm"},
+    Role.COMMAND: {
+        "u", "tau", "torque", "torques", "effort", "efforts", "force", "voltage", "volt", "cmd", "command", "control",
+        "moment", "drehmoment", "aout", "vir",
+    },
+    Role.REFERENCE: {"r", "ref", "reference", "des", "desired", "setpoint", "sp", "goal", "target", "soll", "qref", "qdes", "qg"},
+    Role.VELOCITY: {"qd", "dq", "qdot", "vel", "velocity", "velocities", "omega", "speed", "thetad", "w"},
+    Role.CURRENT: {"i", "iq", "current", "currents", "amps", "strom"},
+    Role.TEMPERATURE: {"temp", "temperature", "celsius"},
+}  # fmt: skip
+MEASURED = {"meas", "measured", "actual", "sensor", "sensed"}
+ACCELERATION = {"qdd", "ddq", "acc", "acceleration", "accel"}
+UNITS = {
+    "rad": Role.POSITION, "m": Role.POSITION, "rad/s": Role.VELOCITY, "m/s": Role.VELOCITY, "N m": Role.COMMAND,
+    "Nm": Role.COMMAND, "N": Role.COMMAND, "V": Role.COMMAND, "A": Role.CURRENT, "°C": Role.TEMPERATURE, "degC": Role.TEMPERATURE,
+}  # fmt: skip
+ALLOWED = {  # units that a role can have; any where the file states none
+    Role.TIME: {"s"}, Role.POSITION: {"rad", "m"}, Role.REFERENCE: {"rad", "m"}, Role.VELOCITY: {"rad/s", "m/s"},
+    Role.CURRENT: {"A"},
+}  # fmt: skip
+
+
+def role_of(name: str, unit: str = "") -> Role:
+    """What the column ``name [unit]`` probably is; ``Role.NONE`` where neither says.
+
+    Examples
+    --------
+    >>> role_of("q1").value, role_of("motor_torque").value, role_of("JointPositionCmd").value
+    ('position', 'command', 'reference')
+    >>> role_of("signal 3", "deg").value, role_of("joint_states.elbow.effort").value
+    ('position', 'command')
+    """
+    known = to_si(unit) if unit else None
+    si = known[1] if known else ""
+    found = _by_words(_words(name))
+    if found is Role.NONE or (si and si not in ALLOWED.get(found, {si})):
+        by_unit = UNITS.get(si, Role.NONE)
+        return by_unit if found is not Role.REFERENCE or by_unit is not Role.COMMAND else Role.COMMAND
+    if found is Role.COMMAND and si in ("rad", "m"):
+        return Role.REFERENCE  # a command of position
+    return found
+
+
+def _words(name: str) -> set[str]:
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    # of a path such as joint_states.elbow.effort the last part says what the number is, if it says anything
+    last = re.split(r"[./]", spaced)[-1]
+    for part in (last, spaced):
+        words = {word.lower() for word in re.findall(r"[^\W\d_]+", part)} | {re.sub(r"[\W\d_]", "", part).lower()}
+        if any(words & some for some in (*WORDS.values(), ACCELERATION)):
+            break
+    return words
+
+
+def _by_words(words: set[str]) -> Role:
+    if words & ACCELERATION:
+        return Role.NONE
+    has = {role: bool(words & some) for role, some in WORDS.items()}
+    if "iq" in words:
+        return Role.CURRENT
+    if has[Role.COMMAND] and words & MEASURED:
+        return Role.TORQUE_MEASURED
+    if has[Role.VELOCITY]:
+        return Role.NONE if has[Role.REFERENCE] or has[Role.COMMAND] else Role.VELOCITY
+    if has[Role.POSITION]:
+        return Role.REFERENCE if has[Role.REFERENCE] or has[Role.COMMAND] else Role.POSITION
+    for role in (Role.COMMAND, Role.REFERENCE, Role.CURRENT, Role.TEMPERATURE, Role.TIME):
+        if has[role]:
+            return role
+    return Role.NONE

@@ -1,0 +1,141 @@
+"""Units as people write them, and the factor to SI."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+
+from zendsp.recording.names import FloatArray
+
+# symbol: (factor to SI, what it is in SI)
+WHOLE = {
+    "deg": (math.pi / 180, "rad"), "degree": (math.pi / 180, "rad"), "degrees": (math.pi / 180, "rad"),
+    "°": (math.pi / 180, "rad"), "mdeg": (math.pi / 180e3, "rad"),
+    "rev": (2 * math.pi, "rad"), "turn": (2 * math.pi, "rad"), "turns": (2 * math.pi, "rad"),
+    "radian": (1.0, "rad"), "radians": (1.0, "rad"),
+    "rpm": (math.pi / 30, "rad/s"), "1/min": (math.pi / 30, "rad/s"), "rev/min": (math.pi / 30, "rad/s"),
+    "dps": (math.pi / 180, "rad/s"), "rps": (2 * math.pi, "rad/s"),
+    "sec": (1.0, "s"), "secs": (1.0, "s"), "second": (1.0, "s"), "seconds": (1.0, "s"),
+    "min": (60.0, "s"), "h": (3600.0, "s"), "msec": (1e-3, "s"), "usec": (1e-6, "s"), "nsec": (1e-9, "s"),
+    "in": (0.0254, "m"), "inch": (0.0254, "m"), "ft": (0.3048, "m"), "lbf": (4.4482216152605, "N"),
+    "kgf": (9.80665, "N"), "amp": (1.0, "A"), "amps": (1.0, "A"), "volt": (1.0, "V"), "volts": (1.0, "V"),
+}  # fmt: skip
+BASE = ("rad", "Nm", "Hz", "m", "s", "N", "A", "V", "W", "J", "g", "K")
+PREFIX = {"": 1.0, "k": 1e3, "M": 1e6, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}
+AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that are left as they are
+# suffixes of names that say nothing else; `_ms` is milliseconds only where the rest names a time
+SUFFIXES = {"deg": "deg", "rpm": "rpm", "dps": "deg/s", "degps": "deg/s", "mnm": "mN m", "mm": "mm", "ma": "mA"}
+TIME_SUFFIXES = {"ms": "ms", "us": "us", "ns": "ns", "sec": "s", "s": "s"}
+TIME_NAMES = ("t", "time", "timestamp", "stamp", "clock")
+
+_FACTOR = re.compile(r"^(?P<symbol>[^\d^²³\-+]+)\^?(?P<power>[+-]?\d+|²|³)?$")
+_POWERS = {"²": 2, "³": 3}
+
+
+def to_si(unit: str) -> tuple[float, str] | None:
+    """The factor from a unit to SI and the SI unit; None where the unit is not known.
+
+    Examples
+    --------
+    >>> to_si("mN m"), to_si("N·mm"), to_si("rad")
+    ((0.001, 'N m'), (0.001, 'N m'), (1.0, 'rad'))
+    >>> factor, name = to_si("deg/s^2")
+    >>> round(factor, 6), name
+    (0.017453, 'rad/s^2')
+    >>> to_si("furlong") is None
+    True
+    """
+    text = unit.strip()
+    if text in AS_WRITTEN:
+        return 1.0, text
+    if text in WHOLE:
+        return WHOLE[text]
+    over, *under = text.replace("per ", "/").split("/")
+    factor, names = _product(over)
+    below: list[str] = []
+    for part in under:
+        divisor, symbols = _product(part.strip("()"))
+        factor /= divisor
+        below += symbols
+    if math.isnan(factor) or not names or (under and not below):
+        return None
+    known = " ".join(names)
+    if factor == 1.0:
+        return 1.0, text  # as its author wrote it
+    return factor, known + ("/" + "/".join(below) if below else "")
+
+
+def _product(text: str) -> tuple[float, list[str]]:
+    """Factor and SI symbols of a product such as ``mN m``; NaN where a symbol is unknown."""
+    factor, names = 1.0, []
+    for part in re.split(r"[\s·*⋅]+", text.strip()):
+        if part == "1":
+            names.append("1")
+            continue
+        match = _FACTOR.match(part)
+        found = _symbol(match["symbol"]) if match else None
+        if match is None or found is None:
+            return math.nan, []
+        power = int(_POWERS.get(match["power"], match["power"] or 1))
+        factor *= found[0] ** power
+        names.append(found[1] + (f"^{power}" if power != 1 else ""))
+    return factor, names
+
+
+def _symbol(text: str) -> tuple[float, str] | None:
+    if text in WHOLE:
+        return WHOLE[text]
+    for base in BASE:
+        if text.endswith(base) and (prefix := text[: -len(base)]) in PREFIX:
+            factor = PREFIX[prefix]
+            if base == "g":
+                return factor * 1e-3, "kg"
+            return factor, "N m" if base == "Nm" else base
+    return None
+
+
+def unit_in_name(name: str) -> str:
+    """The unit that a name ends in (``theta_deg``, ``t_ms``); empty where it says none.
+
+    Examples
+    --------
+    >>> unit_in_name("theta_deg"), unit_in_name("t_ms"), unit_in_name("v_ms"), unit_in_name("Kp")
+    ('deg', 'ms', '', '')
+    """
+    rest, _, last = name.partition("[")[0].rpartition("_")
+    if not rest:
+        return ""
+    if rest.lower() in TIME_NAMES:
+        return TIME_SUFFIXES.get(last.lower(), "")
+    return SUFFIXES.get(last.lower(), "")
+
+
+def in_si(
+    columns: Mapping[str, FloatArray], units: Mapping[str, str]
+) -> tuple[dict[str, FloatArray], dict[str, str], tuple[str, ...]]:
+    """Columns in SI units, their units, and a sentence for what was converted.
+
+    Parameters
+    ----------
+    columns : mapping of name to array
+    units : mapping of name to str
+        Where it says nothing, a name such as ``theta_deg`` does.
+
+    Returns
+    -------
+    columns, units : dict
+        A unit that is not known is left, with its numbers.
+    notes : tuple of str
+    """
+    converted, said, notes = dict(columns), dict(units), []
+    for name, values in columns.items():
+        unit = units.get(name) or unit_in_name(name)
+        known = to_si(unit) if unit else None
+        if known is None:
+            continue
+        factor, said[name] = known
+        if factor != 1.0:
+            converted[name] = values * factor
+            notes.append(f"{name}: {unit} converted to {said[name]}")
+    return converted, said, tuple(notes)

@@ -1,0 +1,150 @@
+"""What the next run would do on a simulated twin: tried as soon as it is known, shown before Start."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zendsp.errors import Refused, ZendspError
+from zendsp.link import Rehearsal
+from zendsp.link.link import background
+from zendsp.reference import Machine, Reference
+from zendsp.tui.playing import (
+    Player,
+    Playlist,
+    Setup,
+    find_player,
+    lead_time,
+    make_playlist,
+    player_values,
+    present_position,
+)
+from zendsp.tui.port import Port
+from zendsp.tui.snapshot import Snapshot
+
+STILL_S = 0.5  # that a plan must stay the same before it is tried
+AGAIN_S = 10.0  # after one that failed
+CLOSE = 0.01  # rad: of an arm that stands where it stood
+REST_S = 0.1  # after the last row
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that decides how a run goes."""
+
+    program: str
+    parameters: Mapping[str, Any]
+    player: Player
+    playlist: Playlist
+    values: Mapping[str, Any]
+    lead: float
+
+    @property
+    def seconds(self) -> float:
+        """Of the whole run, s."""
+        return self.lead + self.playlist.duration + REST_S
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """What the program is sent, in this order: the motion begins when `ref` switches over."""
+        torque = {self.player.torque_table: self.playlist.torque} if self.player.torque_table else {}
+        return {**torque, self.player.table: self.playlist.rows}
+
+    def same(self, other: Plan) -> bool:
+        """Whether the other would go the same way."""
+        if (self.program, self.parameters, self.values, self.lead) != (other.program, other.parameters, other.values, other.lead):
+            return False
+        mine, theirs = self.playlist, other.playlist
+        if mine.rows.shape != theirs.rows.shape or mine.rate != theirs.rate:
+            return False
+        return bool(np.allclose(mine.rows, theirs.rows, 0.0, CLOSE) and np.allclose(mine.torque, theirs.torque))
+
+
+def make_plan(snapshot: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup) -> Plan:
+    """Plan the run from where the arm stands now.
+
+    Raises
+    ------
+    Refused
+        The program cannot play tables, or nobody knows where the arm stands.
+    ReferenceError_
+        The motions cannot be joined.
+    """
+    player = find_player(snapshot.variables)
+    here = present_position(snapshot, machine.joints)
+    if player is None or here is None:
+        raise Refused("the loaded program cannot play a table: see the preflight list")
+    playlist = make_playlist(references, machine, here, setup, player)
+    own = [v.name for v in snapshot.variables if v.kind == "parameter" and v.name not in player.parameters]
+    parameters = {name: np.asarray(snapshot.values[name]).tolist() for name in own if name in snapshot.values}
+    return Plan(snapshot.program, parameters, player, playlist, player_values(player, playlist), lead_time(player))
+
+
+class Cancelled(Exception):
+    """The plan has changed meanwhile."""
+
+
+class Trial:
+    """Tries the newest plan on a twin, in a thread of its own, one at a time."""
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        self._plan: Plan | None = None
+        self._since = 0.0  # that the plan is the same
+        self._done: tuple[Plan, Rehearsal | None, str, float] | None = None
+        self._running = False
+        self._lock = threading.Lock()
+
+    def look(self, plan: Plan | None, port: Port | None) -> None:
+        """Take note of the plan as it is now; never waits."""
+        now = time.monotonic()
+        with self._lock:
+            before = self._plan
+            if plan is None or before is None or not plan.same(before):
+                self._plan, self._since = plan, now
+            plan = self._plan
+            still = plan is not None and port is not None and now - self._since >= STILL_S
+            if still and not self._running and not self._known(plan):
+                self._running, self.share = True, 0.0
+                background("tui-trial", self._try, plan, port)
+
+    def found(self, plan: Plan) -> Rehearsal | None:
+        """What became of this plan, None where it was not tried yet."""
+        done = self._done
+        return done[1] if done is not None and done[0].same(plan) else None
+
+    def problem(self, plan: Plan) -> str:
+        """Why this plan could not be tried, empty where it could or was not yet."""
+        done = self._done
+        return done[2] if done is not None and done[0].same(plan) else ""
+
+    def _known(self, plan: Plan | None) -> bool:
+        done = self._done
+        if done is None or plan is None or not done[0].same(plan):
+            return False
+        return done[1] is not None or time.monotonic() - done[3] < AGAIN_S
+
+    def _try(self, plan: Plan, port: Port) -> None:
+        def tell(share: float) -> None:
+            if self._plan is not plan:
+                raise Cancelled
+            self.share = share
+
+        found, why = None, ""
+        try:
+            found = port.rehearse(plan.tables, plan.values, plan.seconds, tell)
+        except Cancelled:
+            pass
+        except ZendspError as error:
+            why = str(error)
+        except Exception as error:  # a screen that stays alive beats a thread that died unseen
+            why = f"{type(error).__name__}: {error}"
+        with self._lock:
+            if found is not None or why:
+                self._done = plan, found, why, time.monotonic()
+            self._running = False

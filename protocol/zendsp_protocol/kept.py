@@ -1,0 +1,137 @@
+"""What a target leaves in shared memory for the case that it is killed: what it was recording, and where the rows stand.
+
+The target writes the note when a recording begins. Who finds the lock of its folder free and the note in it knows that the
+target was killed, and reads the rows from the file beside it, float64 in the byte order of the machine.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from zendsp_protocol.messages import Program
+from zendsp_protocol.values import enc_hook
+
+PREFIX = "zendsp-"  # of a target's folder
+LOCK = "lock"  # held by the target as long as it lives
+NOTE = "recording"
+MOST = 3  # recordings of killed targets that are kept; the next start removes older ones
+
+
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """What was recorded, and under which circumstances."""
+
+    target: str
+    machine: str
+    rate_hz: float
+    begun: float  # Unix s
+    program: Program
+    parameters: dict[str, Any]  # values when the recording began
+    versions: dict[str, str]
+    extra: dict[str, Any]
+
+
+class Kept(msgspec.Struct, frozen=True, kw_only=True):
+    """The note: what was recorded, and where it stands."""
+
+    about: About
+    file: str  # name, in the same folder
+    rows_at: int  # byte of row 0
+    capacity: int  # rows held; row r stands at r mod capacity
+    columns: tuple[str, ...]
+    units: tuple[str, ...]
+    decimation: int
+    rows: int  # of a shot, or promised to be held by a ring
+    pre: int  # rows before the trigger
+    ring: bool
+    triggered: bool
+    count_at: int  # bytes of the words that the loop writes: rows written,
+    start_at: int  # tick of row 0,
+    fired_at: int  # row of the trigger (-1: not yet),
+    missed_at: int  # rows that were lost
+
+    def word(self, folder: Path, at: int) -> int:
+        """A word that the loop wrote."""
+        with (folder / self.file).open("rb") as file:
+            file.seek(at)
+            found: int = struct.unpack("=q", file.read(8))[0]
+            return found
+
+    def count(self, folder: Path) -> int:
+        """Rows written; 0 where the file is gone or cut."""
+        try:
+            return self.word(folder, self.count_at)
+        except (OSError, struct.error):
+            return 0
+
+
+def first_row(count: int, fired: int, rows: int, pre: int, ring: bool, triggered: bool) -> int:
+    """Number of the first row that belongs to a recording.
+
+    Parameters
+    ----------
+    count : int
+        Rows written.
+    fired : int
+        Row of the trigger, -1: not yet.
+    rows, pre, ring, triggered
+        As in `Kept`.
+    """
+    if fired >= 0:
+        first = max(0, fired - pre)
+        return max(first, count - rows) if ring else first
+    return max(0, count - rows) if ring or triggered else 0
+
+
+def base() -> Path:
+    """Where targets have their folders."""
+    shm = Path("/dev/shm")
+    return shm if shm.is_dir() and os.access(shm, os.W_OK) else Path(tempfile.gettempdir())
+
+
+def write(folder: Path, note: Kept) -> None:
+    """Write the note of a recording that begins; whole or not at all."""
+    temporary = folder / f"{NOTE}.part"
+    temporary.write_bytes(msgspec.msgpack.encode(note, enc_hook=enc_hook))
+    os.replace(temporary, folder / NOTE)
+
+
+def read(folder: Path) -> Kept | None:
+    """The note of a folder; None where there is none of this version, or no row was written."""
+    try:
+        note = msgspec.msgpack.decode((folder / NOTE).read_bytes(), type=Kept)
+    except (OSError, msgspec.MsgspecError):
+        return None
+    return note if note.count(folder) > 0 and os.path.basename(note.file) == note.file else None
+
+
+@contextmanager
+def abandoned() -> Iterator[Iterator[Path]]:
+    """Folders of this user's targets that were killed. Several may look at once: the owner's lock is exclusive, theirs is shared."""
+    locks = []
+
+    def found() -> Iterator[Path]:
+        for folder in sorted(base().glob(f"{PREFIX}*")):
+            try:
+                if folder.stat().st_uid != os.getuid():
+                    continue
+                lock = (folder / LOCK).open("r+")
+                locks.append(lock)
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                continue  # alive
+            yield folder
+
+    try:
+        yield found()
+    finally:
+        for lock in locks:
+            lock.close()

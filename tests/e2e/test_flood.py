@@ -1,0 +1,87 @@
+"""Somebody who was let in floods the target: STOP of another host comes through, and so do its other requests."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from helpers import kill, python
+
+import zendsp
+from zendsp.link import Target
+from zendsp.link.settings import Credentials
+
+SECONDS = 4.0
+# As fast as the link takes them, on every lane, STOP's too, by a client that does not wait for answers.
+FLOOD = f"""
+import sys, time, zenoh
+from zendsp.link.settings import Credentials, zenoh_config
+from zendsp_protocol import codec, keys
+config = zenoh_config([sys.argv[1]], Credentials(user="mallory", password="m"), 5.0)
+sessions = [zenoh.open(config) for _ in range(4)]
+requests = {{"quick": "status", "sync": "update", "stop": "nothing", "slow": "wait_applied", "bulk": "table_chunk"}}
+floods = [
+    (session.declare_querier(keys.rpc("imi", lane, "mallory"), timeout=1.0), codec.encode_request(verb, {{}}, "mallory"))
+    for session in sessions for lane, verb in requests.items()
+]
+print("ready", flush=True)
+end, sent = time.monotonic() + {SECONDS}, 0
+while time.monotonic() < end:
+    for querier, request in floods:
+        querier.get(zenoh.handlers.RingChannel(1), payload=request)
+        sent += 1
+print(sent / {SECONDS}, flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def endpoint(tmp_path: Path) -> Iterator[str]:
+    users = tmp_path / "users"
+    users.write_text("anna:a\nmallory:m\n")
+    target = subprocess.Popen(
+        [sys.executable, "-m", "zendsp_target", "--name", "imi", "--listen", "tcp/127.0.0.1:0", "--users", str(users), "--json"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert target.stdout is not None
+    yield json.loads(target.stdout.readline())["endpoints"][0]
+    target.terminate()
+    target.communicate(timeout=30)
+
+
+def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Target, "stop_page", lambda self: None)  # as from another computer: over the link alone
+    anna = Credentials(user="anna", password="a")
+    with zendsp.connect("imi", endpoint, anna) as target:
+        target.download("pd.c")
+        target.start()
+        flood = python(FLOOD, endpoint)
+        try:
+            assert flood.stdout is not None and flood.stdout.readline() == "ready\n"
+            took = [stop(target) for _ in range(10)]
+            target.acknowledge()
+            target.write(Kp1=450.0)
+            assert target.read(["Kp1"]).tick >= 0
+            rate = float(flood.stdout.readline())
+        finally:
+            kill(flood)
+    # More than the target can answer, about 4000 a second, so that its queues overflow.
+    assert rate > 6000.0, rate
+    # Measured: 9 ms in the middle, 50 at most, on two processors with four times as much to do. Behind the flood it would be 200.
+    assert sorted(took)[5] < 0.1 and max(took) < 0.7, took
+
+
+def stop(target: Target) -> float:
+    """Time that STOP took until the loop said that it stands, in s."""
+    time.sleep(0.1)
+    begin = time.monotonic()
+    target.stop()
+    return time.monotonic() - begin

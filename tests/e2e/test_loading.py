@@ -1,0 +1,112 @@
+"""How rows come home: out of shared memory on the same computer, over the link from anywhere else; the same rows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+import zendsp
+from zendsp.errors import AcquisitionError
+from zendsp.link import Target
+from zendsp.link.transfer import open_held
+from zendsp_protocol import messages as m
+
+
+def refuse(*_: Any) -> None:
+    raise AssertionError("this road was not to be taken")
+
+
+@pytest.fixture
+def far(fast: Target) -> Iterator[Target]:
+    """A host that was given the address, and so does not know that the target is its own user's."""
+    with zendsp.connect(fast.name, connect=fast.link.endpoints) as far:
+        yield far
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_rows_are_the_same_from_shared_memory_and_over_the_link(
+    fast: Target, far: Target, monkeypatch: pytest.MonkeyPatch, continuous: bool
+) -> None:
+    fast.download("pd.c")
+    fast.acquire_configure(["tick", "q", "tau"], seconds=1.0, continuous=continuous)
+    fast.acquire_start()
+    fast.run_for(3.7)  # a ring of a second goes round more than three times
+    if continuous:
+        fast.acquire_stop()
+    monkeypatch.setattr(far, "_load_held", refuse)
+    over_the_link = far.acquire_load()
+    monkeypatch.setattr(fast, "_load_streamed", refuse)
+    told: list[float] = []
+    near = fast.acquire_load(progress=told.append)
+    assert np.array_equal(near.data, over_the_link.data) and near.data.shape[1] == 5 and told[-1] == 1.0
+    last = 3699 if continuous else 999
+    assert np.array_equal(near["tick"], np.arange(last - 999, last + 1))
+
+
+def test_rows_that_the_ring_no_longer_holds_are_refused_on_either_road(fast: Target, far: Target) -> None:
+    fast.download("pd.c")
+    fast.acquire_configure(["tick"], seconds=0.5, continuous=True)
+    fast.acquire_start()
+    fast.run_for(2.0)
+    for host in (fast, far):
+        for first, count in ((0, 10), (1990, 20), (1000, 900)):
+            with pytest.raises(AcquisitionError, match=r"are not held; the recorder has 1500…2000"):
+                host.load_rows(first, count, 1)
+
+
+def test_rows_that_are_overwritten_while_they_are_read_are_refused(fast: Target, monkeypatch: pytest.MonkeyPatch) -> None:
+    fast.download("pd.c")
+    fast.acquire_configure(["tick"], seconds=0.5, continuous=True)
+    fast.acquire_start()
+    fast.run_for(0.5)
+    monkeypatch.setattr(fast, "_load_streamed", refuse)
+    with pytest.raises(AcquisitionError, match="are not held"):
+        fast.load_rows(0, 500, 1, progress=lambda _: fast.run_for(0.1))
+    with pytest.raises(AcquisitionError, match="configured anew"):
+        fast.load_rows(200, 300, 1, progress=lambda _: fast.acquire_configure(["tick"], 0.5))
+
+
+def test_a_file_that_is_not_the_recorders_is_not_read(fast: Target) -> None:
+    fast.download("pd.c")
+    fast.acquire_configure(["tick"], seconds=0.5)
+    held: m.Held = fast.request("acquire_held")
+    file = open_held(held)
+    assert file >= 0
+    with pytest.raises(OSError):
+        os.write(file, b"x")
+    os.close(file)
+    for wrong in ({"kernel": "another"}, {"inode": held.inode + 1}, {"device": 0}, {"path": "/dev/null"}, {"path": ""}):
+        assert open_held(msgspec.structs.replace(held, **wrong)) == -1
+
+
+LIST = """#include "isr.h"
+static double gain = 1.0, list[3], seen;
+void UserInit(void) {
+    PARAMETER(gain, 1.0, "", NO_MIN, NO_MAX, ""); PARAMETER_ARRAY(list, "", -9.0, 9.0, ""); SIGNAL(seen, "", "");
+}
+void UserISR_INT2(void) { seen = gain + 100.0 * list[1]; }
+void UserBackground(void) {}
+"""
+
+
+def test_a_recording_holds_the_parameters_of_its_last_sample_not_those_of_its_loading(fast: Target) -> None:
+    fast.download({"list.c": LIST})
+    fast.update(gain=2.0, list=[0.0, 3.0, 0.0])
+    fast.acquire_configure(["seen", "gain"], seconds=0.1)
+    fast.acquire_start()
+    fast.run_for(0.1)
+    held = fast.acquire_load()
+    fast.start()
+    for k in range(3):  # after the last sample, before the transfer
+        fast.update(**{"gain": 7.0 + k, "list[1]": 5.0 + k})
+        fast.update(list=[1.0, 2.0, float(k)])
+    later = fast.acquire_load()
+    assert list(later["seen"]) == list(held["seen"]) == [302.0] * 100
+    assert later.parameters == held.parameters == {"gain": 2.0, "list": [0.0, 3.0, 0.0]}
+    assert [(c.name, c.new) for c in later.log] == [(c.name, c.new) for c in held.log]
+    assert fast.parameters().values == {"gain": 9.0, "list": [1.0, 2.0, 2.0]}

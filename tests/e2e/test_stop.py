@@ -1,0 +1,96 @@
+"""STOP by shared memory: what the loop answers counts, whatever else hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from zendsp.errors import NotStopped
+from zendsp.link import Target, connect
+from zendsp.link.stop_page import StopPage, find
+from zendsp_protocol import stop_page as page
+from zendsp_target.monitor import Monitor, Options
+from zendsp_target.runtime import Runtime
+
+
+@pytest.fixture
+def runtime() -> Iterator[Runtime]:
+    with Runtime("imi_planar", clock="real", realtime=False, hang_s=60.0) as runtime:
+        yield runtime
+
+
+@pytest.fixture
+def target(runtime: Runtime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Target]:
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path / "run"))
+    monkeypatch.delenv("ZENDSP_CONNECT", raising=False)
+    monitor = Monitor(runtime, Options("paged", "imi_planar"))
+    try:
+        with connect("paged") as target:
+            target.download("pd.c")
+            target.start()
+            yield target
+    finally:
+        monitor.close()
+
+
+def _latched(target: Target) -> int:
+    deadline = time.monotonic() + 10.0
+    while (trip := target.status().trip) is None:
+        assert time.monotonic() < deadline, "no trip"
+        time.sleep(0.005)
+    assert trip.reason == "stop"
+    return trip.tick
+
+
+def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target: Target) -> None:
+    found = find("paged")
+    assert found is not None
+    sample = found.taken(found.ask(), 10.0)
+    assert sample == _latched(target)
+
+
+def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(target: Target, runtime: Runtime) -> None:
+    os.kill(runtime.runner_pid(), signal.SIGSTOP)
+    try:
+        with pytest.raises(NotStopped, match=r"NOT STOPPED: use the machine's emergency stop.*goes on or hangs"):
+            target.stop()
+    finally:
+        os.kill(runtime.runner_pid(), signal.SIGCONT)
+    _latched(target)
+
+
+def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(target: Target, runtime: Runtime) -> None:
+    found = find("paged")
+    assert found is not None
+    os.kill(runtime.runner_pid(), signal.SIGKILL)
+    deadline = time.monotonic() + 10.0
+    while target.status().state != "crashed":
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    found.ask()
+    target.download("pd.c")
+    target.start()
+    while target.status().tick < 20:
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    assert target.status().trip is None
+
+
+def test_only_the_page_of_this_run_and_version_is_used(target: Target, runtime: Runtime, tmp_path: Path) -> None:
+    assert find("another") is None
+    assert find("paged", b"12345678") is None, "another run of the target"
+    old = tmp_path / "old"
+    old.write_bytes(struct.pack(page.HEAD, page.MAGIC, page.VERSION + 1).ljust(page.SIZE, b"\0"))
+    with pytest.raises(OSError, match="another version"):
+        StopPage(str(old))
+    link = tmp_path / "link"
+    link.symlink_to(runtime.stop_page())
+    with pytest.raises(OSError, match=r"[Ll]ink"):
+        StopPage(str(link))
+    assert Path(runtime.stop_page()).stat().st_mode & 0o077 == 0, "nobody else may stop it past the target"

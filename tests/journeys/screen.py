@@ -1,0 +1,90 @@
+"""The terminal as a user sees it: `zendsp tui` behind a pseudo-terminal, its screen read by pyte."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import signal
+import struct
+import termios
+import threading
+import time
+
+import pyte
+import pytest
+from journey import Installed
+
+
+class Screen:
+    """`zendsp tui` in a pseudo-terminal, and what it shows.
+
+    Parameters
+    ----------
+    installed : Installed
+    size : tuple of int
+        Columns and rows.
+    *options : str
+        Of the command.
+    """
+
+    def __init__(self, installed: Installed, size: tuple[int, int], *options: str) -> None:
+        self.shown = pyte.Screen(*size)
+        stream = pyte.ByteStream(self.shown)
+        self.status: int | None = None  # of the end
+        self.pid, self.fd = pty.fork()
+        if self.pid == 0:
+            os.chdir(installed.folder)
+            command = [str(installed.zendsp), "tui", *options, "--frames", "8"]
+            os.execve(command[0], command, installed.env)
+        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
+
+        def read() -> None:
+            try:
+                while data := os.read(self.fd, 1 << 16):
+                    stream.feed(data.replace(b"\x1b[>", b"\x1b["))  # pyte knows no private queries of this kind
+            except OSError:
+                return
+
+        threading.Thread(target=read, daemon=True).start()
+
+    def text(self) -> str:
+        """All rows as they are now."""
+        return "\n".join(self.shown.display)
+
+    def clock(self) -> str:
+        """The time of day in the status bar, empty before it is there: it goes on while the screen lives."""
+        found = re.search(r"\d\d:\d\d:\d\d", self.text())
+        return found.group() if found else ""
+
+    def keys(self, data: bytes) -> None:
+        """Type."""
+        os.write(self.fd, data)
+
+    def until(self, what: str, timeout: float = 30.0) -> None:
+        """Wait until the text is on the screen."""
+        deadline = time.monotonic() + timeout
+        while what not in self.text():
+            if time.monotonic() > deadline:
+                pytest.fail(f"not on the screen within {timeout:g} s: {what}\n{self.text()}")
+            time.sleep(0.02)
+
+    def ended(self, timeout: float = 30.0) -> int:
+        """Wait until the application has ended by itself; its exit status."""
+        deadline = time.monotonic() + timeout
+        while self.status is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.status = os.waitstatus_to_exitcode(status)
+            elif time.monotonic() > deadline:
+                pytest.fail(f"the terminal is still there after {timeout:g} s\n{self.text()}")
+            time.sleep(0.02)
+        return self.status
+
+    def end(self) -> None:
+        """Kill it, where it is still there."""
+        if self.status is None:
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
+        os.close(self.fd)

@@ -1,0 +1,73 @@
+"""What was recorded before a target was killed is not lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+
+from journey import Installed, until
+
+RECORD = """
+import time, zendsp
+with zendsp.connect('killed') as t:
+    t.download('pd.c')
+    t.update(Kp1=321.0)
+    t.acquire_configure(['tick', 'q', 'tau'], seconds=%(seconds)s, continuous=%(ring)s)
+    t.acquire_start(); t.start()
+    deadline = time.monotonic() + 20
+    while t.acquire_status().count < 400 and time.monotonic() < deadline: time.sleep(0.02)
+    print(t.acquire_status().count)
+"""
+LOOK = """
+import numpy as np, sys
+from zendsp import Recording
+rec = Recording.load(sys.argv[1])
+assert len(rec) >= int(sys.argv[2]), len(rec)
+assert (np.diff(rec['tick']) == 1).all() and rec['tick'][0] == rec.start_tick
+assert np.allclose(rec.t, rec['tick'] / 1000.0) and rec.lost == 0
+assert rec.columns == ('tick', 'q[0]', 'q[1]', 'tau[0]', 'tau[1]'), rec.columns
+assert rec.parameters['Kp1'] == 321.0 and 'UserISR_INT2' in rec.sources['pd.c'] and rec.target == 'killed'
+assert 'not known' in rec.extra['salvaged']
+"""
+
+
+def _killed(installed: Installed, seconds: float, ring: bool) -> int:
+    """Rows that the host had seen when the target was killed."""
+    process = installed.target("killed")
+    done = installed.script(RECORD % {"seconds": seconds, "ring": ring})
+    assert done.returncode == 0, done.stderr
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    return int(done.stdout)
+
+
+def test_rows_of_a_killed_target_are_saved_before_and_after_its_next_start(installed: Installed) -> None:
+    seen = _killed(installed, 60.0, False)
+    assert "killed" in installed.run("salvage").stdout
+    done = installed.run("salvage", "-t", "killed", "-o", "shot.mat", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["rows"] >= seen
+    looked = installed.script(LOOK, "shot.mat", str(seen))
+    assert looked.returncode == 0, looked.stderr
+    done = installed.run("salvage", "-t", "killed")
+    assert done.returncode == 1 and "no recording of a killed target" in done.stdout, "saved, and freed"
+
+    _killed(installed, 0.3, True)
+    again = installed.target("killed")
+    assert "killed" in installed.run("salvage").stdout, "the next start keeps it"
+    done = installed.run("salvage", "-t", "killed", "-o", "ring.npz")
+    assert done.returncode == 0, done.stderr
+    looked = installed.script(LOOK, "ring.npz", "300")
+    assert looked.returncode == 0, looked.stderr
+    os.kill(again.pid, signal.SIGTERM)
+    again.wait()
+    assert again.stdout is not None
+    assert "zendsp salvage -t killed" in again.stdout.read(), "and says so"
+    assert installed.run("salvage", "-t", "killed").returncode == 1, "a clean end leaves nothing"
+
+
+def test_what_was_dropped_is_gone(installed: Installed) -> None:
+    _killed(installed, 60.0, False)
+    assert installed.run("salvage", "-t", "killed", "--drop").returncode == 0
+    until(lambda: installed.run("salvage", "-t", "killed").returncode == 1, "gone")

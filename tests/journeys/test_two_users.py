@@ -1,0 +1,101 @@
+"""Two users of one target: each sees what the other does, one commands, both may stop."""
+
+from __future__ import annotations
+
+import subprocess
+
+import pytest
+from journey import Installed
+
+ANNA = r"""
+import sys, zendsp
+t = zendsp.connect('imi')
+t.download('pd.c'); t.start()
+for line in sys.stdin:
+    try:
+        print(repr(eval(line)), flush=True)
+    except Exception as error:
+        print(f"{type(error).__name__}: {error}", flush=True)
+"""
+
+
+class Anna:
+    """A user who types into Python, and goes on having it open."""
+
+    def __init__(self, installed: Installed) -> None:
+        self._process = subprocess.Popen(
+            [str(installed.python), "-c", ANNA], cwd=installed.folder, env=installed.env, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )  # fmt: skip
+
+    def types(self, line: str) -> str:
+        """Evaluate an expression in which `t` is the target; what it shows."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        return self._process.stdout.readline().strip()
+
+    def leaves(self) -> None:
+        """End Python."""
+        self._process.communicate(timeout=20)
+
+
+@pytest.fixture
+def anna(installed: Installed) -> Anna:
+    installed.target("imi")
+    user = Anna(installed)
+    assert user.types("t.status().state") == "'running'"
+    return user
+
+
+def test_who_commands_moves_and_the_other_looks(installed: Installed, anna: Anna) -> None:
+    anna.types("t.take_command()")
+    name = anna.types("t.drive_status().commander").strip("'")
+    assert name
+    for command in (("set", "Kp1=90"), ("pause",), ("run", "pd.c"), ("drive", "off"), ("drive", "take")):
+        said = installed.run(*command)
+        assert said.returncode != 0 and name in said.stderr, (command, said.stdout, said.stderr)
+    assert anna.types("t['Kp1']") != "90.0" and anna.types("t.status().state") == "'running'"
+    looked = (("get", "Kp1"), ("info",), ("drive",), ("acquire", "q", "--seconds", "0.1", "--out", "b.csv"))
+    for command in looked:
+        said = installed.run(*command)
+        assert said.returncode == 0, (command, said.stderr)
+    assert name in installed.run("drive").stdout
+    anna.types("t.release_command()")
+    assert installed.run("set", "Kp1=90").returncode == 0
+    assert anna.types("t['Kp1']") == "90.0"
+    anna.leaves()
+
+
+def test_both_may_stop_and_both_are_told(installed: Installed, anna: Anna) -> None:
+    anna.types("t.take_command()")
+    said = installed.run("stop")
+    assert said.returncode == 0 and "stopped, at sample" in said.stdout
+    assert anna.types("t.status().trip.reason") == "'stop'"
+    assert anna.types("t.start()").startswith("Refused: ")
+    anna.types("t.acknowledge()")
+    assert anna.types("t.start()") == "None"
+    anna.leaves()
+
+
+def test_the_log_tells_them_apart_and_a_recorder_in_use_is_refused(installed: Installed, anna: Anna) -> None:
+    anna.types("t.update(Kp1=91.0)")
+    assert installed.run("set", "Kp1=92").returncode == 0
+    changes = anna.types("[(c.new, c.author) for c in t.log() if c.name == 'Kp1']")
+    (first, hers), (second, his) = eval(changes)
+    assert (first, second) == (91.0, 92.0) and hers != his, changes
+    anna.types("t.acquire_configure(['q'], seconds=60.0)")
+    anna.types("t.acquire_start()")
+    said = installed.run("acquire", "q", "--seconds", "0.1", "--out", "c.csv")
+    assert said.returncode != 0 and hers in said.stderr, said.stderr
+    assert anna.types("t.acquire_status().state") == "'running'"
+    anna.leaves()
+
+
+def test_a_user_who_leaves_while_commanding_leaves_a_machine_that_stands(installed: Installed, anna: Anna) -> None:
+    anna.types("t.take_command()")
+    anna.leaves()
+    said = installed.run("get", "Kp1")
+    assert "the host that commanded the motion is gone" in said.stderr, said.stderr
+    assert installed.run("drive", "acknowledge").returncode == 0
+    assert installed.run("run", "pd.c").returncode == 0, "and another goes on"

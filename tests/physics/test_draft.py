@@ -1,0 +1,108 @@
+"""A model file begun from a recording: what is recognised, what is asked, and that it can be read back."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp.errors import RecordingError
+from zendsp.physics.draft import draft_model
+from zendsp.physics.model import Model
+from zendsp.physics.model_file import parse_model
+from zendsp.recording import Table, read_table
+from zendsp.recording.roles import role_of
+
+N, STEP = 8000, 0.002
+T = np.arange(N) * STEP
+INERTIA, GRAVITY, COUNTS = 0.031, 0.42, 4096
+
+
+def recording() -> dict[str, np.ndarray]:
+    """A pendulum that follows a sum of sines: tau = J qdd + 0.05 qd + 0.1 sign(qd) + g sin(q), counted by an encoder."""
+    waves = [(1.1, 3.1, 0.2), (0.5, 7.3, 1.0), (0.2, 13.0, 2.0)]
+    q = sum(a * np.sin(w * T + p) for a, w, p in waves)
+    qd = sum(a * w * np.cos(w * T + p) for a, w, p in waves)
+    qdd = sum(-a * w * w * np.sin(w * T + p) for a, w, p in waves)
+    tau = INERTIA * qdd + 0.05 * qd + 0.1 * np.sign(qd) + GRAVITY * np.sin(q)
+    step = 2 * np.pi / COUNTS
+    return {"t": T, "q": np.round(q / step) * step, "tau": tau, "r": q}
+
+
+def model_of(text: str) -> Model:
+    return parse_model(tomllib.loads(text), "draft.toml")
+
+
+def test_numbers_come_from_the_recording() -> None:
+    units = {"t": "s", "q": "rad", "tau": "N m"}
+    draft = draft_model(Table(recording(), units, {"kp": 12.0}, Path("run.csv")))
+    model = model_of(draft.text)
+    assert model.sample_time == STEP and model.kind == "rotary" and model.joints == 1
+    assert model.columns == {"time": "t", "position": "q", "command": "tau", "reference": "r"}
+    assert model.sensor.resolution[0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-6)
+    assert "4096 counts a turn" in draft.text and "also in the file: kp = 12" in draft.text
+    # a first idea: the counts of the encoder and the smoothing cost some per cent
+    assert model.mechanism["inertia"][0].value == pytest.approx(INERTIA, rel=0.05)
+    assert model.mechanism["gravity"][0].value == pytest.approx(GRAVITY, rel=0.05)
+    assert not any("N m" in question for question in draft.questions)
+
+
+def test_what_the_recording_cannot_say_is_asked() -> None:
+    columns = recording()
+    del columns["r"]
+    draft = draft_model(Table({"q": columns["q"], "iq": columns["tau"]}, {"iq": "A"}, {}, Path("run.csv")))
+    asked = "\n".join(draft.questions)
+    for words in ("no time column", "does it turn (rad) or slide (m)", "how many N m (N) does one A of iq make", "how long until"):
+        assert words.lower() in asked.lower()
+    assert draft.text.count("# ? ") == len(draft.questions)
+    assert model_of(draft.text).columns["command"] == "iq"
+
+
+def test_a_command_that_was_cut_off_shows_the_limit() -> None:
+    columns = recording()
+    columns["tau"] = np.clip(columns["tau"], -1.25, 1.25)
+    model = model_of(draft_model(Table(columns, {"tau": "N m"}, {}, Path("run.csv"))).text)
+    assert model.actuator.limit == (1.25,)
+
+
+def test_joints_are_grouped_and_sides_are_told_apart() -> None:
+    one = recording()
+    names = {f"axis{k}.{what}": one[short] * k for k in (1, 2, 3) for what, short in (("pos", "q"), ("torque", "tau"))}
+    load = {f"q_load{k}": one["q"] for k in (1, 2, 3)}
+    draft = draft_model(Table({"time": T, **names, **load, "noise": one["r"]}, {}, {}, Path("run.h5")))
+    model = model_of(draft.text)
+    assert model.joints == 3 and model.columns["position"] == ["axis1.pos", "axis2.pos", "axis3.pos"]
+    assert model.columns["command"] == ["axis1.torque", "axis2.torque", "axis3.torque"]
+    assert model.columns["position_load"] == ["q_load1", "q_load2", "q_load3"]
+    assert "not used: noise" in draft.text
+    assert any("act on one another" in question for question in draft.questions)
+
+
+def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
+    one = recording()
+    rows = np.column_stack([T * 1e3, np.degrees(one["q"]), one["tau"] * 1e3])
+    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header="t,angle,torque\nms,deg,mN m", comments="", fmt="%.17g")
+    draft = draft_model(read_table(tmp_path / "run.csv"))
+    model = model_of(draft.text)
+    assert model.sample_time == STEP and model.sensor.resolution[0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-6)
+    assert "angle: deg converted to rad" in draft.text
+
+
+def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
+    with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
+        draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "role"),
+    [
+        ("q[0]", "", "position"), ("q_ref", "rad", "reference"), ("tau_cmd", "", "command"), ("pos_cmd", "", "reference"),
+        ("i_q", "A", "current"), ("motor_current", "", "current"), ("torque_meas", "", "torque_measured"), ("qd", "", "velocity"),
+        ("desired_velocity", "", ""), ("joint_states.elbow.position", "", "position"), ("effort/commands.data", "", "command"),
+        ("time_ms", "", "time"), ("Channel 3", "rad", "position"), ("exec_us", "us", ""), ("x", "N m", "command"), ("e", "", ""),
+    ],
+)  # fmt: skip
+def test_roles(name: str, unit: str, role: str) -> None:
+    assert role_of(name, unit).value == role

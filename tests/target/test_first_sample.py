@@ -1,0 +1,99 @@
+"""FIRST_SAMPLE: when a program is told that nothing it remembers holds, and that what it says then is not taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from zendsp_target.runtime import Runtime
+
+Make = Callable[..., Runtime]
+Wait = Callable[..., None]
+
+PROGRAM = """
+#include "isr.h"
+static double fresh, fresh_tick = -1.0, fresh_enabled = -1.0, speed, last;
+void UserInit(void) {
+    SIGNAL(fresh, "", ""); SIGNAL(fresh_tick, "", ""); SIGNAL(fresh_enabled, "", ""); SIGNAL(speed, "rad/s", "the largest");
+}
+void UserISR_INT2(void) {
+    const double q = READ_POSITION(0);
+    if (FIRST_SAMPLE) {
+        fresh += 1.0; fresh_tick = (double)SAMPLE_TICK; fresh_enabled = DRIVE_ENABLED ? 1.0 : 0.0;
+        last = q;
+    }
+    const double qd = (q - last) / SAMPLE_PERIOD;
+    speed = qd * qd > speed * speed ? qd : speed;
+    last = q;
+    WRITE_TORQUE(0, FIRST_SAMPLE ? 77.0 : 1.0);
+}
+void UserBackground(void) {}
+"""
+
+# An arm that somebody moves by a quarter of a radian whenever it is made safe, as at the begin of each pause.
+PUSHED = """
+#include <stdio.h>
+#include "machine.h"
+static int place;
+static double most;
+static int open_it(void **h, const char *config, double period, machine_info *info, char *error, size_t size) {
+    (void)config; (void)period; (void)error; (void)size;
+    *h = &place;
+    snprintf(info->name, sizeof info->name, "pushed");
+    info->joints = 1; info->stop_input = -1; info->adcs = 1;
+    info->joint[0] = (machine_joint){.counts_per_unit = 1000.0, .mv_per_torque = 1.0, .mv_per_speed = 1.0, .command_max = 1e4,
+        .position_min = -100.0, .position_max = 100.0, .speed_max = 10.0, .torque_max = 1e3};
+    return 0;
+}
+static void read_it(void *h, machine_sensors *s) { s->enc[0] = *(int *)h; s->adc[0] = most; }
+static void write_it(void *h, const machine_actuators *a) { (void)h; if (a->aout[0] > most) most = a->aout[0]; }
+static void safe(void *h) { *(int *)h += 250; }
+const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it, .write = write_it, .safe = safe};
+"""
+NAMES = ["fresh", "fresh_tick", "fresh_enabled", "speed"]
+
+
+def _run(runtime: Runtime, ticks: int = 50) -> dict[str, float]:
+    runtime.start(ticks=ticks)
+    runtime.wait_paused()
+    return {name: float(value) for name, value in runtime.read(NAMES)[1].items()}  # type: ignore[arg-type]
+
+
+def test_a_program_begins_once_and_a_pause_of_a_simulated_machine_is_none(make_runtime: Make) -> None:
+    runtime = make_runtime(PROGRAM)
+    assert _run(runtime)["fresh"] == 1.0
+    assert _run(runtime)["fresh"] == 1.0, "time stood still"
+
+
+def test_after_an_acknowledged_stop_it_begins_afresh_and_its_first_output_is_not_taken(make_runtime: Make, wait_for: Wait) -> None:
+    runtime = make_runtime(PROGRAM)
+    _run(runtime)
+    runtime.stop()
+    wait_for(lambda: runtime.status().trip is not None)
+    runtime.acknowledge()
+    found = _run(runtime, 1)
+    assert (found["fresh"], found["fresh_tick"], found["fresh_enabled"]) == (2.0, 50.0, 0.0)
+    assert runtime.read(["cmd"])[1]["cmd"][0] != 0.0, "it said something"  # type: ignore[index]
+    runtime.start(ticks=1)
+    runtime.wait_paused()
+    assert not runtime.read(["aout"])[1]["aout"].any(), "which does not act"  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("pauses", [1, 3])
+def test_after_a_pause_of_hardware_it_begins_afresh_wherever_the_arm_was_pushed_to(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path, pauses: int
+) -> None:
+    source = tmp_path / "pushed.c"
+    source.write_text(PUSHED)
+    runtime = make_runtime(PROGRAM, machine=str(source), clock="real", realtime=False)
+    found = _run(runtime)
+    for number in range(pauses):
+        tick = runtime.status().tick
+        found = _run(runtime)
+        assert found["fresh"] == 2.0 + number and found["fresh_tick"] == tick
+        assert found["fresh_enabled"] == 0.0
+    assert found["speed"] == 0.0, "0.25 rad in a pause are no speed of 250 rad/s"
+    assert runtime.status().trip is None, "nor for the limit of 10 rad/s"
+    assert runtime.read(["adc"])[1]["adc"] == pytest.approx(1.0), "the machine was never given the 77 N m of a first sample"

@@ -1,0 +1,213 @@
+"""What trips below the user's code, what stays latched, and what a program sees when it begins afresh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp_target.api import AcquireConfig, Trip
+from zendsp_target.runtime import Runtime
+
+Make = Callable[..., Runtime]
+Wait = Callable[..., None]
+
+CONSTANT = """
+#include "isr.h"
+static double u[2];
+void UserInit(void) { PARAMETER(u, 0.0, "mV", NO_MIN, NO_MAX, ""); }
+void UserISR_INT2(void) { for (int j = 0; j < 2; j++) IOGP_FU1_WRITE_AOUT_ENGU(j) = u[j]; }
+"""
+FIRST = """
+#include "isr.h"
+static double samples, firsts, with_drives;
+static double u;
+void UserInit(void) {
+    SIGNAL(samples, "", ""); SIGNAL(firsts, "", ""); SIGNAL(with_drives, "", ""); PARAMETER(u, 0.0, "mV", NO_MIN, NO_MAX, "");
+}
+void UserISR_INT2(void) {
+    samples += 1.0;
+    if (FIRST_SAMPLE) { firsts += 1.0; with_drives += DRIVE_ENABLED; }
+    IOGP_FU1_WRITE_AOUT_ENGU(0) = u;
+}
+"""
+# the shipped pendulum with another sensor and another way home
+OTHER = """
+#include <math.h>
+#define zendsp_machine pendulum_machine
+#include "pendulum.c"
+#undef zendsp_machine
+static int reads;
+static int other_open(void **h, const char *c, double p, machine_info *i, char *e, size_t n) {
+    return pendulum_machine.open(h, c, p, i, e, n);
+}
+static void other_read(void *h, machine_sensors *s) { pendulum_machine.read(h, s); s->fault = %(fault)s; reads++; }
+static void other_write(void *h, const machine_actuators *u) { pendulum_machine.write(h, u); }
+static void other_step(void *h, double dt) { pendulum_machine.step(h, dt); }
+static void other_safe(void *h) { pendulum_machine.safe(h); }
+static int other_home(void *h, const machine_sensors *s, machine_actuators *u) {
+    (void)h; (void)s;
+    u->mode = MACHINE_VELOCITY;
+    u->aout[0] = NAN;
+    return MACHINE_HOME_BUSY;
+}
+const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = other_open, .read = other_read, .write = other_write,
+    .step = other_step, .safe = other_safe, .home = other_home};
+"""
+
+
+def run(runtime: Runtime, ticks: int) -> None:
+    """So many samples, or fewer where it trips."""
+    runtime.start(ticks=ticks)
+    runtime.wait_paused()
+
+
+def trip_of(runtime: Runtime) -> Trip:
+    """The trip that stands."""
+    trip = runtime.status().trip
+    assert trip is not None
+    return trip
+
+
+def other(folder: Path, fault: str) -> str:
+    """A machine like the pendulum, whose sensor reports a fault where the C expression holds."""
+    path = folder / "other.c"
+    path.write_text(OTHER % {"fault": fault})
+    return str(path)
+
+
+def test_a_speed_command_beyond_its_limit_trips_before_it_acts(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.set_drive("velocity")
+    runtime.wait_applied(runtime.set_limits("test", speed_max=[1.0, 1.0]), 10.0)
+    mv_per_speed = runtime.machine().joints[0].mv_per_speed
+    runtime.write({"u[0]": 1.1 * mv_per_speed}, "test", at_tick=10)
+    run(runtime, 20)
+    trip = trip_of(runtime)
+    assert (trip.reason, trip.joint, trip.tick, trip.limit) == ("speed", 1, 10, 1.0)
+    assert trip.value == pytest.approx(1.1)  # the command, not what was measured
+
+
+def test_a_command_beyond_what_the_drive_takes_trips_before_it_acts(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    runtime.wait_applied(runtime.set_limits("test", command_max=[500.0, 500.0]), 10.0)
+    runtime.write({"u[1]": -501.0}, "test", at_tick=10)
+    run(runtime, 20)
+    trip = trip_of(runtime)
+    assert (trip.reason, trip.joint, trip.tick, trip.value, trip.limit) == ("command", 2, 10, -501.0, 500.0)
+
+
+def test_a_sensor_that_reports_a_fault_trips_in_that_sample(make_runtime: Make, tmp_path: Path) -> None:
+    runtime = make_runtime(CONSTANT, machine=other(tmp_path, "reads >= 20"))
+    runtime.write({"u[0]": 300.0}, "test")
+    runtime.acquire_configure(0, AcquireConfig(("tick", "aout"), seconds=0.05))
+    runtime.acquire_start(0)
+    run(runtime, 50)
+    trip = trip_of(runtime)
+    assert (trip.reason, trip.joint) == ("sensor", 1)
+    rows = runtime.acquire_read(0, 0, 50)
+    assert np.all(rows[rows[:, 0] >= trip.tick, 1] == 0.0) and rows[trip.tick - 1, 1] == 300.0
+
+
+def test_homing_is_held_to_the_limits_too(make_runtime: Make, wait_for: Wait, tmp_path: Path) -> None:
+    runtime = make_runtime(CONSTANT, machine=other(tmp_path, "0"))
+    runtime.home()
+    wait_for(lambda: runtime.status().trip is not None, runtime.status)
+    assert trip_of(runtime).reason == "nan"
+    assert np.all(np.isfinite(np.asarray(runtime.status().io["aout"])))
+
+
+def test_the_first_trip_is_the_one_that_is_told(make_runtime: Make, wait_for: Wait) -> None:
+    runtime = make_runtime(CONSTANT, clock="real")
+    runtime.wait_applied(runtime.set_limits("test", torque_max=[1.0, 1.0]), 10.0)
+    runtime.write({"u[0]": 9000.0}, "test")
+    runtime.start()
+    wait_for(lambda: runtime.status().trip is not None, runtime.status)
+    first = trip_of(runtime)
+    runtime.stop()
+    runtime.write({"u[0]": float(first.tick)}, "test")
+    after = runtime.status().tick + 10
+    wait_for(lambda: runtime.status().tick > after, runtime.status)
+    assert trip_of(runtime) == first and first.reason == "torque"
+
+
+def test_a_joint_stopped_beyond_its_limit_goes_no_further_out(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT, machine_config={"q1": 0.4})
+    runtime.wait_applied(runtime.set_limits("test", position_max=[0.5, 2.0]), 10.0)
+    runtime.write({"u[0]": 2000.0}, "test")
+    run(runtime, 1500)
+    stopped = trip_of(runtime)
+    assert stopped.reason == "position" and stopped.value > 0.5
+    runtime.acknowledge()
+    run(runtime, 1500)
+    again = trip_of(runtime)
+    assert again.reason == "position"
+    # 0.02 rad of room for the soft start, where it came to rest after the first trip, and a sample's motion
+    assert again.value < stopped.value + 0.1
+
+
+SLOW = '#include "isr.h"\n#include <time.h>\nvoid UserInit(void) { struct timespec t = {2, 0}; nanosleep(&t, 0); }\nvoid UserISR_INT2(void) {}\n'
+
+
+def test_stop_does_not_wait_behind_a_load(make_runtime: Make) -> None:
+    runtime = make_runtime(CONSTANT)
+    slow = runtime.compile({"slow.c": SLOW})
+    assert slow.ok, slow.diagnostics
+    began = threading.Event()
+
+    def load() -> None:
+        began.set()
+        runtime.load(slow.key)
+
+    thread = threading.Thread(target=load)
+    thread.start()
+    began.wait()
+    time.sleep(0.5)  # within the two seconds of its UserInit
+    begin = time.monotonic()
+    runtime.stop()
+    took = time.monotonic() - begin
+    assert thread.is_alive(), "the load was over already: this proves nothing"
+    thread.join()
+    assert took < 0.5
+
+
+def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(make_runtime: Make, wait_for: Wait) -> None:
+    runtime = make_runtime(FIRST)
+    runtime.write({"u": 10.0}, "test")
+
+    def seen() -> tuple[float, float]:
+        values = runtime.read(["firsts", "with_drives"])[1]
+        return values["firsts"], values["with_drives"]  # type: ignore[return-value]
+
+    def home() -> None:
+        before = runtime.status().tick
+        runtime.home()
+        wait_for(lambda: runtime.status().tick > before and runtime.status().state != "running", runtime.status)
+
+    def stopped() -> None:
+        runtime.start()
+        runtime.stop()
+        wait_for(lambda: runtime.status().trip is not None, runtime.status)
+        runtime.acknowledge()
+
+    run(runtime, 20)
+    firsts, with_drives = seen()
+    assert firsts == 1.0  # after load
+    for what, count in ((home, 1.0), (lambda: None, 0.0), (stopped, 1.0), (home, 1.0)):
+        what()
+        before = runtime.status().tick
+        runtime.acquire_configure(0, AcquireConfig(("firsts", "aout", "cmd"), seconds=0.02))
+        runtime.acquire_start(0)
+        run(runtime, 20)
+        assert runtime.status().tick == before + 20
+        assert seen() == (firsts + count, with_drives), what
+        rows = runtime.acquire_read(0, 0, 20)
+        assert rows[-1, 1] == 10.0, "the drives are on again"
+        if count:
+            assert rows[0, 0] == firsts + count and np.all(rows[:2, 1] == 0.0), "its first command does not act"
+        firsts += count
+
