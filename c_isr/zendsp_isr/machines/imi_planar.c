@@ -5,8 +5,9 @@
  * No gravity (vertical axes). Total length, position limits, modes of the drives: the paper of Bona, Indri and Smaldone. Inertias, viscous and
  * Coulomb levels: the model of the IMI arm in the adaptive-control literature; the paper prints none. Torque limits: NSK Megatorque class.
  * Chosen here: speed limits; breakaway, Stribeck speed, bristle stiffness, asymmetry, so that the published experiments find what they
- * found; how friction varies with place (5 %, 14 waves a turn); electronics, as such parts have: 16-bit analog output over ±10 V with 1 mV rms
- * on the line, current loop of 1 kHz (the paper: much faster than the sample), a resolver that is interpolated to a third of a count rms.
+ * found; how friction varies with place (5 %, 14 waves a turn, their phase by the seed); electronics, as such parts have: 16-bit analog
+ * output over ±10 V with 1 mV rms on the line, current loop of 1 kHz (the paper: much faster than the sample), a resolver that is
+ * interpolated to a third of a count rms.
  *
  * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits); ideal, seed, … (plant.h); friction, effect1, …
  * (concealed.h).
@@ -90,7 +91,7 @@ static void describe(machine_info *info) {
     }
 }
 
-static void make_plant(plant *p, const machine_info *info, int ideal) {
+static void make_plant(plant *p, const machine_info *info, const char *config) {
     static const plant_friction friction[2] = {
         {.coulomb_pos = 8.45 * 1.05, .coulomb_neg = 8.45 * 0.95, .breakaway_pos = 11.4 * 1.05, .breakaway_neg = 11.4 * 0.95,
          .stribeck = 0.08, .stiffness = 12000.0, .damping = 60.0, .viscous_pos = 5.3 * 1.02, .viscous_neg = 5.3 * 0.98},
@@ -98,14 +99,16 @@ static void make_plant(plant *p, const machine_info *info, int ideal) {
          .stribeck = 0.10, .stiffness = 1500.0, .damping = 6.0, .viscous_pos = 1.1 * 0.97, .viscous_neg = 1.1 * 1.03},
     };
     static const double speed_gain[2] = {400.0, 30.0};
+    const int ideal = machine_config_double(config, "ideal", 0.0) != 0.0;
     p->joints = 2;
     p->acceleration = acceleration;
+    plant_equip(p, config, &usual, 2.0 * full_scale);
     for (int j = 0; j < 2; j++) {
         p->friction[j] = friction[j];
         if (!ideal) {
             p->friction[j].vary = 0.05;
             p->friction[j].turns = 14.0 / two_pi;
-            p->friction[j].phase = 0.7 + j;
+            p->friction[j].phase = two_pi * plant_uniform(p);
         }
         p->drive[j] = (plant_drive){.torque_limit = info->joint[j].torque_max,
                                     .speed_gain = speed_gain[j],
@@ -125,15 +128,13 @@ static int imi_open(void **handle, const char *config, double period, machine_in
         snprintf(error, error_size, "imi_planar: out of memory");
         return -1;
     }
-    const int ideal = machine_config_double(config, "ideal", 0.0) != 0.0;
     describe(&m->info);
-    make_plant(&m->plant, &m->info, ideal);
+    make_plant(&m->plant, &m->info, config);
     m->plant.self = m->plant.carry_self = m;
     m->plant.carry = carry;
     m->p1 = p1;
     m->p2 = p2;
     m->p3 = p3;
-    plant_equip(&m->plant, config, &usual, 2.0 * full_scale);
     m->plant.q[0] = machine_config_double(config, "q1", 0.0);
     m->plant.q[1] = machine_config_double(config, "q2", 0.0);
     m->plant.substep = machine_config_double(config, "substep", 1e-4);

@@ -7,7 +7,7 @@
  * narrow speed range) a value is chosen here, as are breakaway, Stribeck speed and bristle of every joint.
  *
  * An arm is never quite its data sheet: cables, screws and covers. Masses here differ from the sheet by 1 to 5 %, centres of mass by 1 to 4 mm
- * (chosen), so that a gravity compensation from the sheet is off by some per cent. friction = plain, or ideal = 1: the sheet's arm.
+ * (chosen), so that a gravity compensation from the sheet is off by some per cent. friction = plain, or ideal = 1: the sheet's arm, without rotors.
  * hand = 1 hangs the Barrett hand on link 7: 1.2 kg, taken as a point 58 mm before the flange (chosen).
  *
  * Electronics, as such parts have: torque commands in 4096 steps, half a step of noise, current loop of 1 kHz. The encoders are optical and
@@ -70,9 +70,8 @@ static void make_arm(wam *m, const char *config) {
     machine_config_text(config, "friction", friction, sizeof friction);
     const int ideal = machine_config_double(config, "ideal", 0.0) != 0.0;
     m->arm = wam7_published;
-    for (int k = 0; k < WAM7 && !ideal; k++)
-        m->arm.rotor[k] = wam7_rotor[k];
     for (int k = 0; k < WAM7 && !ideal && strcmp(friction, "plain") != 0; k++) {
+        m->arm.rotor[k] = wam7_rotor[k];
         m->arm.link[k].mass *= 1.0 + more_mass[k];
         for (int i = 0; i < 3; i++)
             m->arm.link[k].com[i] += moved[k][i];
