@@ -4,9 +4,10 @@
     python benchmarks/diagnosis.py                      # 60 one-joint cases, made here
     python benchmarks/diagnosis.py CASES TRUTH          # cases made by `python -m zendsp.proof.cases`
 
-The columns are those of the proof's scoreboard; `x1 x0.3 x0.1` are the shares of single effects named first by size.
-PySINDy needs `pip install 'zendsp[peers]'`; a peer that cannot run is said so, with the reason.
-"""
+The columns are those of the proof's scoreboard; `x1 x0.3 x0.1` are the shares of single effects
+named first by size. PySINDy needs `pip install 'zendsp[peers]'`; a peer that cannot run is said so,
+with the reason.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -25,15 +26,25 @@ from zendsp.proof.seal import open_truth
 
 SIZES = (1.0, 0.3, 0.1)
 # 0: every effect once; the others that many
-DEFAULT = (("single", 13, (1.0,)), ("single", 13, (0.3,)), ("single", 13, (0.1,)), ("complete", 8, (1.0,)),
-           ("complete_slow", 2, (1.0,)), ("pair", 5, (1.0,)), ("foreign", 3, (1.0,)), ("replace", 3, (1.0,)))  # fmt: skip
+DEFAULT = (
+    ("single", 13, (1.0,)),
+    ("single", 13, (0.3,)),
+    ("single", 13, (0.1,)),
+    ("complete", 8, (1.0,)),
+    ("complete_slow", 2, (1.0,)),
+    ("pair", 5, (1.0,)),
+    ("foreign", 3, (1.0,)),
+    ("replace", 3, (1.0,)),
+)
 
 
 def make_cases(folder: Path) -> tuple[Path, Path]:
     """The default cases of the benchmark, sealed."""
     requests = []
     for index, (kind, count, sizes) in enumerate(DEFAULT):
-        planned = plan(kind, "rotary", 900_000 + 1000 * index, 0 if kind == "single" else count, sizes)
+        planned = plan(
+            kind, "rotary", 900_000 + 1000 * index, 0 if kind == "single" else count, sizes
+        )
         requests += planned[index % 2 :: 2][:count] if kind == "single" else planned
     write_all(requests, folder / "cases", folder / "truth")
     return folder / "cases", folder / "truth"
@@ -82,16 +93,28 @@ def show(rows: list[list[str]]) -> None:
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("cases", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False)
-@click.argument("truth", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False)
+@click.argument(
+    "cases", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False
+)
+@click.argument(
+    "truth", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False
+)
 @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True)
 @click.option("--limit", type=float, default=300.0, show_default=True, help="Seconds per case.")
 @click.option("--peers-only", is_flag=True, help="Leave zendsp out.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=None, help="Keep answers there and go on from them."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Keep answers there and go on from them.",
 )
 def main(
-    cases: Path | None, truth: Path | None, jobs: int, limit: float, peers_only: bool, out: Path | None
+    cases: Path | None,
+    truth: Path | None,
+    jobs: int,
+    limit: float,
+    peers_only: bool,
+    out: Path | None,
 ) -> None:
     """Every method on every case."""
     with tempfile.TemporaryDirectory() as scratch:
@@ -114,7 +137,10 @@ def main(
             if words:
                 click.echo(f"{method}: {words}")
         if words := sysidentpy_trouble():
-            click.echo(f"SysIdentPy's own FROLS does not run here ({words}); FROLS above is by the textbook")
+            click.echo(
+                f"SysIdentPy's own FROLS does not run here ({words}); FROLS above is by the"
+                " textbook"
+            )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""How long a diagnosis takes: one joint and seven, complete and concealed, and whether time grows linearly with the recording.
+"""How long a diagnosis takes: one joint and seven, complete and concealed, and whether time grows
+linearly with the recording.
 
     python benchmarks/diagnosis_time.py [--jobs 2] [--only joints=7] [--json FILE]
 
-Wall time and CPU time of the command ``zendsp diagnose``, start of the interpreter included, on cases made here by the proof's own
-simulator. Goals: 20 s at 1 kHz of one joint in 5 s, 60 s of seven joints in 60 s, on two cores with nothing else to do.
+Wall time and CPU time of the command ``zendsp diagnose``, start of the interpreter included, on
+cases made here by the proof's own simulator. Goals: 20 s at 1 kHz of one joint in 5 s, 60 s of
+seven joints in 60 s, on two cores with nothing else to do.
 """
 
 from __future__ import annotations
@@ -76,29 +78,48 @@ def make(request: Request, seconds: float, folder: Path) -> Path:
 def diagnose(case: Path, jobs: int) -> tuple[str, float, float]:
     """What the command says, wall and CPU seconds."""
     listing = json.loads((case / "case.json").read_text(encoding="utf-8"))
-    line = [*command("diagnose"), *(str(case / n) for n in listing["train"]), "--model", str(case / listing["model"])]
+    line = [
+        *command("diagnose"),
+        *(str(case / n) for n in listing["train"]),
+        "--model",
+        str(case / listing["model"]),
+    ]
     for name in listing["heldout"]:
         line += ["--heldout", str(case / name)]
     env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    done = subprocess.run([*line, "--json", "--jobs", str(jobs)], env=env, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*line, "--json", "--jobs", str(jobs)], env=env, capture_output=True, text=True, check=False
+    )
     wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
         return done.stderr.strip().splitlines()[-1][:40], wall, 0.0
     report = json.loads(done.stdout)
     named = ", ".join(f"{f['effect']}@{f['joint']}" for f in report["findings"])
-    return named or report["verdict"], wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return (
+        named or report["verdict"],
+        wall,
+        after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+    )
 
 
 @click.command(help=__doc__.splitlines()[0] if __doc__ else "")
 @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True)
 @click.option("--only", default="", help="joints=1 or joints=7.")
-@click.option("--json", "out", type=click.Path(path_type=Path), default=None, help="Also write the rows there.")
+@click.option(
+    "--json",
+    "out",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Also write the rows there.",
+)
 def main(jobs: int, only: str, out: Path | None) -> None:
     """Measure and print."""
     rows: list[Row] = []
     click.echo(f"load {os.getloadavg()[0]:.1f}, {jobs} jobs")
-    click.echo(f"{'joints':>6}{'each s':>8}  {'concealed':20}{'wall s':>8}{'CPU s':>8}  {'goal':8}said")
+    click.echo(
+        f"{'joints':>6}{'each s':>8}  {'concealed':20}{'wall s':>8}{'CPU s':>8}  {'goal':8}said"
+    )
     for joints, seconds, concealed, request in CASES:
         if only and only != f"joints={joints}":
             continue

@@ -1,9 +1,10 @@
-"""How long a hand waits for a command: wall time of `zendsp ls`, `get`, `set` against `python -c "import zenoh"`.
+"""How long a hand waits for a command: wall time of `zendsp ls`, `get`, `set` against `python -c
+"import zenoh"`.
 
     python benchmarks/hand.py [--runs 15] [--targets 20]
 
-Starts a target of its own. Each command is timed side by side with its peer, the best of `--runs`: what a quiet moment
-of this computer gives. Then `ls` with many targets.
+Starts a target of its own. Each command is timed side by side with its peer, the best of `--runs`:
+what a quiet moment of this computer gives. Then `ls` with many targets.
 """
 
 from __future__ import annotations
@@ -36,7 +37,18 @@ def side_by_side(command: list[str], runs: int) -> tuple[float, float]:
 
 def start(name: str) -> subprocess.Popen[bytes]:
     """A target on the fast clock; ready when it returns."""
-    command = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--clock", "fast", "--name", name, "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "zendsp_target",
+        "--machine",
+        "imi_planar",
+        "--clock",
+        "fast",
+        "--name",
+        name,
+        "--json",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
     process.stdout.readline()
@@ -63,7 +75,10 @@ def main() -> None:
             one = min(seconds([ZENDSP, "ls"]) for _ in range(options.runs))
             processes += [start(f"hand{k}") for k in range(1, options.targets)]
             many = min(seconds([ZENDSP, "ls"]) for _ in range(options.runs))
-            print(f"zendsp ls, {options.targets} targets: {many:.3f} s, {many / one:.2f} times that of one")
+            print(
+                f"zendsp ls, {options.targets} targets: {many:.3f} s, {many / one:.2f} times that"
+                " of one"
+            )
         finally:
             for process in processes:
                 process.terminate()

@@ -2,9 +2,10 @@
 
     python benchmarks/link.py [--quick] [--json FILE]
 
-Every figure of ours stands beside the same thing done with nothing but Zenoh, over the same transport where nothing
-else is said, between the same two processes, taken in turns, in random order, so that a busy moment hits both; of
-each, the median of the quicker half counts. The goals are ratios.
+Every figure of ours stands beside the same thing done with nothing but Zenoh, over the same
+transport where nothing else is said, between the same two processes, taken in turns, in random
+order, so that a busy moment hits both; of each, the median of the quicker half counts. The goals
+are ratios.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ void UserISR_INT2(void) {{
     for (int i = 0; i < 128; i++) q[i] = n + i;
 }}
 void UserBackground(void) {{}}
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,13 @@ class Row:
 
 
 def serve_bare(endpoint: str) -> None:
-    """Answer requests with nothing but Zenoh until standard input ends: the other process of the comparison."""
+    """Answer requests with nothing but Zenoh until standard input ends: the other process of the
+    comparison.
+    """
     session = zenoh.open(target_config([endpoint], Security()))
     quick = session.declare_queryable(BARE, zenoh.handlers.FifoChannel(256))
-    # as many different bytes as a recording has: one block sent again and again would never leave the caches
+    # as many different bytes as a recording has: one block sent again and again would never leave
+    # the caches
     blobs = [np.random.default_rng(k).bytes(1 << 20) for k in range(256)]
 
     def bulk(query: zenoh.Query) -> None:
@@ -113,7 +117,9 @@ class Bare:
     def __init__(self, endpoint: str) -> None:
         endpoint = with_free_ports([endpoint])[0]
         self.process = subprocess.Popen(
-            [sys.executable, __file__, "--serve", endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [sys.executable, __file__, "--serve", endpoint],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         )
         assert self.process.stdout is not None
         self.process.stdout.readline()
@@ -125,7 +131,10 @@ class Bare:
             express=True,
         )
         deadline = time.monotonic() + 10.0
-        while not list(self.session.get(BARE, payload=b"x", timeout=1.0)) and time.monotonic() < deadline:
+        while (
+            not list(self.session.get(BARE, payload=b"x", timeout=1.0))
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.05)
 
     def round_trip(self, size: int = 64) -> None:
@@ -135,7 +144,8 @@ class Bare:
     def load(self, chunks: int) -> np.ndarray:
         """Fetch ``chunks`` MiB in one request and put them into an array.
 
-        With the priority of the product: the settings give it a long queue, which makes bare Zenoh faster as well (by a third).
+        With the priority of the product: the settings give it a long queue, which makes bare Zenoh
+        faster as well (by a third).
         """
         data = np.empty(chunks << 20, dtype=np.uint8)
         place = 0
@@ -160,9 +170,11 @@ class Bare:
 def in_turns(
     count: int, *actions: Callable[[], object], prepare: Callable[[], object] = lambda: None
 ) -> list[np.ndarray]:
-    """Time each action ``count`` times, in a new order in every round; seconds. ``prepare`` comes before each round, untimed.
+    """Time each action ``count`` times, in a new order in every round; seconds. ``prepare`` comes
+    before each round, untimed.
 
-    The order matters: the first request to a process that has rested takes up to 20 µs longer than the next.
+    The order matters: the first request to a process that has rested takes up to 20 µs longer than
+    the next.
     """
     times = np.empty((len(actions), count))
     order = np.random.default_rng(0)
@@ -189,11 +201,16 @@ def compare(what: str, ours: np.ndarray, bare: np.ndarray, goal: float) -> Row:
 def requests(target: Target, bare: Bare, count: int) -> list[Row]:
     """Write and read of one variable against a bare round trip.
 
-    Bare has two turns in each round, so that either process gets half of the requests: one that has just answered answers the next one 20 to
-    30 µs sooner, and with one turn ours was the warmer process (ratios 0.04 too low).
+    Bare has two turns in each round, so that either process gets half of the requests: one that has
+    just answered answers the next one 20 to 30 µs sooner, and with one turn ours was the warmer
+    process (ratios 0.04 too low).
     """
     ours_write, ours_read, *twice = in_turns(
-        count, lambda: target.write(v0=1.0), lambda: target.read(["v0"]), bare.round_trip, bare.round_trip
+        count,
+        lambda: target.write(v0=1.0),
+        lambda: target.read(["v0"]),
+        bare.round_trip,
+        bare.round_trip,
     )
     base = np.concatenate(twice)
     return [
@@ -212,7 +229,9 @@ class Envelope(msgspec.Struct, frozen=True):
 
 
 def wire(count: int) -> list[Row]:
-    """Pack and unpack a request: ``msgpack`` with the checks of the product, against ``msgspec`` alone."""
+    """Pack and unpack a request: ``msgpack`` with the checks of the product, against ``msgspec``
+    alone.
+    """
     whole = msgspec.msgpack.Decoder(Envelope)
     rows = []
     for size in (1, 64):
@@ -226,15 +245,26 @@ def wire(count: int) -> list[Row]:
             whole.decode(msgspec.msgpack.encode(body))
 
         a, b = (typical(times) * 1e6 for times in in_turns(count, ours, alone))
-        rows.append(Row(f"pack and unpack an update of {size}: msgpack and checks, msgspec alone", a, b, "µs", a / b, "", None))
+        rows.append(
+            Row(
+                f"pack and unpack an update of {size}: msgpack and checks, msgspec alone",
+                a,
+                b,
+                "µs",
+                a / b,
+                "",
+                None,
+            )
+        )
     return rows
 
 
 def commit(target: Target, bare: Bare, count: int) -> Row:
     """Commit 64 staged variables; the wait for the sample is taken off, as the target counts it.
 
-    The loop of this measurement runs at 20 kHz, so that a sample is never more than 50 µs away; half a period is the mean wait. Like is
-    set against like: the values are staged before (``stage`` sends nothing), and the bare request has as many bytes as ours.
+    The loop of this measurement runs at 20 kHz, so that a sample is never more than 50 µs away;
+    half a period is the mean wait. Like is set against like: the values are staged before
+    (``stage`` sends nothing), and the bare request has as many bytes as ours.
     """
     values = {f"v{k}": float(k) for k in range(64)}
     size = len(codec.encode_request("update", {"values": values}, target.link.author))
@@ -243,17 +273,23 @@ def commit(target: Target, bare: Bare, count: int) -> Row:
     )
     wait = 0.5 / target.info.rate_hz
     row = compare("commit 64 staged variables, beyond the sample", ours - wait, base, 1.3)
-    return Row(**{**asdict(row), "what": row.what + f" (mean wait of {wait * 1e6:.0f} µs taken off)"})
+    return Row(
+        **{**asdict(row), "what": row.what + f" (mean wait of {wait * 1e6:.0f} µs taken off)"}
+    )
 
 
 def load(socket: Bare, tcp: Bare, mib: int, rounds: int) -> list[Row]:
-    """Load of a recording against the same bytes through bare Zenoh into an array; the loop rests meanwhile.
+    """Load of a recording against the same bytes through bare Zenoh into an array; the loop rests
+    meanwhile.
 
-    A host of the same user reads shared memory. One that was given the address gets checked chunks over the link: over
-    the target's own socket, and over TCP. Zenoh brings much less over the former, with the kernel's default buffers.
+    A host of the same user reads shared memory. One that was given the address gets checked chunks
+    over the link: over the target's own socket, and over TCP. Zenoh brings much less over the
+    former, with the kernel's default buffers.
     """
     with (
-        zendsp.local("imi_planar", clock="fast", options=["--listen", "here", "--listen", "tcp/127.0.0.1:0"]) as target,
+        zendsp.local(
+            "imi_planar", clock="fast", options=["--listen", "here", "--listen", "tcp/127.0.0.1:0"]
+        ) as target,
         contextlib.ExitStack() as open_hosts,
     ):
         target.download({"link.c": SIXTY_FOUR})
@@ -264,7 +300,9 @@ def load(socket: Bare, tcp: Bare, mib: int, rounds: int) -> list[Row]:
         entry = next(e for e in local_entries() if e.name == target.name)
         own = Credentials(user=entry.user, password=entry.password)
         hosts = {
-            endpoint.partition("/")[0]: open_hosts.enter_context(zendsp.connect(target.name, endpoint, own))
+            endpoint.partition("/")[0]: open_hosts.enter_context(
+                zendsp.connect(target.name, endpoint, own)
+            )
             for endpoint in entry.endpoints
         }
         here, by_socket, by_tcp, bare_socket, bare_tcp = in_turns(
@@ -298,7 +336,10 @@ def live_lag(target: Target, seconds: float) -> Row:
         time.sleep(seconds)
         lost, received = view.lost, view.received
     p50, p99 = np.percentile(lags, [50, 99]) * 1e3
-    what = f"live lag at {target.info.rate_hz:g} Hz, p50 (p99 {p99:.2f} ms, {received} rows, {lost} skipped)"
+    what = (
+        f"live lag at {target.info.rate_hz:g} Hz, p50 (p99 {p99:.2f} ms, {received} rows, {lost}"
+        " skipped)"
+    )
     return Row(what, float(p50), 2.0, "ms", float(p50) / 2.0, "p50 ≤ 2 ms", bool(p50 <= 2.0))
 
 
@@ -316,7 +357,10 @@ def stream_to_file(target: Target, seconds: float) -> Row:
     after = target.status().timing
     steps = np.diff(recording["q[0]"])
     missing = int((steps - 1).sum()) - (after.missed - before.missed)
-    what = f"{target.info.rate_hz / 1e3:g} kHz × 128 for {seconds:g} s: rows lost (loaded {got - seconds:.2f} s after, on disk {took:.1f} s)"
+    what = (
+        f"{target.info.rate_hz / 1e3:g} kHz × 128 for {seconds:g} s: rows lost (loaded"
+        f" {got - seconds:.2f} s after, on disk {took:.1f} s)"
+    )
     lost = recording.lost + max(0, missing)
     return Row(what, float(lost), 0.0, "rows", float(lost), "0", lost == 0)
 
@@ -328,7 +372,9 @@ def report(rows: list[Row]) -> str:
         mark = {True: "met", False: "NOT MET", None: ""}[row.met]
         bare = f"{row.bare:10.1f}" if row.unit not in ("ms", "rows") else " " * 10
         ratio = f"{row.ratio:6.2f}" if row.unit not in ("ms", "rows") else " " * 6
-        lines.append(f"{row.what:74}{row.ours:10.2f}{bare} {row.unit:6} {ratio}  {row.goal}  {mark}")
+        lines.append(
+            f"{row.what:74}{row.ours:10.2f}{bare} {row.unit:6} {ratio}  {row.goal}  {mark}"
+        )
     return "\n".join(lines)
 
 

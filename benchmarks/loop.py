@@ -1,10 +1,12 @@
-"""The loop, measured: lateness, Acquire() cost, a wide and fast recording. Prints ratios of things measured side by side.
+"""The loop, measured: lateness, Acquire() cost, a wide and fast recording. Prints ratios of things
+measured side by side.
 
     python benchmarks/loop.py [--seconds 4] [--json]
 
-The reference for lateness is cyclictest where it is installed, at the same rate, priority and CPU; and always a bare loop of
-``clock_nanosleep`` to absolute times, compiled here, which is what cyclictest does. Runs alternate, so that a busy neighbour
-disturbs both. Goal: no later than the reference at p99 and p99.9.
+The reference for lateness is cyclictest where it is installed, at the same rate, priority and CPU;
+and always a bare loop of ``clock_nanosleep`` to absolute times, compiled here, which is what
+cyclictest does. Runs alternate, so that a busy neighbour disturbs both. Goal: no later than the
+reference at p99 and p99.9.
 """
 
 from __future__ import annotations
@@ -27,7 +29,10 @@ from zendsp_target.runtime import Runtime, program_text
 
 PRIORITY = 80
 EMPTY = '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'
-WIDE = '#include "isr.h"\nstatic double wide[1024];\nvoid UserInit(void) { SIGNAL(wide, "", ""); }\nvoid UserISR_INT2(void) { wide[0] = (double)SAMPLE_TICK; wide[127] = -wide[0]; }\n'
+WIDE = (
+    '#include "isr.h"\nstatic double wide[1024];\nvoid UserInit(void) { SIGNAL(wide, "", "");'
+    " }\nvoid UserISR_INT2(void) { wide[0] = (double)SAMPLE_TICK; wide[127] = -wide[0]; }\n"
+)
 BARE = r"""
 #define _GNU_SOURCE
 #include <sched.h>
@@ -54,7 +59,7 @@ int main(int count, char **words) {
     fwrite(late, sizeof *late, samples, stdout);
     return 0;
 }
-"""
+"""  # noqa: E501
 
 Array = npt.NDArray[np.float64]
 
@@ -62,12 +67,21 @@ Array = npt.NDArray[np.float64]
 def percentiles(late_us: Array) -> dict[str, float]:
     """p50, p99, p99.9 and the largest, µs."""
     p50, p99, p999 = np.percentile(late_us, [50, 99, 99.9])
-    return {"p50": float(p50), "p99": float(p99), "p99.9": float(p999), "max": float(np.max(late_us))}
+    return {
+        "p50": float(p50),
+        "p99": float(p99),
+        "p99.9": float(p999),
+        "max": float(np.max(late_us)),
+    }
 
 
 def our_lateness(rate: float, seconds: float, spin_us: float) -> tuple[Array, str, int]:
-    """Lateness of every sample of the zendsp loop, µs; how it was scheduled; and the CPU that it took (-1: none)."""
-    with Runtime("imi_planar", rate_hz=rate, clock="real", priority=PRIORITY, spin_us=spin_us) as runtime:
+    """Lateness of every sample of the zendsp loop, µs; how it was scheduled; and the CPU that it
+    took (-1: none).
+    """
+    with Runtime(
+        "imi_planar", rate_hz=rate, clock="real", priority=PRIORITY, spin_us=spin_us
+    ) as runtime:
         runtime.load(runtime.compile({"user.c": EMPTY}).key)
         runtime.acquire_configure(0, AcquireConfig(("late_us",), seconds=seconds))
         runtime.acquire_start(0)
@@ -81,17 +95,39 @@ def our_lateness(rate: float, seconds: float, spin_us: float) -> tuple[Array, st
 
 def bare_lateness(program: Path, rate: float, seconds: float, cpu: int) -> Array:
     """Lateness of the bare loop, µs."""
-    command = [str(program), str(round(1e9 / rate)), str(int(seconds * rate)), str(PRIORITY), str(max(0, cpu))]
+    command = [
+        str(program),
+        str(round(1e9 / rate)),
+        str(int(seconds * rate)),
+        str(PRIORITY),
+        str(max(0, cpu)),
+    ]
     done = subprocess.run(command, capture_output=True, check=True)
     return np.frombuffer(done.stdout, dtype=np.uint64).astype(np.float64) / 1e3
 
 
 def cyclictest_lateness(rate: float, seconds: float, cpu: int) -> Array | None:
-    """Latency as cyclictest sees it, µs (its resolution: whole microseconds); None where it is not installed."""
+    """Latency as cyclictest sees it, µs (its resolution: whole microseconds); None where it is not
+    installed.
+    """
     tool = shutil.which("cyclictest")
     if tool is None:
         return None
-    command = [tool, "-q", "-m", "-p", str(PRIORITY), "-i", str(round(1e6 / rate)), "-l", str(int(seconds * rate)), "-h", "20000", "-t", "1"]
+    command = [
+        tool,
+        "-q",
+        "-m",
+        "-p",
+        str(PRIORITY),
+        "-i",
+        str(round(1e6 / rate)),
+        "-l",
+        str(int(seconds * rate)),
+        "-h",
+        "20000",
+        "-t",
+        "1",
+    ]
     command += ["-a", str(cpu)] if cpu >= 0 else []
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     pairs = [line.split()[:2] for line in done.stdout.splitlines() if line[:1].isdigit()]
@@ -101,7 +137,10 @@ def cyclictest_lateness(rate: float, seconds: float, cpu: int) -> Array | None:
 def compile_bare(folder: Path) -> Path:
     """Compile the bare loop."""
     (folder / "bare.c").write_text(BARE)
-    subprocess.run([*find_compiler().command, "-O2", str(folder / "bare.c"), "-o", str(folder / "bare")], check=True)
+    subprocess.run(
+        [*find_compiler().command, "-O2", str(folder / "bare.c"), "-o", str(folder / "bare")],
+        check=True,
+    )
     return folder / "bare"
 
 
@@ -111,7 +150,12 @@ def lateness(seconds: float, rounds: int = 3) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         bare = compile_bare(Path(name))
         for rate in (1000.0, 10_000.0, 20_000.0):
-            runs: dict[str, list[Array]] = {"zendsp": [], "zendsp, no spin": [], "bare": [], "cyclictest": []}
+            runs: dict[str, list[Array]] = {
+                "zendsp": [],
+                "zendsp, no spin": [],
+                "bare": [],
+                "cyclictest": [],
+            }
             for _ in range(rounds):
                 ours, scheduling, cpu = our_lateness(rate, seconds / rounds, 60.0)
                 runs["zendsp"].append(ours)
@@ -120,18 +164,24 @@ def lateness(seconds: float, rounds: int = 3) -> dict[str, Any]:
                 cyclic = cyclictest_lateness(rate, seconds / rounds, cpu)
                 if cyclic is not None:
                     runs["cyclictest"].append(cyclic)
-            found[f"{rate / 1000:g} kHz"] = {who: percentiles(np.concatenate(all_)) for who, all_ in runs.items() if all_}
+            found[f"{rate / 1000:g} kHz"] = {
+                who: percentiles(np.concatenate(all_)) for who, all_ in runs.items() if all_
+            }
             found["scheduling"] = scheduling
     return found
 
 
 def cpu_ns(pid: int) -> int:
-    """Time that the loop's thread has spent on a CPU, ns: what a busy neighbour takes does not count."""
+    """Time that the loop's thread has spent on a CPU, ns: what a busy neighbour takes does not
+    count.
+    """
     return int(Path(f"/proc/{pid}/schedstat").read_text().split()[0])
 
 
 def acquire_cost(ticks: int = 100_000) -> dict[str, float]:
-    """Cost of one channel in one sample, ns: fast clock with many channels against the same loop without."""
+    """Cost of one channel in one sample, ns: fast clock with many channels against the same loop
+    without.
+    """
     with Runtime("imi_planar", clock="fast", machine_config={"substep": 1.0}) as runtime:
         runtime.load(runtime.compile({"user.c": WIDE}).key)
 
@@ -164,7 +214,10 @@ def acquire_cost(ticks: int = 100_000) -> dict[str, float]:
 def wide_recording(seconds: float) -> dict[str, float]:
     """20 kHz × 128 float64, read in pieces while it runs, to a file; lost rows."""
     rate, channels = 20_000.0, 128
-    with Runtime("imi_planar", rate_hz=rate, clock="real", priority=PRIORITY) as runtime, tempfile.TemporaryFile() as file:
+    with (
+        Runtime("imi_planar", rate_hz=rate, clock="real", priority=PRIORITY) as runtime,
+        tempfile.TemporaryFile() as file,
+    ):
         runtime.load(runtime.compile({"user.c": WIDE}).key)
         names = tuple(f"wide[{i}]" for i in range(channels))
         runtime.acquire_configure(0, AcquireConfig(names, seconds=1.0, continuous=True))
@@ -181,8 +234,15 @@ def wide_recording(seconds: float) -> dict[str, float]:
                 time.sleep(0.02)
         busy, took = time.process_time() - cpu, time.perf_counter() - began
         status, timing = runtime.acquire_status(0), runtime.status().timing
-        return {"rows": row, "lost": status.lost, "pieces out of order": broken, "MB/s": row * channels * 8 / took / 1e6,
-                "share of a core": busy / took, "overruns": timing.overruns, "loop exec mean us": timing.exec_mean_ns / 1e3}  # fmt: skip
+        return {
+            "rows": row,
+            "lost": status.lost,
+            "pieces out of order": broken,
+            "MB/s": row * channels * 8 / took / 1e6,
+            "share of a core": busy / took,
+            "overruns": timing.overruns,
+            "loop exec mean us": timing.exec_mean_ns / 1e3,
+        }
 
 
 def edit_to_running() -> dict[str, float]:
@@ -200,8 +260,15 @@ def edit_to_running() -> dict[str, float]:
 
 def update_cost() -> dict[str, float]:
     """Python's side of a synchronous update, and of reading, µs a call; 64 variables."""
-    code = '#include "isr.h"\n' + "".join(f"static double p{i};\n" for i in range(64)) + "void UserInit(void) {\n"
-    code += "".join(f'PARAMETER(p{i}, 0.0, "", NO_MIN, NO_MAX, "");\n' for i in range(64)) + "}\nvoid UserISR_INT2(void) {}\n"
+    code = (
+        '#include "isr.h"\n'
+        + "".join(f"static double p{i};\n" for i in range(64))
+        + "void UserInit(void) {\n"
+    )
+    code += (
+        "".join(f'PARAMETER(p{i}, 0.0, "", NO_MIN, NO_MAX, "");\n' for i in range(64))
+        + "}\nvoid UserISR_INT2(void) {}\n"
+    )
     with Runtime("imi_planar", clock="fast") as runtime:
         runtime.load(runtime.compile({"user.c": code}).key)
         runtime.start()
@@ -218,22 +285,34 @@ def update_cost() -> dict[str, float]:
         return {
             "read 1": each(lambda: runtime.read(["p0"])),
             "read 64": each(lambda: runtime.read(names)),
-            "write 1 and wait": each(lambda: runtime.wait_applied(runtime.write({"p0": 1.0}, "b"), 5.0)),
-            "write 64 and wait": each(lambda: runtime.wait_applied(runtime.write(dict.fromkeys(names, 2.0), "b"), 5.0)),
+            "write 1 and wait": each(
+                lambda: runtime.wait_applied(runtime.write({"p0": 1.0}, "b"), 5.0)
+            ),
+            "write 64 and wait": each(
+                lambda: runtime.wait_applied(runtime.write(dict.fromkeys(names, 2.0), "b"), 5.0)
+            ),
         }
 
 
 def report(found: dict[str, Any]) -> None:
     """Print it for people."""
-    print(f"scheduling: {found['lateness'].pop('scheduling')}\n\nlateness at the start of a sample, us")
+    print(
+        f"scheduling: {found['lateness'].pop('scheduling')}\n\nlateness at the start of a"
+        " sample, us"
+    )
     print(f"{'':22}{'p50':>10}{'p99':>10}{'p99.9':>10}{'max':>10}")
     for rate, runs in found["lateness"].items():
         for who, p in runs.items():
             print(f"{rate:>7} {who:14}" + "".join(f"{value:10.2f}" for value in p.values()))
         for reference in ("bare", "cyclictest"):
             if reference in runs:
-                ratios = {q: runs["zendsp"][q] / max(runs[reference][q], 1e-9) for q in ("p99", "p99.9")}
-                print(f"{rate:>7} zendsp / {reference}: p99 {ratios['p99']:.3g}, p99.9 {ratios['p99.9']:.3g} (goal: at most 1)")
+                ratios = {
+                    q: runs["zendsp"][q] / max(runs[reference][q], 1e-9) for q in ("p99", "p99.9")
+                }
+                print(
+                    f"{rate:>7} zendsp / {reference}: p99 {ratios['p99']:.3g}, p99.9"
+                    f" {ratios['p99.9']:.3g} (goal: at most 1)"
+                )
     if "cyclictest" not in found["lateness"]["1 kHz"]:
         print("cyclictest is not installed: the bare loop stands in for it")
     for title in ("acquire, ns", "20 kHz x 128", "edit to running, s", "updates, us"):
@@ -244,8 +323,12 @@ def report(found: dict[str, Any]) -> None:
 
 def main() -> None:
     """Measure everything and print it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=4.0, help="of each lateness run and of the recording")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=4.0, help="of each lateness run and of the recording"
+    )
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     found = {

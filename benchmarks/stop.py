@@ -2,15 +2,18 @@
 
     python benchmarks/stop.py [--presses 300] [--busy 2] [--limit-ms 50] [--elsewhere] [--json]
 
-A real ``zendsp tui`` in a pseudo-terminal of 200 × 60 against a real target (planar arm, 1 kHz, real clock, soft start as
-it comes). Before each press another screen is opened or the curves are redrawn. The time of the key is that at which its
-bytes are written to the terminal. The time of the target is that of the sample at which the loop latched the STOP, counted
-back from the newest sample by the period, the least of several readings: the figure never holds less than the truth.
-``--elsewhere`` has the terminal reach the target as one on another computer, over a TCP port, without shared memory.
+A real ``zendsp tui`` in a pseudo-terminal of 200 × 60 against a real target (planar arm, 1 kHz,
+real clock, soft start as it comes). Before each press another screen is opened or the curves are
+redrawn. The time of the key is that at which its bytes are written to the terminal. The time of the
+target is that of the sample at which the loop latched the STOP, counted back from the newest sample
+by the period, the least of several readings: the figure never holds less than the truth.
+``--elsewhere`` has the terminal reach the target as one on another computer, over a TCP port,
+without shared memory.
 
-A key that is typed waits first in the kernel, whose worker carries it through the pseudo-terminal: nothing that reads can make that
-shorter. So beside each press that time is measured alone, on a bare pseudo-terminal whose reader has the priority of the stopper; and each
-second press goes past it, to a second stopper that reads a pipe (as it does under ``--web``). The limit holds for these.
+A key that is typed waits first in the kernel, whose worker carries it through the pseudo-terminal:
+nothing that reads can make that shorter. So beside each press that time is measured alone, on a
+bare pseudo-terminal whose reader has the priority of the stopper; and each second press goes past
+it, to a second stopper that reads a pipe (as it does under ``--web``). The limit holds for these.
 """
 
 from __future__ import annotations
@@ -96,8 +99,13 @@ class Direct:
     def __init__(self, name: str) -> None:
         read, self._control = os.pipe()
         call = f"from zendsp.tui.stopper import serve; serve({read}, 2, False)"
-        self._process = subprocess.Popen([sys.executable, "-c", call], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                                         stderr=subprocess.DEVNULL, pass_fds=(read,))  # fmt: skip
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", call],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=(read,),
+        )
         os.write(self._control, f"{name}\n".encode())
 
     def press(self) -> None:
@@ -118,7 +126,9 @@ def _until(done: object, what: str) -> None:
 
 
 def _latched(target: zendsp.Target, begin: float) -> float | None:
-    """Time from ``begin`` to the sample at which the loop latched the STOP, s; None where the watchdog had ended the loop."""
+    """Time from ``begin`` to the sample at which the loop latched the STOP, s; None where the
+    watchdog had ended the loop.
+    """
     least = PATIENCE_S
     readings = 0
     while readings < READINGS:
@@ -137,7 +147,9 @@ def _latched(target: zendsp.Target, begin: float) -> float | None:
 
 @contextmanager
 def _target(elsewhere: bool) -> Iterator[zendsp.Target]:
-    """A target here; if wanted, the environment afterwards leads to it as to one on another computer."""
+    """A target here; if wanted, the environment afterwards leads to it as to one on another
+    computer.
+    """
     if not elsewhere:
         with zendsp.local("imi_planar") as target:
             yield target
@@ -149,14 +161,22 @@ def _target(elsewhere: bool) -> Iterator[zendsp.Target]:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         free.close()
-        with zendsp.local("imi_planar", options=["--listen", "here", "--listen", endpoint, "--users", users.name]) as target:
-            os.environ |= {"ZENDSP_CONNECT": endpoint, "ZENDSP_USER": "bench", "ZENDSP_PASSWORD": "mark",
-                           "ZENDSP_RUNTIME_DIR": nothing}  # fmt: skip
+        with zendsp.local(
+            "imi_planar", options=["--listen", "here", "--listen", endpoint, "--users", users.name]
+        ) as target:
+            os.environ |= {
+                "ZENDSP_CONNECT": endpoint,
+                "ZENDSP_USER": "bench",
+                "ZENDSP_PASSWORD": "mark",
+                "ZENDSP_RUNTIME_DIR": nothing,
+            }
             yield target
 
 
 def measure(presses: int, busy: int, elsewhere: bool = False) -> dict[str, list[float]]:
-    """Return times, s: `key` and `pipe` to the target (`PATIENCE_S` for one that did not arrive), and `kernel` of a key alone."""
+    """Return times, s: `key` and `pipe` to the target (`PATIENCE_S` for one that did not arrive),
+    and `kernel` of a key alone.
+    """
     chance = random.Random(1)
     burners = []
     times: dict[str, list[float]] = {"key": [], "pipe": [], "kernel": []}
@@ -166,15 +186,20 @@ def measure(presses: int, busy: int, elsewhere: bool = False) -> dict[str, list[
         bare, direct = Bare(), Direct(target.name)
         try:
             _until(lambda: len(target.status().hosts) >= 4, "the terminal connects")
-            time.sleep(2.0)  # for the first pictures; the presses of the first seconds count as well
-            burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
+            # for the first pictures; the presses of the first seconds count as well
+            time.sleep(2.0)
+            burners = [
+                subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)
+            ]
             for number in range(2 * presses):
-                if target.status().state == "crashed":  # another real-time program had the CPU for a second: the watchdog
+                # another real-time program had the CPU for a second: the watchdog
+                if target.status().state == "crashed":
                     print(target.status().crash, file=sys.stderr)
                     target.download("pd.c")
                 target.acknowledge()
                 target.start()
-                screen = F[2 + (number + 1) % 3]  # the first presses open each screen for the first time
+                # the first presses open each screen for the first time
+                screen = F[2 + (number + 1) % 3]
                 os.write(fd, screen)
                 time.sleep(chance.uniform(0.0, 0.1))
                 begin = time.perf_counter()
@@ -207,26 +232,42 @@ SAID = {
 
 
 def main() -> None:
-    """Measure and print; exit status 1 where the 99th percentile past the pseudo-terminal is above the limit."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Measure and print; exit status 1 where the 99th percentile past the pseudo-terminal is above
+    the limit.
+    """
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--presses", type=int, default=300, help="of each kind")
     parser.add_argument("--busy", type=int, default=2, help="processes that compute beside it")
     parser.add_argument("--limit-ms", type=float, default=50.0)
-    parser.add_argument("--elsewhere", action="store_true", help="without shared memory, as over a network")
+    parser.add_argument(
+        "--elsewhere", action="store_true", help="without shared memory, as over a network"
+    )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     figures: dict[str, dict[str, float]] = {}
     for kind, times in measure(options.presses, options.busy, options.elsewhere).items():
         ms = 1e3 * np.array(times)
         p50, p99 = np.percentile(ms, [50, 99])
-        figures[kind] = {"presses": len(ms), "lost": int((ms >= 1e3 * PATIENCE_S).sum()), "p50_ms": p50, "p99_ms": p99,
-                         "max_ms": float(ms.max()), "late": int((ms > options.limit_ms).sum())}  # fmt: skip
+        figures[kind] = {
+            "presses": len(ms),
+            "lost": int((ms >= 1e3 * PATIENCE_S).sum()),
+            "p50_ms": p50,
+            "p99_ms": p99,
+            "max_ms": float(ms.max()),
+            "late": int((ms > options.limit_ms).sum()),
+        }
     if options.json:
         print(json.dumps({"busy": options.busy, "load": os.getloadavg()[0], **figures}))
     else:
         for kind, figure in figures.items():
-            print("{:44} p50 {p50_ms:5.1f} ms, p99 {p99_ms:6.1f} ms, max {max_ms:6.1f} ms ({late} of {presses} above {limit:g} ms, "
-                  "{lost} not within 10 s)".format(SAID[kind], limit=options.limit_ms, **figure))  # fmt: skip
+            print(
+                "{:44} p50 {p50_ms:5.1f} ms, p99 {p99_ms:6.1f} ms, max {max_ms:6.1f} ms ({late} of"
+                " {presses} above {limit:g} ms, {lost} not within 10 s)".format(
+                    SAID[kind], limit=options.limit_ms, **figure
+                )
+            )
         print(f"{options.busy} busy processes, load {os.getloadavg()[0]:.1f}")
     sys.exit(figures["pipe"]["p99_ms"] > options.limit_ms)
 

@@ -1,9 +1,11 @@
 """The terminal, measured: what a picture costs, how long a key takes, whether memory grows.
 
-    python benchmarks/tui.py [--only picture key lost terminal] [--seconds 20] [--soak 300] [--trace soak.csv] [--json]
+    python benchmarks/tui.py [--only picture key lost terminal] [--seconds 20] [--soak 300] [--trace
+    soak.csv] [--json]
 
-Everything is measured on a real ``zendsp tui`` in a pseudo-terminal of 160 × 48 against a real target process (planar arm, 1 kHz,
-real clock), with eight curves, except the cost of one picture, which is also timed alone in this process.
+Everything is measured on a real ``zendsp tui`` in a pseudo-terminal of 160 × 48 against a real
+target process (planar arm, 1 kHz, real clock), with eight curves, except the cost of one picture,
+which is also timed alone in this process.
 """
 
 from __future__ import annotations
@@ -80,7 +82,13 @@ def one_picture() -> dict[str, float]:
     from zendsp.tui.scope.raster import braille
 
     t = np.arange(5000) * 1e-3
-    y = np.stack([np.sin((k + 1) * t) + 0.1 * np.random.default_rng(k).normal(size=len(t)) for k in range(8)], axis=1)
+    y = np.stack(
+        [
+            np.sin((k + 1) * t) + 0.1 * np.random.default_rng(k).normal(size=len(t))
+            for k in range(8)
+        ],
+        axis=1,
+    )
     channels = [Channel(f"c{k}", ("rad", "N m", "rad/s")[k % 3]) for k in range(8)]
     times = []
     for _ in range(60):
@@ -92,7 +100,9 @@ def one_picture() -> dict[str, float]:
 
 
 def key_to_applied(n: int = 30) -> dict[str, float]:
-    """From the key that confirms an edit to the target's word that it acts, ms; and a bare write + wait beside it."""
+    """From the key that confirms an edit to the target's word that it acts, ms; and a bare write +
+    wait beside it.
+    """
     import asyncio
 
     from zendsp.link import local
@@ -140,18 +150,22 @@ def key_to_applied(n: int = 30) -> dict[str, float]:
 
 
 def host_lost() -> dict[str, float]:
-    """From kill −9 of the commanding host to the latched safe state, ms; the host is a process of its own."""
+    """From kill −9 of the commanding host to the latched safe state, ms; the host is a process of
+    its own.
+    """
     from zendsp.link import local
 
     code = (
-        "import sys, time\nfrom zendsp.link import connect\n"
-        "t = connect(sys.argv[1]); t.power_on(); t.enable(); t.start(); print('on', flush=True); time.sleep(600)\n"
+        "import sys, time\nfrom zendsp.link import connect\nt = connect(sys.argv[1]); t.power_on();"
+        " t.enable(); t.start(); print('on', flush=True); time.sleep(600)\n"
     )
     times = []
     with local("imi_planar", timeout=60.0) as target:
         target.download("pd.c")
         for _ in range(3):
-            host = subprocess.Popen([sys.executable, "-c", code, target.name], stdout=subprocess.PIPE)
+            host = subprocess.Popen(
+                [sys.executable, "-c", code, target.name], stdout=subprocess.PIPE
+            )
             assert host.stdout is not None
             host.stdout.readline()
             begin = time.perf_counter()
@@ -170,17 +184,34 @@ def host_lost() -> dict[str, float]:
 def terminal(seconds: float, soak: float, trace: Path | None = None) -> dict[str, float]:
     """CPU share, output and memory slope of ``zendsp tui`` with eight live curves."""
     with tempfile.TemporaryDirectory() as folder:
-        t = Terminal(["tui", "--local", "imi_planar", "--folder", folder, "--source", _source(), "--channels", CURVES])
+        t = Terminal(
+            [
+                "tui",
+                "--local",
+                "imi_planar",
+                "--folder",
+                folder,
+                "--source",
+                _source(),
+                "--channels",
+                CURVES,
+            ]
+        )
         try:
             _wait(t, b"imi_planar")
-            # the drives stay automatic: with a commander, a busy machine that cuts this one off would stop the program
+            # the drives stay automatic: with a commander, a busy machine that cuts this one off
+            # would stop the program
             for key, event in (("b", "→ loaded"), ("s", "→ running")):
                 _press(t, key, event.encode())
             time.sleep(3.0)
             cpu, written, begin = t.cpu(), t.bytes, time.perf_counter()
             time.sleep(seconds)
             wall = time.perf_counter() - begin
-            result = {"cpu_share": (t.cpu() - cpu) / wall, "kB_per_s": (t.bytes - written) / wall / 1e3, "rss_MB": t.memory() / 1e3}
+            result = {
+                "cpu_share": (t.cpu() - cpu) / wall,
+                "kB_per_s": (t.bytes - written) / wall / 1e3,
+                "rss_MB": t.memory() / 1e3,
+            }
             if soak > 0:
                 result |= _soak(t, soak, trace)
         finally:
@@ -197,16 +228,36 @@ def _soak(t: Terminal, soak: float, trace: Path | None) -> dict[str, float]:
         output.append(t.bytes - written)
         time.sleep(min(2.0, soak / 20.0))
     if trace is not None:
-        np.savetxt(trace, np.stack([times, sizes, output], axis=1), delimiter=",", header="t [s],memory [kB],written [B]", comments="", fmt="%.10g")
+        np.savetxt(
+            trace,
+            np.stack([times, sizes, output], axis=1),
+            delimiter=",",
+            header="t [s],memory [kB],written [B]",
+            comments="",
+            fmt="%.10g",
+        )
     lasted = time.monotonic() - begin
     x, y = np.array(times), np.array(sizes)
     half = x > soak / 3.0  # the first third is warming up: histories fill, caches find their size
     x, y = x[half], y[half]
-    # sizes of one moment and the next are much alike: the error of the slope is that of the means of ten blocks
+    # sizes of one moment and the next are much alike: the error of the slope is that of the means
+    # of ten blocks
     blocks = np.array_split(np.arange(len(x)), 10)
-    (slope, _), error = np.polyfit([x[i].mean() for i in blocks], [y[i].mean() for i in blocks], 1, cov=True)
-    busy = {"soak_kB_per_s": (t.bytes - written) / lasted / 1e3, "soak_cpu_share": (t.cpu() - cpu) / lasted}  # it was not asleep
-    return busy | {"soak_s": soak, "rss_first_MB": y[0] / 1e3, "rss_last_MB": y[-1] / 1e3, "slope_kB_per_h": float(slope * 3600.0), "slope_2sigma_kB_per_h": float(2.0 * np.sqrt(error[0, 0]) * 3600.0)}
+    (slope, _), error = np.polyfit(
+        [x[i].mean() for i in blocks], [y[i].mean() for i in blocks], 1, cov=True
+    )
+    # it was not asleep
+    busy = {
+        "soak_kB_per_s": (t.bytes - written) / lasted / 1e3,
+        "soak_cpu_share": (t.cpu() - cpu) / lasted,
+    }
+    return busy | {
+        "soak_s": soak,
+        "rss_first_MB": y[0] / 1e3,
+        "rss_last_MB": y[-1] / 1e3,
+        "slope_kB_per_h": float(slope * 3600.0),
+        "slope_2sigma_kB_per_h": float(2.0 * np.sqrt(error[0, 0]) * 3600.0),
+    }
 
 
 def _wait(t: Terminal, words: bytes) -> None:
@@ -218,7 +269,8 @@ def _wait(t: Terminal, words: bytes) -> None:
 
 
 def _press(t: Terminal, key: str, words: bytes) -> None:
-    """Press a key until it has had its effect: the target that is started here may not answer yet."""
+    """Press a key until it has had its effect: the target that is started here may not answer yet.
+    """
     deadline = time.monotonic() + 60.0
     while words not in t.seen:
         if time.monotonic() > deadline:
@@ -236,11 +288,20 @@ def _source() -> str:
 
 
 def main() -> None:
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--only", nargs="+", choices=("picture", "key", "lost", "terminal"), help="leave out the others")
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument(
+        "--only",
+        nargs="+",
+        choices=("picture", "key", "lost", "terminal"),
+        help="leave out the others",
+    )
     p.add_argument("--seconds", type=float, default=20.0)
     p.add_argument("--soak", type=float, default=300.0, help="s; 0 leaves it out")
-    p.add_argument("--trace", type=Path, help="CSV of the soak: memory and what was written, every two seconds")
+    p.add_argument(
+        "--trace", type=Path, help="CSV of the soak: memory and what was written, every two seconds"
+    )
     p.add_argument("--json", action="store_true")
     args = p.parse_args()
     parts: dict[str, tuple[str, Callable[[], dict[str, float]]]] = {
@@ -250,14 +311,20 @@ def main() -> None:
         "terminal": ("terminal", lambda: terminal(args.seconds, args.soak, args.trace)),
     }
     result: dict[str, dict[str, float] | float] = {
-        name: measure() for part, (name, measure) in parts.items() if args.only is None or part in args.only
+        name: measure()
+        for part, (name, measure) in parts.items()
+        if args.only is None or part in args.only
     }
     result["load"] = os.getloadavg()[0]
     if args.json:
         print(json.dumps(result, indent=1))
         return
     for name, values in result.items():
-        shown = ", ".join(f"{k} {v:.4g}" for k, v in values.items()) if isinstance(values, dict) else f"{values:.1f}"
+        shown = (
+            ", ".join(f"{k} {v:.4g}" for k, v in values.items())
+            if isinstance(values, dict)
+            else f"{values:.1f}"
+        )
         print(f"{name:20} {shown}")
 
 

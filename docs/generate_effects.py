@@ -1,4 +1,5 @@
-"""Writes docs/effects.md from the library of physical effects: ``python docs/generate_effects.py``."""
+"""Writes docs/effects.md from the library of physical effects: ``python docs/generate_effects.py``.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ Every hypothesis of `zendsp diagnose`, every `[[effect]]` of a model file and ev
 torque (a force on a linear axis) to the equation of motion, `M q̈ + … + effect = command torque`, or sits in the actuator or in the sensor.
 Units are those of a rotary joint; on a linear axis read m for rad, N for N m and kg for kg m².
 
-"""
+"""  # noqa: E501
 
 SITE = {
     "torque": "a torque that resists",
@@ -73,14 +74,15 @@ FILM = Effect(
 At most six parameters an effect. An effect with a state of its own (a bristle, a gap) belongs into `observer.c` and
 `simulate.c`; its file has `site="setup"`, sets their variables in `c`, and says with `column` what it resists along a measured motion, or with
 `scan` where its fit begins. `physics/effects/base.py` describes every field, `effects/axes.py` has grids and bounds that several share.
-"""
+"""  # noqa: E501
 
 
 def page() -> str:
     """The whole page."""
     parts = [HEAD, "| name | equation | mechanism | acts as |\n|---|---|---|---|\n"]
     parts += [
-        f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {mechanism_of(e.name)} | {SITE[e.site]} |\n"
+        f"| [{e.name}](#{e.name}) | {_cell(e.equation)} | {mechanism_of(e.name)} |"
+        f" {SITE[e.site]} |\n"
         for e in library().values()
     ]
     parts += [_section(e) for e in library().values()]
@@ -93,11 +95,15 @@ def _cell(text: str) -> str:
 
 def _section(effect: Effect) -> str:
     rows = "".join(
-        f"| {p.name} | {unit_of(p.size, 'rotary', 'command units')} | {_bounds(p.lower, p.upper)} | {'' if p.default is None else format(p.default, 'g')} | {_cell(p.meaning) or p.size} |\n"
+        f"| {p.name} | {unit_of(p.size, 'rotary', 'command units')} | {_bounds(p.lower, p.upper)} |"
+        f" {'' if p.default is None else format(p.default, 'g')} | {_cell(p.meaning) or p.size} |\n"
         for p in effect.parameters
     )
     words = [
-        f"\n## {effect.name}\n\n`{effect.equation}`\n\n| parameter | unit | range | default | measures |\n|---|---|---|---|---|\n{rows}\n",
+        (
+            f"\n## {effect.name}\n\n`{effect.equation}`\n\n| parameter | unit | range | default |"
+            f" measures |\n|---|---|---|---|---|\n{rows}\n"
+        ),
         f"*Says:* {effect.sentence}\n\n*Confirm by:* {effect.experiment}\n",
     ]
     if effect.rivals:
@@ -106,7 +112,9 @@ def _section(effect: Effect) -> str:
         words.append(f"\n*Contains:* {', '.join(effect.replaces)}.\n")
     if effect.needs and effect.needs != (effect.name,):
         words.append(f"\n*Needs:* {', '.join(effect.needs)}.\n")
-    words.append("\n*Can be compensated by a torque:* " + ("yes" if effect.compensable else "no") + ".\n")
+    words.append(
+        "\n*Can be compensated by a torque:* " + ("yes" if effect.compensable else "no") + ".\n"
+    )
     return "".join(words)
 
 

@@ -1,4 +1,5 @@
-"""Write the tables of ``docs/protocol.md`` from the code: every verb, and every field with the comment beside it.
+"""Write the tables of ``docs/protocol.md`` from the code: every verb, and every field with the
+comment beside it.
 
 python docs/generate_protocol.py          # rewrite the file
 """
@@ -37,15 +38,27 @@ def kind(annotation: object) -> str:
 
 
 def comments(struct: type) -> dict[str, str]:
-    """Comments beside the fields of a struct, by name."""
-    found = re.findall(r"^    (\w+):[^#\n]*#\s*(.+)$", inspect.getsource(struct), re.MULTILINE)
-    return dict(found)
+    """Comments above or beside the fields of a struct, by name."""
+    found: dict[str, str] = {}
+    above: list[str] = []
+    for line in inspect.getsource(struct).splitlines():
+        code, _, comment = (part.strip() for part in line.partition("#"))
+        if comment and not code:
+            above.append(comment)
+            continue
+        field = re.match(r"(\w+):", code)
+        if field:
+            found[field[1]] = " ".join([*above, comment]).strip()
+        above = []
+    return found
 
 
 def default(field: msgspec.structs.FieldInfo) -> str:
     """Write the default of a field, empty where it is required."""
     if field.default is not msgspec.NODEFAULT:
-        return f" = {field.default!r}".replace("'", '"').replace("None", "nil").replace("inf", "inf")
+        return (
+            f" = {field.default!r}".replace("'", '"').replace("None", "nil").replace("inf", "inf")
+        )
     return "" if field.default_factory is msgspec.NODEFAULT else " = empty"
 
 
@@ -54,9 +67,12 @@ def verb_table() -> str:
     lines = ["| verb | role | lane | arguments | result | limit, s |", "|---|---|---|---|---|---|"]
     for verb in verbs.VERBS.values():
         fields = msgspec.structs.fields(verb.arguments)
-        arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace("|", "\\|")
+        arguments = ", ".join(f"`{f.name}`: {kind(f.type)}{default(f)}" for f in fields).replace(
+            "|", "\\|"
+        )
         lines.append(
-            f"| `{verb.name}` | {verb.role} | {verb.lane} | {arguments or '–'} | {kind(verb.result)} | {verb.timeout:g} |"
+            f"| `{verb.name}` | {verb.role} | {verb.lane} | {arguments or '–'} |"
+            f" {kind(verb.result)} | {verb.timeout:g} |"
         )
     return "\n".join(lines)
 
@@ -67,9 +83,13 @@ def structs() -> list[type[msgspec.Struct]]:
         item
         for module in (messages, verbs)
         for item in vars(module).values()
-        if isinstance(item, type) and issubclass(item, messages.Message) and item is not messages.Message
+        if isinstance(item, type)
+        and issubclass(item, messages.Message)
+        and item is not messages.Message
     ]
-    return sorted(dict.fromkeys(found), key=lambda item: (item.__module__, inspect.getsourcelines(item)[1]))
+    return sorted(
+        dict.fromkeys(found), key=lambda item: (item.__module__, inspect.getsourcelines(item)[1])
+    )
 
 
 def message_tables() -> str:
@@ -77,7 +97,7 @@ def message_tables() -> str:
     parts = []
     for struct in structs():
         said = comments(struct)
-        summary = (inspect.getdoc(struct) or "").replace("\n", " ")
+        summary = " ".join((inspect.getdoc(struct) or "").split())
         lines = [f"**{struct.__name__}** – {summary}", ""]
         fields = msgspec.structs.fields(struct)
         if fields:

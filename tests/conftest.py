@@ -11,7 +11,8 @@ import pytest
 from zendsp.reference import load_machine
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # Started in the background of a shell: what the tests start would inherit it, and not end at Ctrl-C.
+    # Started in the background of a shell: what the tests start would inherit it, and not end at
+    # Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

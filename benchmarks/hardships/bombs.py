@@ -1,4 +1,6 @@
-"""Programs that try to stay, and sources that try to take all there is, beside a machine that moves."""
+"""Programs that try to stay, and sources that try to take all there is, beside a machine that
+moves.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,16 @@ from hardships.place import Place, Tally, children, until
 from zendsp.errors import ZendspError
 from zendsp.link import Target
 
-PROMISE = "what user code or a compilation starts ends with it, within its limits, and the machine beside it goes on"
-STATUS_S = 1.0  # in which a target answers while it compiles a bomb, on a computer with two CPUs that both work
-HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid UserISR_INT2(void) { x = 1.0; }\n'
+PROMISE = (
+    "what user code or a compilation starts ends with it, within its limits, and the machine beside"
+    " it goes on"
+)
+# in which a target answers while it compiles a bomb, on a computer with two CPUs that both work
+STATUS_S = 1.0
+HEAD = (
+    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
+    " UserISR_INT2(void) { x = 1.0; }\n"
+)
 TENFOLD = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
 SOURCES = {  # the quick ones first
     "itself": HEAD + '#include "bomb.c"\n',
@@ -62,21 +71,28 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
                 _compile(place, target, own, name, text, tally)
                 yield
             after = beside.status()
-            tally.expect(after.state == "running" and after.trip is None, f"the machine beside it is {after.state}: {after.trip}")
+            tally.expect(
+                after.state == "running" and after.trip is None,
+                f"the machine beside it is {after.state}: {after.trip}",
+            )
             tally.expect(after.tick > before.tick, "the machine beside it stands still")
 
 
 def _fork(place: Place, target: Target, own: set[int], tally: Tally) -> None:
     target.download(_file(place, FORKS))
     target.start()
-    tally.expect(until(lambda: float(target["tries"]) >= 500.0), "the program that forks does not run")  # type: ignore[arg-type]
-    tally.expect(float(target["got_away"]) == 0.0, f"{target['got_away']} children got away")  # type: ignore[arg-type]
+    tally.expect(until(lambda: float(target["tries"]) >= 500.0),
+        "the program that forks does not run")  # type: ignore[arg-type]
+    tally.expect(float(target["got_away"]) == 0.0,
+        f"{target['got_away']} children got away")  # type: ignore[arg-type]
     tally.count("forks tried", int(target["tries"]))  # type: ignore[arg-type]
     target.unload()
     _nothing_stays(place, own, "a program that forks", tally)
 
 
-def _compile(place: Place, target: Target, own: set[int], name: str, text: str, tally: Tally) -> None:
+def _compile(
+    place: Place, target: Target, own: set[int], name: str, text: str, tally: Tally
+) -> None:
     path = _file(place, text)
     over = threading.Event()
     worst = 0.0

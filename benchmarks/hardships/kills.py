@@ -12,7 +12,10 @@ from hardships.place import Place, Tally, alive, children, until
 from zendsp.errors import ZendspError
 from zendsp.link import Target
 
-PROMISE = "whoever is killed: the machine stops, what was recorded is kept, nothing is left, and work goes on"
+PROMISE = (
+    "whoever is killed: the machine stops, what was recorded is kept, nothing is left, and work"
+    " goes on"
+)
 KEPT = 3  # killed targets of which recorded rows may be left in shared memory, to be saved
 GONE_S = 5.0  # in which a runner without its monitor is gone, on a busy computer
 HOST = """
@@ -39,7 +42,10 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
             dead.append(target.info.pid)
             target = _kill_monitor(place, target, tally)
             dead = [pid for pid in dead if place.shared(pid)]
-            tally.expect(len(dead) <= KEPT, f"shared memory of {len(dead)} killed targets is left after the next start")
+            tally.expect(
+                len(dead) <= KEPT,
+                f"shared memory of {len(dead)} killed targets is left after the next start",
+            )
             yield
     finally:
         target.close()
@@ -51,7 +57,9 @@ def _kill_host(place: Place, target: Target, tally: Tally) -> None:
     host = place.script(HOST)
     try:
         assert host.stdout is not None
-        if not tally.expect(host.stdout.readline() == "moves\n", "a host did not get its target to move"):
+        if not tally.expect(
+            host.stdout.readline() == "moves\n", "a host did not get its target to move"
+        ):
             return
     finally:
         host.kill()
@@ -76,9 +84,15 @@ def _kill_runner(target: Target, tally: Tally) -> None:
     (runner,) = children(target.info.pid)
     os.kill(runner, signal.SIGKILL)
     tally.count("runners killed")
-    if not tally.expect(until(lambda: target.status().state == "crashed"), "the runner was killed, and nobody was told"):
+    if not tally.expect(
+        until(lambda: target.status().state == "crashed"),
+        "the runner was killed, and nobody was told",
+    ):
         return
-    tally.expect("SIGKILL" in target.status().crash or "9" in target.status().crash, f"told as {target.status().crash!r}")
+    tally.expect(
+        "SIGKILL" in target.status().crash or "9" in target.status().crash,
+        f"told as {target.status().crash!r}",
+    )
     kept = target.acquire_load()
     tally.expect(len(kept) > 100 and kept.lost == 0, f"{len(kept)} rows are kept, {kept.lost} lost")
     tally.count("rows kept", len(kept))
@@ -94,7 +108,10 @@ def _kill_monitor(place: Place, target: Target, tally: Tally) -> Target:
     runners = children(pid)
     os.kill(pid, signal.SIGKILL)
     tally.count("monitors killed")
-    tally.expect(runners and until(lambda: not any(map(alive, runners)), GONE_S), "the runner of a killed monitor goes on")
+    tally.expect(
+        runners and until(lambda: not any(map(alive, runners)), GONE_S),
+        "the runner of a killed monitor goes on",
+    )
     try:
         target.status()
         tally.expect(False, "a killed target answers")

@@ -83,7 +83,8 @@ def _judge(found: dict[str, list[list[object]]], tally: Tally) -> None:
     tally.expect(len(found["told"]) > CUTS, f"{len(found['told'])} changes in {CUTS} cuts")
     for k, tick in found["told"]:
         tally.expect(k in ticks, f"change {k} was acknowledged and is not in the log")
-        tally.expect(tick in (-1, ticks.get(k)), f"change {k} was said to act at sample {tick}, and acted at {ticks.get(k)}")  # type: ignore[call-overload]
+        tally.expect(tick in (-1, ticks.get(k)),
+            f"change {k} was said to act at sample {tick}, and acted at {ticks.get(k)}")  # type: ignore[call-overload]
     tally.expect(len(applied) == len(set(applied)), "a change was made twice")
     tally.expect(all(a <= b for a, b in pairwise(applied)), "changes were made out of order")
     for k, error in found["unknown"]:

@@ -17,14 +17,47 @@ from zendsp_protocol.verbs import VERBS, Verb
 PROMISE = "whatever is sent gets one reply that names an error or a result, and the target goes on"
 MESSAGES = 300  # of a round
 MOST_MB = 64.0  # that a target may grow; it remembers the last replies of 256 connections
-MOST_FILES = 250  # those of programs that were replaced are closed when Python next looks for cycles
+# those of programs that were replaced are closed when Python next looks for cycles
+MOST_FILES = 250
 FINAL = 5.0  # s, in which a reply has to be there
 WEIRD: tuple[Any, ...] = (
-    None, True, 0, -1, 3, 2**31, 2**63 - 1, -(2**63), 2**64 - 1, 0.0, -1e-300, 1e300, float("inf"), float("nan"),
-    "", "q", "Kp1", "stop", "torque", "x" * 5000, "ä\x00\n", b"", b"\xff" * 9, [], ["q"], ["q", 1], [[]], [0.0] * 100,
-    {}, {"Kp1": 4.0}, {"Kp1": "x"}, {"": None}, {"dtype": "<f8", "data": b"abc", "columns": 1},
-    {"dtype": "<f8", "data": b"\x00" * 16, "columns": -1}, {"dtype": "O", "data": b"", "columns": 0}, {1: 2},
-)  # fmt: skip
+    None,
+    True,
+    0,
+    -1,
+    3,
+    2**31,
+    2**63 - 1,
+    -(2**63),
+    2**64 - 1,
+    0.0,
+    -1e-300,
+    1e300,
+    float("inf"),
+    float("nan"),
+    "",
+    "q",
+    "Kp1",
+    "stop",
+    "torque",
+    "x" * 5000,
+    "ä\x00\n",
+    b"",
+    b"\xff" * 9,
+    [],
+    ["q"],
+    ["q", 1],
+    [[]],
+    [0.0] * 100,
+    {},
+    {"Kp1": 4.0},
+    {"Kp1": "x"},
+    {"": None},
+    {"dtype": "<f8", "data": b"abc", "columns": 1},
+    {"dtype": "<f8", "data": b"\x00" * 16, "columns": -1},
+    {"dtype": "O", "data": b"", "columns": 0},
+    {1: 2},
+)
 WAITS = ("at_tick", "timeout")  # of these a large one is a long wait that was asked for
 SHORT: tuple[Any, ...] = (None, -1, 0, "x", float("nan"), [])
 REFUSES_SERVICE = ("unload", "reveal")  # asked for rightly, they leave nothing to fuzz
@@ -37,7 +70,8 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
         target.download("pd.c")
         growth = Growth(target.info.pid)
         while True:
-            target.take_command(force=True)  # a message may have taken the right, or switched the power off
+            # a message may have taken the right, or switched the power off
+            target.take_command(force=True)
             target.drive_auto()
             target.release_command()
             if target.status().state != "running":
@@ -71,7 +105,9 @@ def _message(draw: random.Random) -> tuple[str, bytes | None, bytes | None]:
     if how < 0.15:
         payload = draw.choice([None, draw.randbytes(draw.randrange(2000))])
     elif how < 0.45:
-        payload = _damaged(draw, codec.encode_request(verb.name, _arguments(draw, verb, 0.0), "fuzz"))
+        payload = _damaged(
+            draw, codec.encode_request(verb.name, _arguments(draw, verb, 0.0), "fuzz")
+        )
     else:
         payload = _odd(draw, verb)
     if draw.random() < 0.1:
@@ -94,7 +130,12 @@ def _damaged(draw: random.Random, good: bytes) -> bytes:
 
 
 def _odd(draw: random.Random, verb: Verb) -> bytes:
-    envelope: dict[Any, Any] = {"v": 1, "verb": verb.name, "by": "fuzz", "args": _arguments(draw, verb, 0.5)}
+    envelope: dict[Any, Any] = {
+        "v": 1,
+        "verb": verb.name,
+        "by": "fuzz",
+        "args": _arguments(draw, verb, 0.5),
+    }
     if draw.random() < 0.2:
         envelope[draw.choice(["v", "verb", "by", "args"])] = draw.choice(WEIRD)
     if draw.random() < 0.05:
@@ -121,31 +162,63 @@ def _arguments(draw: random.Random, verb: Verb, weird: float) -> dict[Any, Any]:
 def _fitting(draw: random.Random, name: str) -> Any:
     """Something of the right type, and often of the right value."""
     fits: dict[str, tuple[Any, ...]] = {
-        "sources": ({"a.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'}, {"../a.c": ""}, {"a.c": "("}),
+        "sources": (
+            {"a.c": '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n'},
+            {"../a.c": ""},
+            {"a.c": "("},
+        ),
         "flags": ([], ["-O3"], ["-fplugin=x"], ["@file"]),
         "key": ("0" * 64, "../../x", ""),
         "names": (["q"], ["Kp1", "q[0]"], ["q[9]"], []),
         "channels": (["q"], ["tau", "q[1]"], ["none"], []),
         "values": ({"Kp1": 100.0}, {"Kp1": -1.0}, {"none": 1}, {"q": 1.0}, {}),
-        "name": ("ref", "Kp1", "none"), "dtype": ("<f8", "|O"), "length": (8, 0, 2**40), "crc": (0, 2**32 - 1),
-        "upload": (0, 1, 99), "offset": (0, 8, 2**40), "data": (b"", b"\x00" * 64), "first": (0, 10, 2**62), "count": (0, 5, 2**62),
-        "chunk": (1, 1 << 20, 0), "mode": ("torque", "velocity", "off"), "policy": ("stop", "hold", "count", "trip"),
-        "action": ("take", "release", "power_on", "power_off", "home", "enable", "disable", "acknowledge", "auto", "host_lost"),
-    }  # fmt: skip
+        "name": ("ref", "Kp1", "none"),
+        "dtype": ("<f8", "|O"),
+        "length": (8, 0, 2**40),
+        "crc": (0, 2**32 - 1),
+        "upload": (0, 1, 99),
+        "offset": (0, 8, 2**40),
+        "data": (b"", b"\x00" * 64),
+        "first": (0, 10, 2**62),
+        "count": (0, 5, 2**62),
+        "chunk": (1, 1 << 20, 0),
+        "mode": ("torque", "velocity", "off"),
+        "policy": ("stop", "hold", "count", "trip"),
+        "action": (
+            "take",
+            "release",
+            "power_on",
+            "power_off",
+            "home",
+            "enable",
+            "disable",
+            "acknowledge",
+            "auto",
+            "host_lost",
+        ),
+    }
     return draw.choice(fits.get(name, (0, 1, 0.01, True)))
 
 
-def _send(session: zenoh.Session, lane: str, payload: bytes | None, attachment: bytes | None, tally: Tally) -> None:
+def _send(
+    session: zenoh.Session, lane: str, payload: bytes | None, attachment: bytes | None, tally: Tally
+) -> None:
     said = f"{lane} {payload[:200] if payload else payload!r} {attachment!r}"
     replies = list(
         session.get(
-            keys.rpc("fuzzed", lane), zenoh.handlers.FifoChannel(4096), payload=payload, attachment=attachment,
-            consolidation=zenoh.ConsolidationMode.NONE, timeout=FINAL,
+            keys.rpc("fuzzed", lane),
+            zenoh.handlers.FifoChannel(4096),
+            payload=payload,
+            attachment=attachment,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=FINAL,
         )
     )
     tally.count("messages")
     last = [r.ok for r in replies if r.ok is not None and r.ok.attachment is None]
-    if not tally.expect(len(last) == 1 and not any(r.err for r in replies), f"{len(last)} replies: {said}"):
+    if not tally.expect(
+        len(last) == 1 and not any(r.err for r in replies), f"{len(last)} replies: {said}"
+    ):
         return
     try:
         reply = msgspec.msgpack.decode(last[0].payload.to_bytes(), type=codec.Reply)

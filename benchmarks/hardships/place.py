@@ -50,7 +50,9 @@ class Tally:
 
 
 class Place:
-    """A folder in which targets are registered that nobody else sees; all that was started there is ended at its end."""
+    """A folder in which targets are registered that nobody else sees; all that was started there is
+    ended at its end.
+    """
 
     def __enter__(self) -> Place:
         self.folder = Path(tempfile.mkdtemp(prefix="ze-"))
@@ -72,14 +74,22 @@ class Place:
 
     def local(self, name: str, clock: str = "real", **options: str) -> Target:
         """Start a target of the planar arm."""
-        return zendsp.local("imi_planar", clock=clock, name=name, **options)  # type: ignore[arg-type]
+        return zendsp.local("imi_planar", clock=clock, name=name,
+            **options)  # type: ignore[arg-type]
 
-    def script(self, text: str, *words: str, env: Mapping[str, str] | None = None) -> subprocess.Popen[str]:
+    def script(
+        self, text: str, *words: str, env: Mapping[str, str] | None = None
+    ) -> subprocess.Popen[str]:
         """Start a Python script of a user's, with its output in a pipe."""
         return subprocess.Popen(
-            [sys.executable, "-c", text, *words], cwd=self.folder, env={**os.environ, **(env or {})},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
+            [sys.executable, "-c", text, *words],
+            cwd=self.folder,
+            env={**os.environ, **(env or {})},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
 
     def processes(self) -> list[int]:
         """All processes that began here, whoever their parents are now; not this one."""
@@ -88,7 +98,11 @@ class Place:
         for path in Path("/proc").glob("[0-9]*/environ"):
             pid = int(path.parent.name)
             with contextlib.suppress(OSError):
-                if pid != os.getpid() and mark in path.read_bytes().split(b"\0") and state(pid) != "Z":
+                if (
+                    pid != os.getpid()
+                    and mark in path.read_bytes().split(b"\0")
+                    and state(pid) != "Z"
+                ):
                     found.append(pid)
         return found
 

@@ -9,7 +9,10 @@ from collections.abc import Iterator
 
 from hardships.place import Growth, Place, Tally, until
 
-PROMISE = "a target that is ended, however, leaves no process, no entry and no shared memory, and the next one starts"
+PROMISE = (
+    "a target that is ended, however, leaves no process, no entry and no shared memory, and the"
+    " next one starts"
+)
 ENDS = ("close", "SIGTERM", "SIGINT", "SIGKILL")
 
 
@@ -22,7 +25,10 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
         pid = target.info.pid
         try:
             for dead in swept:
-                tally.expect(not place.shared(dead), "shared memory of a killed target is left after the next start")
+                tally.expect(
+                    not place.shared(dead),
+                    "shared memory of a killed target is left after the next start",
+                )
             swept.clear()
             target.download("pd.c")
             tally.expect(target.run_for(0.05).tick == 50, "50 samples are not 50")
@@ -31,7 +37,9 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
         finally:
             target.close()
         tally.count(f"ended by {end}")
-        tally.expect(until(lambda: not place.processes()), f"{end} leaves processes: {place.processes()}")
+        tally.expect(
+            until(lambda: not place.processes()), f"{end} leaves processes: {place.processes()}"
+        )
         if end == "SIGKILL":
             swept.append(pid)  # nobody was left to clear up: the next one does
         else:
@@ -40,5 +48,7 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
             tally.expect(not place.shared(pid), f"{end} leaves shared memory")
         megabytes, files, threads = growth.look()
         tally.measure("growth of the host, MB", megabytes)
-        tally.expect(files <= 4 and threads <= 4, f"the host has {files} files and {threads} threads more")
+        tally.expect(
+            files <= 4 and threads <= 4, f"the host has {files} files and {threads} threads more"
+        )
         yield

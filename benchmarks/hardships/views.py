@@ -1,4 +1,6 @@
-"""Live views for hours: of a screen, of a callback, of a reader that is too slow, opened and closed again and again."""
+"""Live views for hours: of a screen, of a callback, of a reader that is too slow, opened and closed
+again and again.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from collections.abc import Iterator
 from hardships.place import Growth, Place, Tally
 from zendsp.link.live import LiveBlock
 
-PROMISE = "live views show each row in order, count what they miss, and neither host nor target grows"
+PROMISE = (
+    "live views show each row in order, count what they miss, and neither host nor target grows"
+)
 ROUND_S = 2.0
 WARM = 8  # rounds: views keep ten seconds
 MOST_MB = 24.0  # of growth, however long it lasts; allocators keep some
@@ -40,7 +44,10 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
                 rows = 0
                 for block in blocks:
                     if following >= 0:
-                        tally.expect(block.tick == following + block.gap, f"row {block.tick} after {following}, {block.gap} missed")
+                        tally.expect(
+                            block.tick == following + block.gap,
+                            f"row {block.tick} after {following}, {block.gap} missed",
+                        )
                     following = block.tick + len(block.t)
                     rows += len(block.t)
                 tally.expect(rows > 0, "no rows arrive")
@@ -52,6 +59,9 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
                     megabytes, files, threads = its.look()
                     tally.measure(f"growth of the {who}, MB", megabytes)
                     tally.expect(megabytes < MOST_MB, f"the {who} grew by {megabytes:.1f} MB")
-                    tally.expect(files <= 4 and threads <= 4, f"the {who} has {files} files and {threads} threads more")
+                    tally.expect(
+                        files <= 4 and threads <= 4,
+                        f"the {who} has {files} files and {threads} threads more",
+                    )
                 tally.measure("rows missed by the callback", called.lost)
                 yield

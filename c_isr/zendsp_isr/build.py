@@ -1,7 +1,8 @@
 """Compile C into shared objects and programs, cached by content.
 
-A result is named by a hash of everything that went into it: sources, headers, flags and the compiler's version. The same
-content is never compiled twice, and changed content never meets an old name (``dlopen`` of one path twice gives the old code).
+A result is named by a hash of everything that went into it: sources, headers, flags and the
+compiler's version. The same content is never compiled twice, and changed content never meets an old
+name (``dlopen`` of one path twice gives the old code).
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ _SHARED = ("-shared", "-fPIC", "-Wl,-z,defs", "-Wl,-z,now")
 
 @dataclass(frozen=True)
 class Built:
-    """What a build gave: the file (None if it failed), its key, messages, duration in s, and whether it came from the cache."""
+    """What a build gave: the file (None if it failed), its key, messages, duration in s, and
+    whether it came from the cache.
+    """
 
     path: Path | None
     key: str
@@ -58,7 +61,8 @@ def source_root() -> Path:
 
 
 def cache_root() -> Path:
-    """Folder that keeps compiled code: ``$ZENDSP_CACHE``, else ``zendsp`` in the user's cache folder.
+    """Folder that keeps compiled code: ``$ZENDSP_CACHE``, else ``zendsp`` in the user's cache
+    folder.
 
     Returns
     -------
@@ -67,7 +71,11 @@ def cache_root() -> Path:
     """
     base = os.environ.get("ZENDSP_CACHE")
     try:
-        root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zendsp"
+        root = (
+            Path(base)
+            if base
+            else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "zendsp"
+        )
         root.mkdir(parents=True, exist_ok=True)
     except (OSError, RuntimeError):  # a home that cannot be written, or none at all
         root = Path(tempfile.gettempdir()) / f"zendsp-{os.getuid()}"
@@ -77,7 +85,10 @@ def cache_root() -> Path:
 
 def _prune(folder: Path) -> None:
     """Drop what has not been used for longest, and what a compiler that was killed left behind."""
-    results = sorted((p for p in folder.iterdir() if p.suffix != ".json" and p.is_file()), key=lambda p: p.stat().st_mtime)
+    results = sorted(
+        (p for p in folder.iterdir() if p.suffix != ".json" and p.is_file()),
+        key=lambda p: p.stat().st_mtime,
+    )
     for path in results[: max(0, len(results) - _KEPT)]:
         path.unlink(missing_ok=True)
         path.with_suffix(".json").unlink(missing_ok=True)
@@ -87,10 +98,16 @@ def _prune(folder: Path) -> None:
 
 
 def _headers(folders: Sequence[Path]) -> dict[str, bytes]:
-    return {f"{folder.name}/{path.name}": path.read_bytes() for folder in folders for path in sorted(folder.glob("*.h"))}
+    return {
+        f"{folder.name}/{path.name}": path.read_bytes()
+        for folder in folders
+        for path in sorted(folder.glob("*.h"))
+    }
 
 
-def content_key(kind: str, sources: Mapping[str, bytes], headers: Mapping[str, bytes], words: Sequence[str]) -> str:
+def content_key(
+    kind: str, sources: Mapping[str, bytes], headers: Mapping[str, bytes], words: Sequence[str]
+) -> str:
     """Hash that names a build.
 
     Parameters
@@ -155,7 +172,9 @@ def build(
     began = time.monotonic()
     compiler = find_compiler()
     all_flags = (*BASE_FLAGS, *flags)
-    key = content_key(kind, sources, _headers(include), [*all_flags, *libraries, str(shared), str(compiler)])
+    key = content_key(
+        kind, sources, _headers(include), [*all_flags, *libraries, str(shared), str(compiler)]
+    )
     folder = cache_root() / kind
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / (key + (".so" if shared else ""))
@@ -163,11 +182,23 @@ def build(
     if target.exists() and notes.exists():
         os.utime(target)  # used: it is not what `_prune` takes first
         messages = tuple(Message(**entry) for entry in json.loads(notes.read_text()))
-        return Built(target, key, messages, time.monotonic() - began, True, str(compiler), all_flags)
+        return Built(
+            target, key, messages, time.monotonic() - began, True, str(compiler), all_flags
+        )
     with contextlib.suppress(OSError):  # another process may prune at the same time
         _prune(folder)
-    ok, messages = _compile(compiler, sources, include, all_flags, shared, libraries, timeout_s, target, notes)
-    return Built(target if ok else None, key, messages, time.monotonic() - began, False, str(compiler), all_flags)
+    ok, messages = _compile(
+        compiler, sources, include, all_flags, shared, libraries, timeout_s, target, notes
+    )
+    return Built(
+        target if ok else None,
+        key,
+        messages,
+        time.monotonic() - began,
+        False,
+        str(compiler),
+        all_flags,
+    )
 
 
 def _compile(
@@ -187,12 +218,22 @@ def _compile(
             (work / name).write_bytes(content)
         units = [name for name in sources if name.endswith(".c")]
         output = work / "result"
-        # the folder is gone afterwards: what the debugger and the linker say shall be the user's own names
+        # the folder is gone afterwards: what the debugger and the linker say shall be the user's
+        # own names
         own_names = f"-ffile-prefix-map={work}=."
-        arguments = [*flags, own_names, *(_SHARED if shared else ()), "-I.", *(f"-I{folder}" for folder in include)]
-        outcome = run_compiler(compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s, include)
+        arguments = [
+            *flags,
+            own_names,
+            *(_SHARED if shared else ()),
+            "-I.",
+            *(f"-I{folder}" for folder in include),
+        ]
+        outcome = run_compiler(
+            compiler, [*arguments, *units, "-o", str(output), *libraries], work, timeout_s, include
+        )
         if outcome.ok:
-            # notes first: a target without notes would be compiled again, notes without a target do no harm
+            # notes first: a target without notes would be compiled again, notes without a target do
+            # no harm
             scratch = work / "notes"
             scratch.write_text(json.dumps([asdict(message) for message in outcome.messages]))
             os.replace(scratch, notes)
@@ -204,8 +245,14 @@ def _compile(
 
 def _trusted(kind: str, built: Built) -> Path:
     if built.path is None:
-        lines = [f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}" for m in built.messages if m.severity == "error"]
-        raise CompileFailed(f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines))
+        lines = [
+            f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}"
+            for m in built.messages
+            if m.severity == "error"
+        ]
+        raise CompileFailed(
+            f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines)
+        )
     return built.path
 
 
@@ -214,8 +261,16 @@ def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
 
 
 RUNNER_SOURCES = (
-    "main.c", "contain.c", "loop.c", "dictionary.c", "realtime.c", "service.c", "batch.c", "stream.c", "safety.c",
-)  # fmt: skip
+    "main.c",
+    "contain.c",
+    "loop.c",
+    "dictionary.c",
+    "realtime.c",
+    "service.c",
+    "batch.c",
+    "stream.c",
+    "safety.c",
+)
 
 
 def build_runner() -> Path:
@@ -232,7 +287,13 @@ def build_runner() -> Path:
     """
     root = source_root()
     sources = _read(root / "runtime", RUNNER_SOURCES)
-    built = build("runner", sources, [root / "runtime", root / "include"], shared=False, libraries=("-lm", "-ldl", "-lpthread"))
+    built = build(
+        "runner",
+        sources,
+        [root / "runtime", root / "include"],
+        shared=False,
+        libraries=("-lm", "-ldl", "-lpthread"),
+    )
     return _trusted("runner", built)
 
 
@@ -249,17 +310,21 @@ def build_monitor() -> Path:
         No compiler, or one that cannot compile it.
     """
     root = source_root()
-    built = build("monitor", _read(root / "runtime", ("monitor.c",)), [root / "runtime", root / "include"])
+    built = build(
+        "monitor", _read(root / "runtime", ("monitor.c",)), [root / "runtime", root / "include"]
+    )
     return _trusted("monitor", built)
 
 
 def build_machine(machine: str) -> Path:
-    """A machine as a shared object: a shipped one by name, or a user's own by the path of its ``.c`` file.
+    """A machine as a shared object: a shipped one by name, or a user's own by the path of its
+    ``.c`` file.
 
     Parameters
     ----------
     machine : str
-        For example ``"imi_planar"``, ``"/home/me/my_arm.c"``, or ``"arm.xml"``: a model that MuJoCo reads.
+        For example ``"imi_planar"``, ``"/home/me/my_arm.c"``, or ``"arm.xml"``: a model that MuJoCo
+        reads.
 
     Returns
     -------
@@ -281,11 +346,16 @@ def build_machine(machine: str) -> Path:
     path = Path(machine) if machine.endswith(".c") else root / "machines" / f"{machine}.c"
     if not path.is_file():
         names = ", ".join(machine_names())
-        raise CompileFailed(f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a MuJoCo model (.xml)")
+        raise CompileFailed(
+            f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a"
+            " MuJoCo model (.xml)"
+        )
     include = [root / "include", root / "machines"]
     if path.parent.resolve() != (root / "machines").resolve():
         include.append(path.parent.resolve())
-    return _trusted(f"machine {path.name}", build("machine", {path.name: path.read_bytes()}, include))
+    return _trusted(
+        f"machine {path.name}", build("machine", {path.name: path.read_bytes()}, include)
+    )
 
 
 def is_model(machine: str) -> bool:
@@ -327,7 +397,9 @@ def machine_title(machine: str) -> str:
 
 
 def _build_mujoco(machine: str) -> Path:
-    """The machine that runs any model, linked to MuJoCo's library of the installed package; Python loads nothing of it."""
+    """The machine that runs any model, linked to MuJoCo's library of the installed package; Python
+    loads nothing of it.
+    """
     if not Path(machine).is_file():
         raise CompileFailed(f"{machine}: no such file: give the path of a MuJoCo model")
     found = importlib.util.find_spec("mujoco")
@@ -335,13 +407,16 @@ def _build_mujoco(machine: str) -> Path:
     package = Path(next(iter(folders))) if folders else None
     libraries = sorted(package.glob("libmujoco.so*")) if package is not None else []
     if package is None or not libraries:
-        raise CompileFailed(f"{machine}: a MuJoCo model needs mujoco on the target: pip install 'zendsp[mujoco]'")
+        raise CompileFailed(
+            f"{machine}: a MuJoCo model needs mujoco on the target: pip install 'zendsp[mujoco]'"
+        )
     root = source_root()
     source = root / "machines" / "mujoco" / "mujoco_machine.c"
     include = [root / "include", root / "machines", package / "include", package]
     link = (f"-L{package}", f"-l:{libraries[-1].name}", f"-Wl,-rpath,{package}", "-lm")
     return _trusted(
-        "machine for MuJoCo models", build("machine", {source.name: source.read_bytes()}, include, libraries=link)
+        "machine for MuJoCo models",
+        build("machine", {source.name: source.read_bytes()}, include, libraries=link),
     )
 
 
@@ -358,4 +433,6 @@ def machine_names() -> tuple[str, ...]:
     True
     """
     folder = source_root() / "machines"
-    return tuple(sorted(path.stem for path in folder.glob("*.c") if b"zendsp_machine" in path.read_bytes()))
+    return tuple(
+        sorted(path.stem for path in folder.glob("*.c") if b"zendsp_machine" in path.read_bytes())
+    )

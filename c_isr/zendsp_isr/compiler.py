@@ -1,6 +1,7 @@
 """Find a C compiler, run it within limits, and read what it says.
 
-Order of the search: ``$CC``, then ``cc``, ``gcc``, ``clang``, then the ``ziglang`` package (extra ``zendsp[zig]``).
+Order of the search: ``$CC``, then ``cc``, ``gcc``, ``clang``, then the ``ziglang`` package (extra
+``zendsp[zig]``).
 """
 
 from __future__ import annotations
@@ -37,9 +38,23 @@ _MAX_MESSAGES = 200
 _MAX_TEXT = 2000  # characters of one message
 # what a compiler is made of; nothing else can be read while an upload is compiled
 _TOOLCHAIN = (
-    "/bin", "/lib", "/lib32", "/lib64", "/usr/bin", "/usr/include", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/libexec",
-    "/usr/local/bin", "/usr/local/include", "/usr/local/lib", "/etc/ld.so.cache", "/etc/alternatives", "/dev/urandom",
-)  # fmt: skip
+    "/bin",
+    "/lib",
+    "/lib32",
+    "/lib64",
+    "/usr/bin",
+    "/usr/include",
+    "/usr/lib",
+    "/usr/lib32",
+    "/usr/lib64",
+    "/usr/libexec",
+    "/usr/local/bin",
+    "/usr/local/include",
+    "/usr/local/lib",
+    "/etc/ld.so.cache",
+    "/etc/alternatives",
+    "/dev/urandom",
+)
 _TEXT = re.compile(
     r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
     r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
@@ -70,7 +85,9 @@ class Compiler:
 
 @dataclass(frozen=True)
 class Message:
-    """One diagnostic: severity "error" | "warning" | "note", file, line and column from 1 (0 where unknown)."""
+    """One diagnostic: severity "error" | "warning" | "note", file, line and column from 1 (0 where
+    unknown).
+    """
 
     severity: str
     file: str
@@ -89,13 +106,17 @@ class Outcome:
 
 def _probe(command: tuple[str, ...]) -> Compiler | None:
     try:
-        done = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(
+            [*command, "--version"], capture_output=True, text=True, timeout=60, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
     if done.returncode != 0:
         return None
     version = (done.stdout.strip() or "unknown version").splitlines()[0]
-    gnu = "clang" not in done.stdout.lower() and ("gcc" in done.stdout.lower() or "free software" in done.stdout.lower())
+    gnu = "clang" not in done.stdout.lower() and (
+        "gcc" in done.stdout.lower() or "free software" in done.stdout.lower()
+    )
     return Compiler(command, version, gnu)
 
 
@@ -116,7 +137,10 @@ def _search(cc: str | None, path: str) -> Compiler:
         if compiler is not None:
             return compiler
         if cc and command == tuple(shlex.split(cc)):
-            raise CompileFailed(f"$CC is {cc!r}, which does not run: correct it, or unset it to use cc, gcc or clang")
+            raise CompileFailed(
+                f"$CC is {cc!r}, which does not run: correct it, or unset it to use cc, gcc or"
+                " clang"
+            )
     raise CompileFailed(
         "no C compiler found: looked for $CC, cc, gcc, clang and the ziglang package. "
         "Install one (Debian: apt install gcc; without root: pip install 'zendsp[zig]')"
@@ -145,20 +169,27 @@ def find_compiler() -> Compiler:
 
 
 def run_compiler(
-    compiler: Compiler, arguments: Sequence[str], cwd: Path, timeout_s: float = 60.0, readable: Sequence[Path] = ()
+    compiler: Compiler,
+    arguments: Sequence[str],
+    cwd: Path,
+    timeout_s: float = 60.0,
+    readable: Sequence[Path] = (),
 ) -> Outcome:
-    """Run the compiler in processes of its own: limited in time, memory, files and messages, and shut off from other files.
+    """Run the compiler in processes of its own: limited in time, memory, files and messages, and
+    shut off from other files.
 
     Parameters
     ----------
     compiler : Compiler
     arguments : sequence of str
     cwd : Path
-        Where it runs, and the only folder that it writes to; file names in its messages are relative to it.
+        Where it runs, and the only folder that it writes to; file names in its messages are
+        relative to it.
     timeout_s : float
         Wall-clock and CPU limit, s.
     readable : sequence of Path
-        Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock nothing else can be opened.
+        Folders of headers. It reads these, `cwd` and the toolchain; where the kernel has Landlock
+        nothing else can be opened.
 
     Returns
     -------
@@ -169,19 +200,29 @@ def run_compiler(
     allowed = [*_toolchain(compiler), *map(str, readable)]
     zig = _zig(compiler)
     settings = {
-        "cpu_s": max(1, math.ceil(timeout_s)), "memory": _MAX_MEMORY if not zig else _MAX_MEMORY_ZIG, "file": _MAX_FILE,
-        "read": allowed, "write": [str(cwd), "/dev/null", *zig.values()],
-    }  # fmt: skip
+        "cpu_s": max(1, math.ceil(timeout_s)),
+        "memory": _MAX_MEMORY if not zig else _MAX_MEMORY_ZIG,
+        "file": _MAX_FILE,
+        "read": allowed,
+        "write": [str(cwd), "/dev/null", *zig.values()],
+    }
     script = Path(__file__).with_name("confine.py")
     launch = [sys.executable, "-I", "-S", str(script), json.dumps(settings)]
     # no file of the user's is found through the environment
     inherited = {key: os.environ[key] for key in ("PATH", "LD_LIBRARY_PATH") if key in os.environ}
     environment = {**inherited, "LC_ALL": "C", "TMPDIR": str(cwd), "HOME": str(cwd), **zig}
-    ended = _run([*launch, *compiler.command, *style, "-fmax-errors=50", *arguments], cwd, environment, timeout_s)
+    ended = _run(
+        [*launch, *compiler.command, *style, "-fmax-errors=50", *arguments],
+        cwd,
+        environment,
+        timeout_s,
+    )
     if ended.why:
         return Outcome(False, (Message("error", "", 0, 0, ended.why),))
     inside = [cwd, *map(Path, allowed)]
-    messages = tuple(m for m in parse_messages(ended.text) if _is_inside(m.file, cwd, inside))[:_MAX_MESSAGES]
+    messages = tuple(m for m in parse_messages(ended.text) if _is_inside(m.file, cwd, inside))[
+        :_MAX_MESSAGES
+    ]
     messages = tuple(replace(m, message=m.message[:_MAX_TEXT]) for m in messages)
     if ended.status != 0 and not any(m.severity == "error" for m in messages):
         text = f"the compiler ended with status {ended.status}{_reason(ended.text)}"
@@ -196,16 +237,23 @@ class _Ended:
     why: str = ""
 
 
-def _run(command: Sequence[str], cwd: Path, environment: Mapping[str, str], timeout_s: float) -> _Ended:
+def _run(
+    command: Sequence[str], cwd: Path, environment: Mapping[str, str], timeout_s: float
+) -> _Ended:
     """The command to its end, or to a limit; nothing of its process group is left."""
     text = bytearray()
     deadline = time.monotonic() + timeout_s
     look = time.monotonic() + _LOOK_S
     why = ""
     with subprocess.Popen(
-        command, cwd=cwd, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        command,
+        cwd=cwd,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         start_new_session=True,
-    ) as process:  # fmt: skip
+    ) as process:
         assert process.stderr is not None
         try:
             while not why:
@@ -223,7 +271,10 @@ def _run(command: Sequence[str], cwd: Path, environment: Mapping[str, str], time
                     break
                 text += part
                 if len(text) > _MAX_OUTPUT:
-                    why = f"the compiler wrote more than {_MAX_OUTPUT >> 20} MB of messages and was stopped"
+                    why = (
+                        f"the compiler wrote more than {_MAX_OUTPUT >> 20} MB of messages and was"
+                        " stopped"
+                    )
             if not why:
                 try:
                     process.wait(max(0.1, deadline - time.monotonic()))
@@ -263,7 +314,11 @@ def _toolchain(compiler: Compiler) -> list[str]:
     own = [str(real.parent)] if not str(real).startswith(("/usr/", "/bin/")) else []
     if "ziglang" in compiler.command:
         package = importlib.util.find_spec("ziglang")
-        own += [sys.prefix, sys.base_prefix, *(package.submodule_search_locations or () if package else ())]
+        own += [
+            sys.prefix,
+            sys.base_prefix,
+            *(package.submodule_search_locations or () if package else ()),
+        ]
     elif own:  # a compiler unpacked elsewhere: its headers and libraries stand beside its bin
         own.append(str(real.parent.parent) if real.parent.name == "bin" else str(real.parent))
     return [*_TOOLCHAIN, *own]
@@ -279,7 +334,9 @@ def _zig(compiler: Compiler) -> dict[str, str]:
 
 
 def _is_inside(file: str, cwd: Path, folders: Sequence[Path]) -> bool:
-    """Whether a message speaks of the upload or the toolchain: one about another file would show what stands there."""
+    """Whether a message speaks of the upload or the toolchain: one about another file would show
+    what stands there.
+    """
     if not file:
         return True
     place = (cwd / file).resolve()
@@ -296,7 +353,8 @@ def _reason(text: str) -> str:
 
 
 def parse_messages(text: str) -> tuple[Message, ...]:
-    """Diagnostics from a compiler's standard error: gcc's JSON, and the common ``file:line:column: severity: text``.
+    """Diagnostics from a compiler's standard error: gcc's JSON, and the common ``file:line:column:
+    severity: text``.
 
     Parameters
     ----------
@@ -321,12 +379,29 @@ def parse_messages(text: str) -> tuple[Message, ...]:
             except json.JSONDecodeError:
                 entries = None
             if isinstance(entries, list):
-                found += [message for entry in entries if isinstance(entry, dict) for message in _from_json(entry)]
+                found += [
+                    message
+                    for entry in entries
+                    if isinstance(entry, dict)
+                    for message in _from_json(entry)
+                ]
                 continue
         match = _TEXT.match(line)
-        if match and (match["severity"] or "undefined" in match["message"] or "multiple definition" in match["message"]):
+        if match and (
+            match["severity"]
+            or "undefined" in match["message"]
+            or "multiple definition" in match["message"]
+        ):
             severity = (match["severity"] or "error").replace("fatal ", "")
-            found.append(Message(severity, match["file"], int(match["line"]), int(match["column"] or 0), match["message"]))
+            found.append(
+                Message(
+                    severity,
+                    match["file"],
+                    int(match["line"]),
+                    int(match["column"] or 0),
+                    match["message"],
+                )
+            )
     return tuple(dict.fromkeys(found))
 
 
@@ -337,7 +412,11 @@ def _from_json(entry: dict[str, object]) -> list[Message]:
     if isinstance(locations, list) and locations and isinstance(locations[0], dict):
         caret = locations[0].get("caret")
         if isinstance(caret, dict):
-            file, line, column = str(caret.get("file", "")), int(caret.get("line", 0)), int(caret.get("column", 0))
+            file, line, column = (
+                str(caret.get("file", "")),
+                int(caret.get("line", 0)),
+                int(caret.get("column", 0)),
+            )
     option = entry.get("option")
     text = str(entry.get("message", "")) + (f" [{option}]" if option else "")
     messages = [Message(severity, file, line, column, text)]

@@ -1,9 +1,11 @@
-"""Run a command within limits: what it may read, write, take and last. Started as a script of its own, which becomes the command.
+"""Run a command within limits: what it may read, write, take and last. Started as a script of its
+own, which becomes the command.
 
     python -I -S confine.py SETTINGS COMMAND …
 
-Landlock (Linux 5.13 and later) needs no rights: the command reads its toolchain and the folders it is given, and writes to its own.
-The limits on memory, CPU time and the size of files hold everywhere. It imports nothing but the standard library.
+Landlock (Linux 5.13 and later) needs no rights: the command reads its toolchain and the folders it
+is given, and writes to its own. The limits on memory, CPU time and the size of files hold
+everywhere. It imports nothing but the standard library.
 """
 
 from __future__ import annotations
@@ -25,7 +27,11 @@ _NETWORK = 0b11  # bind and connect, TCP
 
 
 class _Ruleset(ctypes.Structure):
-    _fields_ = (("files", ctypes.c_uint64), ("network", ctypes.c_uint64), ("scoped", ctypes.c_uint64))
+    _fields_ = (
+        ("files", ctypes.c_uint64),
+        ("network", ctypes.c_uint64),
+        ("scoped", ctypes.c_uint64),
+    )
 
 
 class _Path(ctypes.Structure):
@@ -74,7 +80,9 @@ def restrict(readable: Sequence[str], writable: Sequence[str]) -> bool:
                 continue
             mask = allowed if os.path.isdir(path) else allowed & _FILE_ONLY
             rule = _Path(mask & every, place)
-            _checked(libc.syscall(_ADD, ruleset, _RULE_PATH, ctypes.byref(rule), ctypes.c_uint32(0)))
+            _checked(
+                libc.syscall(_ADD, ruleset, _RULE_PATH, ctypes.byref(rule), ctypes.c_uint32(0))
+            )
             os.close(place)
     _checked(libc.prctl(_NO_NEW_PRIVS, 1, 0, 0, 0))
     _checked(libc.syscall(_RESTRICT, ruleset, ctypes.c_uint32(0)))

@@ -1,4 +1,6 @@
-"""Finds control programs: the one way in which every command and every function turns a name into sources."""
+"""Finds control programs: the one way in which every command and every function turns a name into
+sources.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +56,8 @@ def find_program(name: str | Path) -> Path:
         if str(name) == program.name:
             return program
     raise CompileFailed(
-        f"{path}: cannot be read: no such file, and no shipped program; give the path of a C file, or one of "
-        f"{', '.join(program.name for program in shipped)}"
+        f"{path}: cannot be read: no such file, and no shipped program; give the path of a C file,"
+        f" or one of {', '.join(program.name for program in shipped)}"
     )
 
 
@@ -91,11 +93,17 @@ def gather(source: Source) -> dict[str, str]:
         try:
             text = file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise CompileFailed(f"{file}: cannot be read ({error}); give a C file or {{name: text}}") from error
+            raise CompileFailed(
+                f"{file}: cannot be read ({error}); give a C file or {{name: text}}"
+            ) from error
         sources[file.relative_to(path.parent).as_posix()] = text
         for name in _INCLUDE.findall(text):
             header = file.parent / name
-            known = header.relative_to(path.parent).as_posix() if header.is_relative_to(path.parent) else ""
+            known = (
+                header.relative_to(path.parent).as_posix()
+                if header.is_relative_to(path.parent)
+                else ""
+            )
             if known and known not in sources and header.is_file():
                 waiting.append(header)
     return sources

@@ -33,11 +33,13 @@ def connect(address: str) -> Any:
         client = dask.Client(address, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:
         raise LinkError(
-            f"no Dask scheduler answers at {address!r} within 10 s ({error}); start one with `dask scheduler`"
+            f"no Dask scheduler answers at {address!r} within 10 s ({error}); start one with `dask"
+            " scheduler`"
         ) from error
     if not client.scheduler_info()["workers"]:
         client.close()
         raise LinkError(
-            f"the Dask scheduler at {address!r} has no workers; start some with `dask worker {address}`"
+            f"the Dask scheduler at {address!r} has no workers; start some with `dask worker"
+            f" {address}`"
         )
     return client

@@ -1,4 +1,6 @@
-"""Packages that only one room needs: imported where they are used, named with their pip line where missing."""
+"""Packages that only one room needs: imported where they are used, named with their pip line where
+missing.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A lab's authority, the certificates that it signs, and the list of who may do what: plain files in one folder.
+"""A lab's authority, the certificates that it signs, and the list of who may do what: plain files
+in one folder.
 
     lab/ca.pem              the authority's certificate: every target and every host has a copy
     lab/ca.key              its private key: stays on one computer, makes new certificates
@@ -6,8 +7,8 @@
     lab/targets/NAME.pem    certificate of a target, with NAME.key: stay on that target
     lab/users/NAME.pem      certificate of a person, with NAME.key: stay with that person
 
-A certificate's common name is the name in ``roles.toml``. A target's certificate cannot be used as a person's, nor the other
-way round: neither name may be given twice, and each says what it is for.
+A certificate's common name is the name in ``roles.toml``. A target's certificate cannot be used as
+a person's, nor the other way round: neither name may be given twice, and each says what it is for.
 """
 
 from __future__ import annotations
@@ -87,10 +88,14 @@ class Lab:
         self._key = self.folder / "ca.key"
         if not self._key.is_file() or not self.authority.is_file():
             raise Refused(
-                f"{self.folder} holds no authority (ca.pem, ca.key): 'zendsp keys init' makes one, --folder says where it is"
+                f"{self.folder} holds no authority (ca.pem, ca.key): 'zendsp keys init' makes one,"
+                " --folder says where it is"
             )
         if self._key.stat().st_mode & 0o077:
-            raise Refused(f"others may read {self._key}, and with it make keys for any role: chmod 600 {self._key}")
+            raise Refused(
+                f"others may read {self._key}, and with it make keys for any role: chmod 600"
+                f" {self._key}"
+            )
 
     @classmethod
     def create(cls, folder: str | Path, days: int = AUTHORITY_DAYS) -> Lab:
@@ -110,7 +115,10 @@ class Lab:
         """
         folder = Path(folder)
         if (folder / "ca.key").exists() or (folder / "ca.pem").exists():
-            raise Refused(f"{folder} holds an authority already; a new one would make all its certificates useless: choose --folder")
+            raise Refused(
+                f"{folder} holds an authority already; a new one would make all its certificates"
+                " useless: choose --folder"
+            )
         x509 = _x509()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder.chmod(0o700)
@@ -127,13 +135,15 @@ class Lab:
         return cls(folder)
 
     def add_target(self, name: str, hosts: Sequence[str] = (), days: int = DAYS) -> Holder:
-        """Make key and certificate of a target, good for the names and addresses under which hosts reach it.
+        """Make key and certificate of a target, good for the names and addresses under which hosts
+        reach it.
 
         Parameters
         ----------
         name : str
         hosts : sequence of str
-            For example ``["robot.lab", "192.168.1.5"]``; ``localhost`` and ``127.0.0.1`` are always among them.
+            For example ``["robot.lab", "192.168.1.5"]``; ``localhost`` and ``127.0.0.1`` are always
+            among them.
         days : int
 
         Raises
@@ -143,7 +153,9 @@ class Lab:
         """
         x509 = _x509()
         self._check_name(name, "target")
-        reached = [_general(x509, host) for host in dict.fromkeys((*hosts, "localhost", "127.0.0.1"))]
+        reached = [
+            _general(x509, host) for host in dict.fromkeys((*hosts, "localhost", "127.0.0.1"))
+        ]
         # also a client's: a target connects to routers
         purposes = [x509.ExtendedKeyUsageOID.SERVER_AUTH, x509.ExtendedKeyUsageOID.CLIENT_AUTH]
         return self._issue(name, "target", days, purposes, x509.SubjectAlternativeName(reached))
@@ -155,7 +167,8 @@ class Lab:
         ----------
         name : str
         role : str
-            ``"observe"``, ``"tune"``, ``"command"`` or ``"download"``; each includes those before it.
+            ``"observe"``, ``"tune"``, ``"command"`` or ``"download"``; each includes those before
+            it.
         days : int
         renew : bool
             A new key and certificate also where there is one.
@@ -171,8 +184,9 @@ class Lab:
         lists = self._lists()
         if name in lists["revoked"]:
             raise Refused(
-                f"{name!r} was revoked on {lists['revoked'][name]}; its old certificate would be let in again under that name: "
-                "choose another, for example " + f"{name}2"
+                f"{name!r} was revoked on {lists['revoked'][name]}; its old certificate would be"
+                " let in again under that name: choose another, for example "
+                + f"{name}2"
             )
         known = self._holder(name, "user", role)
         if known is None or renew:
@@ -204,27 +218,41 @@ class Lab:
         found = []
         for kind in ("target", "user"):
             for path in sorted((self.folder / f"{kind}s").glob("*.pem")):
-                holder = self._holder(path.stem, kind, roles.get(path.stem, "") if kind == "user" else "")
+                holder = self._holder(
+                    path.stem, kind, roles.get(path.stem, "") if kind == "user" else ""
+                )
                 if holder is not None:
                     found.append(holder)
         return found
 
     def _check_name(self, name: str, kind: str) -> None:
         if not _NAME.fullmatch(name) or name in _TAKEN:
-            raise Refused(f"{kind} {name!r}: use 1 to 64 letters, digits, '_', '-' or '.', and not {_TAKEN[0]!r}")
+            raise Refused(
+                f"{kind} {name!r}: use 1 to 64 letters, digits, '_', '-' or '.', and not"
+                f" {_TAKEN[0]!r}"
+            )
         other = "user" if kind == "target" else "target"
         if (self.folder / f"{other}s" / f"{name}.pem").exists():
-            raise Refused(f"{name!r} is the name of a {other} here: its certificate could be taken for the {kind}'s; choose another")
+            raise Refused(
+                f"{name!r} is the name of a {other} here: its certificate could be taken for the"
+                f" {kind}'s; choose another"
+            )
 
     def _lists(self) -> dict[str, dict[str, str]]:
         try:
             data = tomllib.loads(self.roles_file.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise Refused(f"{self.roles_file} cannot be read: {error}") from error
-        return {name: {str(k): str(v) for k, v in data.get(name, {}).items()} for name in ("roles", "revoked")}
+        return {
+            name: {str(k): str(v) for k, v in data.get(name, {}).items()}
+            for name in ("roles", "revoked")
+        }
 
     def _keep(self, lists: dict[str, dict[str, str]]) -> None:
-        shown = {"roles": lists["roles"], **({"revoked": lists["revoked"]} if lists["revoked"] else {})}
+        shown = {
+            "roles": lists["roles"],
+            **({"revoked": lists["revoked"]} if lists["revoked"] else {}),
+        }
         _write(self.roles_file, tomli_w.dumps(shown).encode(), 0o644)
 
     def _holder(self, name: str, kind: str, role: str) -> Holder | None:
@@ -237,17 +265,27 @@ class Lab:
             raise Refused(f"{path} is no certificate: {error}") from error
         return Holder(name, kind, role, until, path, path.with_suffix(".key"))
 
-    def _issue(self, name: str, kind: str, days: int, purposes: Sequence[Any], reached: Any) -> Holder:
+    def _issue(
+        self, name: str, kind: str, days: int, purposes: Sequence[Any], reached: Any
+    ) -> Holder:
         x509 = _x509()
         authority = x509.load_pem_x509_certificate(self.authority.read_bytes())
-        load = need("cryptography.hazmat.primitives.serialization", "keys", "zendsp keys").load_pem_private_key
+        load = need(
+            "cryptography.hazmat.primitives.serialization", "keys", "zendsp keys"
+        ).load_pem_private_key
         signer = load(self._key.read_bytes(), None)
         if authority.public_key() != signer.public_key():
-            raise Refused(f"{self._key} is not the key of {self.authority}: one of them is from another authority")
+            raise Refused(
+                f"{self._key} is not the key of {self.authority}: one of them is from another"
+                " authority"
+            )
         until = datetime.now(UTC) + timedelta(days=days)
         if until > authority.not_valid_after_utc:
             left = (authority.not_valid_after_utc - datetime.now(UTC)).days
-            raise Refused(f"{days} days is longer than the authority itself is good for ({left} days): --days {max(left, 1)}, or a new one")
+            raise Refused(
+                f"{days} days is longer than the authority itself is good for ({left} days): --days"
+                f" {max(left, 1)}, or a new one"
+            )
         key = _new_key()
         subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
         builder = (
@@ -263,7 +301,14 @@ class Lab:
         folder.mkdir(mode=0o700, exist_ok=True)
         _write(folder / f"{name}.key", _private(key), 0o600)
         _write(folder / f"{name}.pem", _pem(certificate), 0o644)
-        return Holder(name, kind, "", certificate.not_valid_after_utc, folder / f"{name}.pem", folder / f"{name}.key")
+        return Holder(
+            name,
+            kind,
+            "",
+            certificate.not_valid_after_utc,
+            folder / f"{name}.pem",
+            folder / f"{name}.key",
+        )
 
 
 def _x509() -> Any:
@@ -281,7 +326,9 @@ def _hash() -> Any:
 
 def _private(key: Any) -> bytes:
     form = need("cryptography.hazmat.primitives.serialization", "keys", "zendsp keys", Refused)
-    data: bytes = key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption())
+    data: bytes = key.private_bytes(
+        form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption()
+    )
     return data
 
 
@@ -308,10 +355,16 @@ def _builder(subject: Any, issuer: Any, public: Any, days: int) -> Any:
 
 def _usage(sign_certificates: bool) -> Any:
     return _x509().KeyUsage(
-        digital_signature=not sign_certificates, content_commitment=False, key_encipherment=False,
-        data_encipherment=False, key_agreement=False, key_cert_sign=sign_certificates, crl_sign=sign_certificates,
-        encipher_only=False, decipher_only=False,
-    )  # fmt: skip
+        digital_signature=not sign_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=sign_certificates,
+        crl_sign=sign_certificates,
+        encipher_only=False,
+        decipher_only=False,
+    )
 
 
 def _general(x509: Any, host: str) -> Any:
@@ -322,7 +375,9 @@ def _general(x509: Any, host: str) -> Any:
     try:
         return x509.DNSName(host)
     except ValueError as error:
-        raise Refused(f"--host {host}: expected a name or an address, for example robot.lab or 192.168.1.5") from error
+        raise Refused(
+            f"--host {host}: expected a name or an address, for example robot.lab or 192.168.1.5"
+        ) from error
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:

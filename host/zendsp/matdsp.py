@@ -1,4 +1,5 @@
-"""The MatDSP verbs: a control engineer's handful of functions, each one call, on one target at a time.
+"""The MatDSP verbs: a control engineer's handful of functions, each one call, on one target at a
+time.
 
     MatDSPconnect("imi")
     MatDSPdownload("pd.c"); MatDSPstart()
@@ -9,7 +10,8 @@
     MatDSPAcquireConfig({"channels": ["q", "tau"], "seconds": 2.0})
     rec = MatDSPAcquireLoad()
 
-A value written with ``now=True`` does not wait for ``MatDSPupdate``. ``MatDSPdiscard`` forgets what was noted.
+A value written with ``now=True`` does not wait for ``MatDSPupdate``. ``MatDSPdiscard`` forgets what
+was noted.
 """
 
 from __future__ import annotations
@@ -121,7 +123,9 @@ def MatDSPpause() -> None:
 
 
 def MatDSPstop() -> m.Status:
-    """STOP: outputs are safe from the next sample on, latched; raises where the target does not say that it stopped."""
+    """STOP: outputs are safe from the next sample on, latched; raises where the target does not say
+    that it stopped.
+    """
     return _desk.get().stop()
 
 
@@ -144,7 +148,8 @@ def MatDSPvariable(name: str, value: Any = None, now: bool = False) -> Any:
     Raises
     ------
     VariableError
-        Unknown, read only, of another type, outside its limits or NaN; nothing was written or noted.
+        Unknown, read only, of another type, outside its limits or NaN; nothing was written or
+        noted.
     """
     target = _desk.get()
     if value is None:
@@ -162,7 +167,8 @@ def MatDSPupdate() -> int:
     Raises
     ------
     VariableError
-        Nothing is noted, or another program was loaded since and lacks a variable; what is noted stays, see :func:`MatDSPdiscard`.
+        Nothing is noted, or another program was loaded since and lacks a variable; what is noted
+        stays, see :func:`MatDSPdiscard`.
     """
     return _desk.get().update()
 
@@ -178,13 +184,14 @@ def MatDSPAcquireConfig(params: Mapping[str, Any]) -> m.AcquireStatus:
     Parameters
     ----------
     params : mapping
-        ``channels`` and, where wanted, ``seconds``, ``decimation``, ``continuous``, ``take``, and ``trigger``: a mapping of
-        ``source``, ``level``, ``edge``, ``pre_s``.
+        ``channels`` and, where wanted, ``seconds``, ``decimation``, ``continuous``, ``take``, and
+        ``trigger``: a mapping of ``source``, ``level``, ``edge``, ``pre_s``.
     """
     unknown = [name for name in params if name not in _ACQUIRE]
     if unknown or "channels" not in params:
         raise AcquisitionError(
-            f"unknown or missing entries ({', '.join(unknown) or 'channels'}); known: {', '.join(_ACQUIRE)}"
+            f"unknown or missing entries ({', '.join(unknown) or 'channels'}); known:"
+            f" {', '.join(_ACQUIRE)}"
         )
     given = dict(params)
     if isinstance(given.get("trigger"), Mapping):

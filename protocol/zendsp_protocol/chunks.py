@@ -1,4 +1,5 @@
-"""Large arrays in chunks, each with a checksum, so that a broken transfer resumes where it stopped."""
+"""Large arrays in chunks, each with a checksum, so that a broken transfer resumes where it stopped.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ else:
 
 FOLD = 4096  # bytes
 KERNEL = "/proc/sys/kernel/random/boot_id"  # tells whether two processes share a memory
-CHUNK = 1 << 20  # bytes: measured best for request and reply on loopback, small enough not to hold up a STOP
+# bytes: measured best for request and reply on loopback, small enough not to hold up a STOP
+CHUNK = 1 << 20
 
 
 def crc(data: bytes | bytearray | memoryview) -> int:
@@ -25,10 +27,12 @@ def crc(data: bytes | bytearray | memoryview) -> int:
 
 
 def folded_crc(data: bytes | memoryview) -> int:
-    """CRC-32 of all blocks of 4096 bytes of ``data`` joined by exclusive or; the last block is filled up with zeros.
+    """CRC-32 of all blocks of 4096 bytes of ``data`` joined by exclusive or; the last block is
+    filled up with zeros.
 
-    Any single damaged block shows, and so do damaged blocks unless they are damaged alike. It runs at the speed of memory, where
-    a plain CRC-32 (7 GB/s) would be the slowest part of loading a recording (measured: 18 against 140 µs a MiB).
+    Any single damaged block shows, and so do damaged blocks unless they are damaged alike. It runs
+    at the speed of memory, where a plain CRC-32 (7 GB/s) would be the slowest part of loading a
+    recording (measured: 18 against 140 µs a MiB).
 
     Examples
     --------
@@ -60,7 +64,8 @@ def spans(first: int, count: int, step: int) -> Iterator[tuple[int, int]]:
 
 
 def gaps(have: list[tuple[int, int]], first: int, count: int) -> list[tuple[int, int]]:
-    """List what is missing of ``count`` items from ``first`` on, given the ``(first, count)`` pieces received.
+    """List what is missing of ``count`` items from ``first`` on, given the ``(first, count)``
+    pieces received.
 
     Examples
     --------

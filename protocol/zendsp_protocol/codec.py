@@ -1,4 +1,5 @@
-"""MessagePack there and back, checked against the declared types; nothing half-read reaches a handler.
+"""MessagePack there and back, checked against the declared types; nothing half-read reaches a
+handler.
 
 ``msgpack`` packs and unpacks the bytes, ``msgspec.convert`` checks what came out of them.
 """
@@ -101,7 +102,11 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
 
 def encode_result(result: Any) -> bytes:
     """Encode a reply that says yes."""
-    return encode({"v": PROTOCOL, "ok": True} if result is None else {"v": PROTOCOL, "ok": True, "result": result})
+    return encode(
+        {"v": PROTOCOL, "ok": True}
+        if result is None
+        else {"v": PROTOCOL, "ok": True, "result": result}
+    )
 
 
 def encode_error(error: BaseException, details: dict[str, Any] | None = None) -> bytes:
@@ -112,7 +117,13 @@ def encode_error(error: BaseException, details: dict[str, Any] | None = None) ->
         if kind != "Internal"
         else f"the target failed inside ({type(error).__name__}: {error}); this is a bug"
     )
-    return encode({"v": PROTOCOL, "ok": False, "error": ErrorBody(kind=kind, message=text, details=details or {})})
+    return encode(
+        {
+            "v": PROTOCOL,
+            "ok": False,
+            "error": ErrorBody(kind=kind, message=text, details=details or {}),
+        }
+    )
 
 
 def decode_reply(data: bytes, kind: Any) -> Any:
@@ -137,7 +148,9 @@ def decode_reply(data: bytes, kind: Any) -> Any:
 
 
 def _explain(data: bytes, kind: Any) -> Any:
-    """Raise the error that a reply carries, whatever its version; else say what is wrong with the reply."""
+    """Raise the error that a reply carries, whatever its version; else say what is wrong with the
+    reply.
+    """
     message = _unpack(data, "reply")
     try:
         reply = msgspec.convert(message, Reply)
@@ -159,14 +172,17 @@ def check_version(version: object) -> None:
 
 
 def make_error(body: ErrorBody) -> ZendspError:
-    """Turn an error reply into the exception that it names; unknown kinds become :class:`Refused`."""
+    """Turn an error reply into the exception that it names; unknown kinds become :class:`Refused`.
+    """
     found = getattr(errors, body.kind, None)
     known = isinstance(found, type) and issubclass(found, ZendspError)
     return found(body.message) if known and found is not None else errors.Refused(body.message)
 
 
 def _check_version(message: Any, reader: str) -> None:
-    """Raise if a message is of another version: whatever else is wrong with it, that is the reason to name."""
+    """Raise if a message is of another version: whatever else is wrong with it, that is the reason
+    to name.
+    """
     if type(message) is dict:
         version = message.get("v")
         if type(version) is not int or version != PROTOCOL:

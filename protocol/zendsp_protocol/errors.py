@@ -19,7 +19,7 @@
     └── ReferenceError_ (ValueError)       a reference outside the machine's limits or badly posed
 
 Every message names what, the value, the limit and what to do next.
-"""
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     import difflib
 
     close = difflib.get_close_matches(name, known, 1, 0.6)
-    return f"{f'did you mean {close[0]}? Allowed' if close else 'allowed'}: {', '.join(known) or 'none'}"
+    return (
+        f"{f'did you mean {close[0]}? Allowed' if close else 'allowed'}:"
+        f" {', '.join(known) or 'none'}"
+    )
 
 
 class ZendspError(Exception):

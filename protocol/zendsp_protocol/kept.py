@@ -1,7 +1,9 @@
-"""What a target leaves in shared memory for the case that it is killed: what it was recording, and where the rows stand.
+"""What a target leaves in shared memory for the case that it is killed: what it was recording, and
+where the rows stand.
 
-The target writes the note when a recording begins. Who finds the lock of its folder free and the note in it knows that the
-target was killed, and reads the rows from the file beside it, float64 in the byte order of the machine.
+The target writes the note when a recording begins. Who finds the lock of its folder free and the
+note in it knows that the target was killed, and reads the rows from the file beside it, float64 in
+the byte order of the machine.
 """
 
 from __future__ import annotations
@@ -115,7 +117,9 @@ def read(folder: Path) -> Kept | None:
 
 @contextmanager
 def abandoned() -> Iterator[Iterator[Path]]:
-    """Folders of this user's targets that were killed. Several may look at once: the owner's lock is exclusive, theirs is shared."""
+    """Folders of this user's targets that were killed. Several may look at once: the owner's lock
+    is exclusive, theirs is shared.
+    """
     locks = []
 
     def found() -> Iterator[Path]:

@@ -25,8 +25,9 @@ def check_name(name: str) -> str:
 def rpc(target: str, lane: str, user: str = "") -> str:
     """Requests: one queryable per lane, so that slow work never stands before a STOP.
 
-    A host that the target knows by name (password or certificate) asks under that name, and can ask under no other: the
-    target's access control sees to it. A host of the target's own user, through its socket, has none.
+    A host that the target knows by name (password or certificate) asks under that name, and can ask
+    under no other: the target's access control sees to it. A host of the target's own user, through
+    its socket, has none.
     """
     return f"{_room(target, user)}/rpc/{lane}"
 
@@ -62,7 +63,9 @@ def variable(target: str, name: str = "*", user: str = "") -> str:
 
 
 def live(target: str, stream: int | str = "*", user: str = "") -> str:
-    """Publication: newest samples of a live stream; a host that is known by name gets them under its name."""
+    """Publication: newest samples of a live stream; a host that is known by name gets them under
+    its name.
+    """
     return f"{_room(target, user)}/live/{stream}"
 
 

@@ -1,4 +1,6 @@
-"""Modules that are imported when they are first used: a command that needs no array does not wait for NumPy."""
+"""Modules that are imported when they are first used: a command that needs no array does not wait
+for NumPy.
+"""
 
 from __future__ import annotations
 

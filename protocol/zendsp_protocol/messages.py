@@ -1,6 +1,8 @@
-"""What each reply holds. Field names and units are the contract; ``docs/protocol.md`` explains them.
+"""What each reply holds. Field names and units are the contract; ``docs/protocol.md`` explains
+them.
 
-Readers ignore fields they do not know, and fields may be added with defaults: neither raises the protocol version.
+Readers ignore fields they do not know, and fields may be added with defaults: neither raises the
+protocol version.
 """
 
 from __future__ import annotations
@@ -62,11 +64,13 @@ class VariableInfo(Message, frozen=True, kw_only=True):
     name: str  # as in the C code
     type: str  # double, float, int32 or bool
     length: int = 1  # elements; 1 for a scalar
-    kind: str = "parameter"  # parameter (may be written), signal (read only), table (large) or builtin
+    # parameter (may be written), signal (read only), table (large) or builtin
+    kind: str = "parameter"
     unit: str = ""  # as declared
     minimum: float = float("-inf")  # -inf where there is none
     maximum: float = float("inf")  # inf where there is none
-    initial: WireValue = 0.0  # value after UserInit; a table of one value throughout is sent as that value
+    # value after UserInit; a table of one value throughout is sent as that value
+    initial: WireValue = 0.0
     description: str = ""  # as declared
     address: int = 0  # bytes within the program's image
     columns: int = 1  # of a table: values a row; length counts all values
@@ -179,7 +183,8 @@ class DriveStatus(Message, frozen=True, kw_only=True):
     state: DriveState  # off | ready | homed | enabled | running | stopped | tripped
     mode: str = "off"  # what the drives are told: off | torque | velocity
     managed: bool = False  # the sequence cannot be left (--managed)
-    explicit: bool = False  # the sequence is in use; else the drives go on at start and off at pause
+    # the sequence is in use; else the drives go on at start and off at pause
+    explicit: bool = False
     homed: bool = True
     commander: str = ""  # who has the exclusive right to command
     host_lost: str = "stop"  # what happens when the commander disappears: stop | hold | finish
@@ -228,7 +233,8 @@ class AcquireStatus(Message, frozen=True, kw_only=True):
 
 
 class Held(Message, frozen=True, kw_only=True):
-    """Where the recorder keeps its rows, for a host of the target's own user on the same computer."""
+    """Where the recorder keeps its rows, for a host of the target's own user on the same computer.
+    """
 
     kernel: str = ""  # boot of the computer, as in /proc/sys/kernel/random/boot_id
     path: str = ""  # of the file; empty where nothing is configured
@@ -246,7 +252,8 @@ class Reading(Message, frozen=True, kw_only=True):
 
     tick: int  # the sample
     values: dict[str, WireValue]  # by name
-    ended: str = ""  # why the program no longer runs (crash, trip, STOP): the values are those of its last sample
+    # why the program no longer runs (crash, trip, STOP): the values are those of its last sample
+    ended: str = ""
 
 
 class Written(Message, frozen=True, kw_only=True):
@@ -283,7 +290,9 @@ class LiveOpened(Message, frozen=True, kw_only=True):
 
 
 class LiveHeader(Message, frozen=True, kw_only=True):
-    """Attachment of each live message; its payload holds ``rows × columns`` float64, little endian, row by row."""
+    """Attachment of each live message; its payload holds ``rows × columns`` float64, little endian,
+    row by row.
+    """
 
     v: int  # protocol version
     session: int  # changes whenever the stream is configured anew
@@ -296,7 +305,9 @@ class LiveHeader(Message, frozen=True, kw_only=True):
 
 
 class ChunkHeader(Message, frozen=True, kw_only=True):
-    """Attachment of each reply of ``acquire_read``; the payload holds the rows, float64, little endian."""
+    """Attachment of each reply of ``acquire_read``; the payload holds the rows, float64, little
+    endian.
+    """
 
     v: int  # protocol version
     first: int  # index of the first row
@@ -314,7 +325,9 @@ class Seal(Message, frozen=True, kw_only=True):
 class Revealed(Message, frozen=True, kw_only=True):
     """What a simulated machine conceals, told after the diagnosis."""
 
-    record: str  # JSON: machine, source, friction, nonce, effects [{effect, joint, parameters {name: {value, unit}}}]
+    # JSON: machine, source, friction, nonce, effects [{effect, joint, parameters {name: {value,
+    # unit}}}]
+    record: str
     sha256: str
     tick: int  # at which it was told
 

@@ -1,4 +1,5 @@
-"""Where the targets of this machine write how to reach them: one small file each, in the user's runtime directory.
+"""Where the targets of this machine write how to reach them: one small file each, in the user's
+runtime directory.
 
 Only names and formats stand here; the target writes the files, the host reads them.
 """
@@ -16,18 +17,22 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     pid: int
-    born: str  # start time of the process as the kernel states it, since numbers of processes are used again
+    # start time of the process as the kernel states it, since numbers of processes are used again
+    born: str
     endpoints: list[str]
     machine: str
     protocol: int
-    user: str = ""  # of the token where it listens on a port that other users of this machine can reach
+    # of the token where it listens on a port that other users of this machine can reach
+    user: str = ""
     password: str = ""
     instance: str = ""  # of this run, as in Info: the next of the same name has another
     stop: str = ""  # path of its stop page, see stop_page.py
 
 
 def folder(environment: Mapping[str, str] = os.environ) -> str:
-    """Folder of the entries: ``$ZENDSP_RUNTIME_DIR``, ``$XDG_RUNTIME_DIR/zendsp`` or ``/tmp/zendsp-<uid>``."""
+    """Folder of the entries: ``$ZENDSP_RUNTIME_DIR``, ``$XDG_RUNTIME_DIR/zendsp`` or
+    ``/tmp/zendsp-<uid>``.
+    """
     own = environment.get("ZENDSP_RUNTIME_DIR")
     if own:
         return own

@@ -1,7 +1,7 @@
 """Values of variables on the wire: bool, int, float, a list of these, or a packed array.
 
-A packed array is ``{"dtype": "<f8", "data": <binary, little endian>, "columns": 1}`` with dtype one of ``<f8 <f4 <i4 <i8 |b1``; with
-more columns it holds the rows of a table, one after the other.
+A packed array is ``{"dtype": "<f8", "data": <binary, little endian>, "columns": 1}`` with dtype one
+of ``<f8 <f4 <i4 <i8 |b1``; with more columns it holds the rows of a table, one after the other.
 Short arrays travel as lists so that any client can read them; long ones packed, 60 times faster.
 """
 
@@ -74,7 +74,9 @@ def from_wire(value: WireValue) -> Value:
     """
     if isinstance(value, Packed):
         if value.dtype not in DTYPES:
-            raise ValueError(f"packed array of unknown dtype {value.dtype!r}; known: {', '.join(DTYPES)}")
+            raise ValueError(
+                f"packed array of unknown dtype {value.dtype!r}; known: {', '.join(DTYPES)}"
+            )
         array = np.frombuffer(value.data, dtype=value.dtype)
         return array if value.columns == 1 else array.reshape(-1, value.columns)
     if isinstance(value, list):

@@ -1,4 +1,5 @@
-"""The table of verbs: one row per request, with its arguments, its result, its lane and how long it may take.
+"""The table of verbs: one row per request, with its arguments, its result, its lane and how long it
+may take.
 
 To add a verb: write its arguments here, add a row, and give the target a handler of the same name.
 """
@@ -15,7 +16,9 @@ from zendsp_protocol.values import Packed, WireValue
 
 
 class Arguments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of all arguments: unknown fields are refused, so that a misspelled one is not silently ignored."""
+    """Base of all arguments: unknown fields are refused, so that a misspelled one is not silently
+    ignored.
+    """
 
 
 class Nothing(Arguments, frozen=True, kw_only=True):
@@ -80,7 +83,9 @@ class SetInputs(Arguments, frozen=True, kw_only=True):
 
 
 class Drive(Arguments, frozen=True, kw_only=True):
-    action: str  # take | release | power_on | power_off | home | enable | disable | acknowledge | auto | host_lost
+    # take | release | power_on | power_off | home | enable | disable | acknowledge | auto |
+    # host_lost
+    action: str
     mode: str = ""  # of enable: torque | velocity
     force: bool = False  # of take
     policy: str = ""  # of host_lost: stop | hold | finish
@@ -151,7 +156,8 @@ class Verb:
     result: Any
     lane: str
     timeout: float = 5.0  # s, after which a host gives up
-    repeatable: bool = True  # asking twice does no harm, so a host may ask again after a broken link
+    # asking twice does no harm, so a host may ask again after a broken link
+    repeatable: bool = True
     role: str = ""  # that a host needs at least, see ROLES
 
 
@@ -162,7 +168,8 @@ _ROWS = (
     Verb("info", Nothing, m.Info, "quick", role="observe"),
     Verb("status", Nothing, m.Status, "quick", role="observe"),
     Verb("stop", Nothing, m.Empty, "stop", role="observe"),
-    Verb("stopped", Nothing, m.Status, "stop", role="observe"),  # as `status`, past whatever holds up the other lanes
+    # as `status`, past whatever holds up the other lanes
+    Verb("stopped", Nothing, m.Status, "stop", role="observe"),
     Verb("compile", Compile, m.CompileResult, "slow", 120.0, role="download"),
     Verb("load", Load, m.Empty, "slow", 30.0, repeatable=False, role="download"),
     Verb("unload", Nothing, m.Empty, "slow", 30.0, role="download"),
@@ -190,7 +197,14 @@ _ROWS = (
     Verb("seal", Nothing, m.Seal, "quick", role="observe"),
     Verb("reveal", Nothing, m.Revealed, "quick", role="tune"),
     Verb("log", Log, tuple[m.Change, ...], "quick", role="observe"),
-    Verb("acquire_configure", AcquireConfigure, m.AcquireStatus, "quick", repeatable=False, role="tune"),
+    Verb(
+        "acquire_configure",
+        AcquireConfigure,
+        m.AcquireStatus,
+        "quick",
+        repeatable=False,
+        role="tune",
+    ),
     Verb("acquire_start", AcquireStart, m.Empty, "quick", repeatable=False, role="tune"),
     Verb("acquire_stop", Nothing, m.Empty, "quick", role="tune"),
     Verb("acquire_status", Nothing, m.AcquireStatus, "quick", role="observe"),
@@ -201,7 +215,7 @@ _ROWS = (
     Verb("table_commit", TableCommit, m.Applied, "bulk", 20.0, repeatable=False, role="tune"),
     Verb("live_open", LiveOpen, m.LiveOpened, "quick", repeatable=False, role="observe"),
     Verb("live_close", LiveClose, m.Empty, "quick", role="observe"),
-)  # fmt: skip
+)
 VERBS: dict[str, Verb] = {row.name: row for row in _ROWS}
 
 __all__ = ["ROLES", "VERBS", "Arguments", "Packed", "Verb"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 PROTOCOL = 1
-"""Raised whenever an old host would misread a new target. New verbs and new optional fields do not raise it."""
+"""Raised whenever an old host would misread a new target. New verbs and new optional fields do not
+raise it.
+"""
 
 
 def mismatch(theirs: object, who_asks: str) -> str:

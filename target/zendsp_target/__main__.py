@@ -1,4 +1,6 @@
-"""``python -m zendsp_target``: start a target. Needs zenoh, numpy, msgspec, cffi and a C compiler, nothing else."""
+"""``python -m zendsp_target``: start a target. Needs zenoh, numpy, msgspec, cffi and a C compiler,
+nothing else.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +22,36 @@ AS_ROOT = (
     "an ordinary user is enough (docs/security.md)"
 )
 LEFT = (
-    "zendsp target: {name} was killed while it held a recording of {columns} signals, which is kept in memory: "
-    "'zendsp salvage -t {name} -o run.mat' saves it, 'zendsp salvage -t {name} --drop' frees the memory"
+    "zendsp target: {name} was killed while it held a recording of {columns} signals, which is kept"
+    " in memory: 'zendsp salvage -t {name} -o run.mat' saves it, 'zendsp salvage -t {name} --drop'"
+    " frees the memory"
 )
-DROPPED = "zendsp target: an older recording of {name}, killed as well and never saved, was removed from memory"
+DROPPED = (
+    "zendsp target: an older recording of {name}, killed as well and never saved, was removed from"
+    " memory"
+)
 
 
 def parser() -> argparse.ArgumentParser:
     """Command line of the target."""
     p = argparse.ArgumentParser(
         prog="python -m zendsp_target",
-        description="Run C control code at a fixed rate against a machine, and serve it over Zenoh.",
-        epilog="Example: python -m zendsp_target --machine imi_planar --name imi --rate 1000 --clock real",
+        description=(
+            "Run C control code at a fixed rate against a machine, and serve it over Zenoh."
+        ),
+        epilog=(
+            "Example: python -m zendsp_target --machine imi_planar --name imi --rate 1000 --clock"
+            " real"
+        ),
     )
-    p.add_argument("--machine", default="imi_planar", help="machine to drive: a shipped one, a .c file, or a MuJoCo model (.xml, .urdf); default: imi_planar")
+    p.add_argument(
+        "--machine",
+        default="imi_planar",
+        help=(
+            "machine to drive: a shipped one, a .c file, or a MuJoCo model (.xml, .urdf); default:"
+            " imi_planar"
+        ),
+    )
     p.add_argument("--name", default="", help="name of the target (default: that of the machine)")
     p.add_argument(
         "--rate", type=float, default=1000.0, metavar="HZ", help="sample rate in Hz (default: 1000)"
@@ -41,30 +59,72 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--clock", choices=("real", "fast"), default="real", help="fast: as fast as the CPU allows"
     )
-    p.add_argument("--listen", action="append", metavar="ENDPOINT",
-                   help="Zenoh endpoint (default: here, a socket that only you can open); may be repeated")  # fmt: skip
-    p.add_argument("--connect", action="append", default=[], metavar="ENDPOINT", help="router to announce to")
+    p.add_argument(
+        "--listen",
+        action="append",
+        metavar="ENDPOINT",
+        help="Zenoh endpoint (default: here, a socket that only you can open); may be repeated",
+    )
+    p.add_argument(
+        "--connect", action="append", default=[], metavar="ENDPOINT", help="router to announce to"
+    )
     p.add_argument("--tls-cert", default="", metavar="PEM", help="this target's certificate")
     p.add_argument("--tls-key", default="", metavar="PEM", help="this target's private key")
-    p.add_argument("--tls-ca", default="", metavar="PEM", help="authority that signs the hosts' certificates")
-    p.add_argument("--users", default="", metavar="FILE", help="lines user:password that hosts must know")
-    p.add_argument("--roles", default="", metavar="FILE", help="who may observe, tune, command, download (docs/security.md)")
-    p.add_argument("--parent", type=int, default=0, metavar="PID", help="end when this parent process ends")
+    p.add_argument(
+        "--tls-ca", default="", metavar="PEM", help="authority that signs the hosts' certificates"
+    )
+    p.add_argument(
+        "--users", default="", metavar="FILE", help="lines user:password that hosts must know"
+    )
+    p.add_argument(
+        "--roles",
+        default="",
+        metavar="FILE",
+        help="who may observe, tune, command, download (docs/security.md)",
+    )
+    p.add_argument(
+        "--parent", type=int, default=0, metavar="PID", help="end when this parent process ends"
+    )
     p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
-                   help="setting of the machine, e.g. its start position; may be repeated")  # fmt: skip
+                   help="setting of the machine, e.g. its start position; may be repeated")
     p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
-    p.add_argument("--no-realtime", action="store_true", help="do not ask for SCHED_RR, locked memory and a CPU")
+    p.add_argument(
+        "--no-realtime",
+        action="store_true",
+        help="do not ask for SCHED_RR, locked memory and a CPU",
+    )
     p.add_argument("--priority", type=int, default=80, help="of SCHED_RR (default: 80)")
     p.add_argument("--cpu", type=int, default=-1, help="CPU of the loop (default: the last)")
-    p.add_argument("--spin", type=float, default=60.0, metavar="US", help="waited awake before each sample, in µs")
-    p.add_argument("--memory", type=float, default=1000.0, metavar="MB", help="that user code may take (default: 1000)")
-    p.add_argument("--speed", type=float, default=0.0, help="fast clock: at most so many machine seconds a second")
-    p.add_argument("--managed", action="store_true",
-                   help="enforce the safe sequence: power, home and enable before anything moves")  # fmt: skip
     p.add_argument(
-        "--json", action="store_true", help="say where it listens as one line of JSON on standard output"
+        "--spin",
+        type=float,
+        default=60.0,
+        metavar="US",
+        help="waited awake before each sample, in µs",
     )
-    p.add_argument("--verbose", "-v", action="store_true", help="log what happens on standard error")
+    p.add_argument(
+        "--memory",
+        type=float,
+        default=1000.0,
+        metavar="MB",
+        help="that user code may take (default: 1000)",
+    )
+    p.add_argument(
+        "--speed",
+        type=float,
+        default=0.0,
+        help="fast clock: at most so many machine seconds a second",
+    )
+    p.add_argument("--managed", action="store_true",
+                   help="enforce the safe sequence: power, home and enable before anything moves")
+    p.add_argument(
+        "--json",
+        action="store_true",
+        help="say where it listens as one line of JSON on standard output",
+    )
+    p.add_argument(
+        "--verbose", "-v", action="store_true", help="log what happens on standard error"
+    )
     return p
 
 
@@ -77,7 +137,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     security = Security(args.tls_cert, args.tls_key, args.tls_ca, args.users, args.roles)
     listen = args.listen or []
     try:
-        doors = settle(args.name or machine_title(args.machine), listen, args.connect, security)  # before the machine is touched
+        # before the machine is touched
+        doors = settle(args.name or machine_title(args.machine), listen, args.connect, security)
         if doors.sentence:
             print(f"zendsp target: {doors.sentence}", file=sys.stderr, flush=True)
         if os.getuid() == 0:
@@ -99,7 +160,9 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
         machine=args.machine,
         rate_hz=args.rate,
         clock=args.clock,
-        machine_config={key: value for key, _, value in (text.partition("=") for text in args.machine_option)},
+        machine_config={
+            key: value for key, _, value in (text.partition("=") for text in args.machine_option)
+        },
         concealed=args.concealed,
         realtime=not args.no_realtime,
         priority=args.priority,
@@ -111,7 +174,9 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
     try:
         monitor = Monitor(
             runtime,
-            Options(name, machine_title(args.machine), listen, args.connect, security, args.managed),
+            Options(
+                name, machine_title(args.machine), listen, args.connect, security, args.managed
+            ),
         )
     except BaseException:
         runtime.close()
@@ -128,7 +193,10 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
         text = f"target {name} listens on {where}; Ctrl-C ends it"
         if runtime.title and not args.json:
             print(runtime.title, flush=True)
-        print(json.dumps({"name": name, "endpoints": monitor.endpoints}) if args.json else text, flush=True)
+        print(
+            json.dumps({"name": name, "endpoints": monitor.endpoints}) if args.json else text,
+            flush=True,
+        )
 
     monitor.run(args.parent, announce)
     return 0
@@ -137,8 +205,9 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
 def leave(status: int) -> NoReturn:
     """End the process without taking the interpreter apart.
 
-    Everything is closed by now. A thread that is just returning from Zenoh's compiled code while the interpreter goes would abort
-    the process ("exception not rethrown") and make a clean end look like a crash.
+    Everything is closed by now. A thread that is just returning from Zenoh's compiled code while
+    the interpreter goes would abort the process ("exception not rethrown") and make a clean end
+    look like a crash.
     """
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,7 +1,8 @@
-"""Acquisition streams: a file of rows each, filled by the loop in constant time, read here without disturbing it.
+"""Acquisition streams: a file of rows each, filled by the loop in constant time, read here without
+disturbing it.
 
-A stream's file outlives the runner: what was acquired before a crash, a stop or a new load stays loadable until the stream is
-configured again.
+A stream's file outlives the runner: what was acquired before a crash, a stop or a new load stays
+loadable until the stream is configured again.
 """
 
 from __future__ import annotations
@@ -29,8 +30,10 @@ from zendsp_target.shm import SharedFile
 
 _EDGES = {"rising": 1, "falling": 2, "both": 3}
 _STATES = dict(enumerate(RecorderState))  # STREAM_… of layout.h
-_LARGEST = 2_000_000_000  # bytes of a stream: its pages are made present at once, which takes about a second for so many
-_ANSWER_S = 5.0  # the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
+# bytes of a stream: its pages are made present at once, which takes about a second for so many
+_LARGEST = 2_000_000_000
+# the service thread of the runner maps a stream in milliseconds; a loaded machine may take longer
+_ANSWER_S = 5.0
 
 
 @dataclass
@@ -61,7 +64,9 @@ class _Plan:
     pre: int
 
 
-def _expand(dictionary: Dictionary, names: tuple[str, ...]) -> tuple[list[tuple[int, int]], list[str], list[str]]:
+def _expand(
+    dictionary: Dictionary, names: tuple[str, ...]
+) -> tuple[list[tuple[int, int]], list[str], list[str]]:
     """Channels of the names: an array stands for all of its elements."""
     sources: list[tuple[int, int]] = []
     labels: list[str] = []
@@ -99,20 +104,31 @@ def _plan(dictionary: Dictionary, config: AcquireConfig, rate_hz: float) -> _Pla
         raise AcquisitionError(f"{config.seconds} s: give a finite time")
     rows = round(config.seconds * rate_hz / config.decimation)
     if rows < 1:
-        raise AcquisitionError(f"{config.seconds:g} s hold no row at {rate_hz / config.decimation:g} rows a second: acquire longer")
+        raise AcquisitionError(
+            f"{config.seconds:g} s hold no row at {rate_hz / config.decimation:g} rows a second:"
+            " acquire longer"
+        )
     trigger, pre = None, 0
     if config.trigger is not None:
         found, names, _ = _expand(dictionary, (config.trigger.source,))
         if len(found) != 1:
-            raise AcquisitionError(f"trigger source {config.trigger.source} has {len(found)} elements: name one, such as {names[0]}")
+            raise AcquisitionError(
+                f"trigger source {config.trigger.source} has {len(found)} elements: name one, such"
+                f" as {names[0]}"
+            )
         if config.trigger.edge not in _EDGES:
-            raise AcquisitionError(f"trigger edge {config.trigger.edge!r}: give rising, falling or both")
+            raise AcquisitionError(
+                f"trigger edge {config.trigger.edge!r}: give rising, falling or both"
+            )
         if not np.isfinite(config.trigger.level) or config.trigger.pre_s < 0.0:
             raise AcquisitionError("trigger: level must be a finite number and pre_s not negative")
         trigger = found[0]
         pre = round(config.trigger.pre_s * rate_hz / config.decimation)
         if pre >= rows and not config.continuous:
-            raise AcquisitionError(f"pre-trigger of {config.trigger.pre_s:g} s fills the whole {config.seconds:g} s: make it shorter")
+            raise AcquisitionError(
+                f"pre-trigger of {config.trigger.pre_s:g} s fills the whole {config.seconds:g} s:"
+                " make it shorter"
+            )
     return _Plan(tuple(sources), tuple(labels), tuple(units), trigger, rows, pre)
 
 
@@ -150,12 +166,18 @@ def create(
     allowed = min(free_bytes // 2, _LARGEST)  # the rest of the computer needs memory too
     if size > allowed:
         raise TooLarge(
-            f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of shared memory, "
-            f"{allowed / 1e6:.0f} MB are given here: shorten it, raise the decimation, or record fewer channels"
+            f"{len(plan.sources)} channels for {config.seconds:g} s need {size / 1e6:.0f} MB of"
+            f" shared memory, {allowed / 1e6:.0f} MB are given here: shorten it, raise the"
+            " decimation, or record fewer channels"
         )
     file = SharedFile(path, size)
     head = file.pointer("stream_head")
-    head.magic, head.version, head.bytes, head.rows = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION, size, head_bytes
+    head.magic, head.version, head.bytes, head.rows = (
+        lib.LAYOUT_MAGIC,
+        lib.LAYOUT_VERSION,
+        size,
+        head_bytes,
+    )
     head.channels, head.decimation, head.capacity = len(plan.sources), config.decimation, capacity
     head.wanted, head.pre = 0 if config.continuous else plan.rows, plan.pre
     head.fired = -1
@@ -165,7 +187,16 @@ def create(
     for i, (variable, element) in enumerate(plan.sources):
         head.channel[i].variable, head.channel[i].element = variable, element
     return Stream(
-        file, head, config, plan.channels, plan.units, plan.rows, plan.pre, capacity, head_bytes, file.reader()
+        file,
+        head,
+        config,
+        plan.channels,
+        plan.units,
+        plan.rows,
+        plan.pre,
+        capacity,
+        head_bytes,
+        file.reader(),
     )
 
 
@@ -185,9 +216,14 @@ def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool])
     lib.monitor_store32(ffi.addressof(slot, "requested"), generation)
     mapped = ffi.addressof(slot, "mapped")
     if not _until(lambda: lib.monitor_load32(mapped) == generation, alive):
-        raise AcquisitionError("the runner did not take the acquisition: see status for its state, then load the program again")
+        raise AcquisitionError(
+            "the runner did not take the acquisition: see status for its state, then load the"
+            " program again"
+        )
     if slot.failed:
-        raise AcquisitionError(f"the runner cannot map the acquisition buffer (errno {slot.failed}): make it smaller")
+        raise AcquisitionError(
+            f"the runner cannot map the acquisition buffer (errno {slot.failed}): make it smaller"
+        )
 
 
 def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
@@ -202,7 +238,9 @@ def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
         if word == "arm":
             answered = ffi.addressof(stream.head[0], "answered")
             if not _until(lambda: lib.monitor_load32(answered) == value, alive):
-                raise AcquisitionError("the loop does not take the acquisition: no program runs (load and start one)")
+                raise AcquisitionError(
+                    "the loop does not take the acquisition: no program runs (load and start one)"
+                )
 
 
 def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:
@@ -217,13 +255,27 @@ def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:
 def note_of(stream: Stream, about: About) -> Kept:
     """What to leave beside the rows, for the case that this process is killed."""
     ffi, _ = layout()
-    at = {word: ffi.offsetof("stream_head", word) for word in ("count", "first_tick", "fired", "missed")}
+    at = {
+        word: ffi.offsetof("stream_head", word)
+        for word in ("count", "first_tick", "fired", "missed")
+    }
     return Kept(
-        about=about, file=stream.file.path.name, rows_at=stream.offset, capacity=stream.capacity, columns=stream.channels,
-        units=stream.units, decimation=stream.config.decimation, rows=stream.rows, pre=stream.pre, ring=stream.config.continuous,
-        triggered=stream.config.trigger is not None, count_at=at["count"], start_at=at["first_tick"], fired_at=at["fired"],
+        about=about,
+        file=stream.file.path.name,
+        rows_at=stream.offset,
+        capacity=stream.capacity,
+        columns=stream.channels,
+        units=stream.units,
+        decimation=stream.config.decimation,
+        rows=stream.rows,
+        pre=stream.pre,
+        ring=stream.config.continuous,
+        triggered=stream.config.trigger is not None,
+        count_at=at["count"],
+        start_at=at["first_tick"],
+        fired_at=at["fired"],
         missed_at=at["missed"],
-    )  # fmt: skip
+    )
 
 
 def status(stream: Stream, alive: bool) -> AcquireStatus:
@@ -242,11 +294,21 @@ def status(stream: Stream, alive: bool) -> AcquireStatus:
     if not alive and state in (RecorderState.ARMED, RecorderState.RUNNING):
         state = RecorderState.DONE
     ring = stream.config.continuous
-    first = first_row(count, fired, stream.rows, stream.pre, ring, stream.config.trigger is not None)
+    first = first_row(
+        count, fired, stream.rows, stream.pre, ring, stream.config.trigger is not None
+    )
     return AcquireStatus(
-        state=state, channels=stream.channels, units=stream.units, decimation=stream.config.decimation, first=first, count=count,
-        wanted=0 if ring else stream.rows, lost=stream.lost + int(head.missed), start_tick=int(head.first_tick), trigger_row=fired,
-    )  # fmt: skip
+        state=state,
+        channels=stream.channels,
+        units=stream.units,
+        decimation=stream.config.decimation,
+        first=first,
+        count=count,
+        wanted=0 if ring else stream.rows,
+        lost=stream.lost + int(head.missed),
+        start_tick=int(head.first_tick),
+        trigger_row=fired,
+    )
 
 
 def held(stream: Stream, alive: bool) -> Held:
@@ -260,13 +322,24 @@ def held(stream: Stream, alive: bool) -> Held:
     """
     file, now = os.stat(stream.reader), status(stream, alive)
     return Held(
-        kernel=Path(KERNEL).read_text().strip(), path=str(stream.reader), device=file.st_dev, inode=file.st_ino,
-        offset=stream.offset, columns=len(stream.channels), capacity=stream.capacity, first=now.first, count=now.count,
-    )  # fmt: skip
+        kernel=Path(KERNEL).read_text().strip(),
+        path=str(stream.reader),
+        device=file.st_dev,
+        inode=file.st_ino,
+        offset=stream.offset,
+        columns=len(stream.channels),
+        capacity=stream.capacity,
+        first=now.first,
+        count=now.count,
+    )
 
 
 def read(
-    stream: Stream, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
+    stream: Stream,
+    first: int,
+    count: int,
+    into: npt.NDArray[np.float64] | None = None,
+    fold: bytearray | None = None,
 ) -> npt.NDArray[np.float64]:
     """Copy rows.
 
@@ -280,7 +353,8 @@ def read(
     into : ndarray, shape (count or more, channels), optional
         Memory to use again and again; fresh pages cost more than filling them.
     fold : bytearray, 4096 bytes, optional
-        Takes up the bytes of the rows by exclusive or, for their checksum (see `zendsp_protocol.chunks.folded_crc`).
+        Takes up the bytes of the rows by exclusive or, for their checksum (see
+        `zendsp_protocol.chunks.folded_crc`).
 
     Returns
     -------
@@ -302,18 +376,28 @@ def read(
         return np.empty((0, len(stream.channels)))
     rows = np.empty((count, len(stream.channels))) if into is None else into[:count]
     if rows.shape != (count, len(stream.channels)) or not rows.flags.c_contiguous:
-        raise AcquisitionError(f"memory of shape {rows.shape} does not hold {count} rows of {len(stream.channels)} channels")
+        raise AcquisitionError(
+            f"memory of shape {rows.shape} does not hold {count} rows of {len(stream.channels)}"
+            " channels"
+        )
     source = stream.file.pointer("double", stream.offset)
     taken = ffi.NULL if fold is None else ffi.from_buffer("uint64_t[]", fold)
     to = ffi.from_buffer("double[]", rows)
-    gone = int(lib.monitor_rows(count_word, source, capacity, len(stream.channels), first, count, to, taken))
+    gone = int(
+        lib.monitor_rows(
+            count_word, source, capacity, len(stream.channels), first, count, to, taken
+        )
+    )
     # a stream at rest is not being written: its last row is whole
-    if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (lib.STREAM_DONE, lib.STREAM_IDLE):
+    if gone and lib.monitor_load32(ffi.addressof(head[0], "state")) in (
+        lib.STREAM_DONE,
+        lib.STREAM_IDLE,
+    ):
         gone = min(count, max(0, written - capacity - first))
     if gone:
         stream.lost += gone
         raise AcquisitionError(
-            f"rows {first} … {first + gone - 1} are overwritten: the oldest row held is {first + gone}; "
-            "read more often, or acquire with a longer ring"
+            f"rows {first} … {first + gone - 1} are overwritten: the oldest row held is"
+            f" {first + gone}; read more often, or acquire with a longer ring"
         )
     return rows

@@ -1,9 +1,11 @@
-"""Who may come in, and what for: users, roles, the token of this computer's own user, and Zenoh's access control.
+"""Who may come in, and what for: users, roles, the token of this computer's own user, and Zenoh's
+access control.
 
-A link that moves a machine, and that brings code to run, is not for everyone: neither on the network nor on this computer.
-Beyond this computer it needs TLS and a way to tell who connects (`endpoints`). Here it is a socket that only the target's
-own user can open, or a port on the loopback with a token that only this user can read. Hosts can ask, listen and show that
-they are there, and nothing else: only the target answers and publishes under its name.
+A link that moves a machine, and that brings code to run, is not for everyone: neither on the
+network nor on this computer. Beyond this computer it needs TLS and a way to tell who connects
+(`endpoints`). Here it is a socket that only the target's own user can open, or a port on the
+loopback with a token that only this user can read. Hosts can ask, listen and show that they are
+there, and nothing else: only the target answers and publishes under its name.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ log = logging.getLogger(__name__)
 
 _USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
-OPEN = ("stop", "stopped", "status", "info")  # need no role: without the others, nobody could connect to stop it, and see that it stopped
+# need no role: without the others, nobody could connect to stop it, and see that it stopped
+OPEN = ("stop", "stopped", "status", "info")
 ENCRYPTED = ("tls", "quic")
 OWNER = "owner"  # name that goes with the token of a loopback port
 
@@ -37,29 +40,38 @@ def read_users(path: str) -> dict[str, str]:
     Raises
     ------
     Refused
-        The file cannot be read, is empty or cut, names a user twice, or one that cannot stand in a key. Zenoh would let
-        everybody in on an empty file.
+        The file cannot be read, is empty or cut, names a user twice, or one that cannot stand in a
+        key. Zenoh would let everybody in on an empty file.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise Refused(f"--users {path}: cannot be read ({error}); nobody is let in without it") from error
+        raise Refused(
+            f"--users {path}: cannot be read ({error}); nobody is let in without it"
+        ) from error
     users: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
         user, colon, password = line.partition(":")
         if not colon or not password or not _USER.fullmatch(user):
             raise Refused(
-                f"--users {path}, line {number}: expected user:password, the user of letters, digits, '_', '-' or '.'"
+                f"--users {path}, line {number}: expected user:password, the user of letters,"
+                " digits, '_', '-' or '.'"
             )
         if user == OWNER:
-            raise Refused(f"--users {path}, line {number}: the user {OWNER!r} is the target's own; choose another name")
+            raise Refused(
+                f"--users {path}, line {number}: the user {OWNER!r} is the target's own; choose"
+                " another name"
+            )
         if user in users:
             raise Refused(f"--users {path}, line {number}: the user {user!r} stands there twice")
         users[user] = password
     if not users:
         raise Refused(f"--users {path}: names no user; an empty file would let everybody in")
     if not text.endswith("\n"):
-        raise Refused(f"--users {path}: the last line does not end: was the file cut off? End it with a new line")
+        raise Refused(
+            f"--users {path}: the last line does not end: was the file cut off? End it with a new"
+            " line"
+        )
     return users
 
 
@@ -75,24 +87,37 @@ def read_roles(path: str) -> dict[str, str]:
         data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         writable = Path(path).stat().st_mode & 0o022
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise Refused(f"--roles {path}: cannot be read ({error}); nobody is let in without it") from error
+        raise Refused(
+            f"--roles {path}: cannot be read ({error}); nobody is let in without it"
+        ) from error
     if writable:
-        raise Refused(f"--roles {path}: others may write it, and so give themselves any role: chmod go-w {path}")
+        raise Refused(
+            f"--roles {path}: others may write it, and so give themselves any role: chmod go-w"
+            f" {path}"
+        )
     roles = data.get("roles")
     if not isinstance(roles, dict) or not roles:
-        raise Refused(f'--roles {path}: expected a table [roles] with lines like anna = "tune" ({", ".join(ROLES)})')
+        raise Refused(
+            f'--roles {path}: expected a table [roles] with lines like anna = "tune"'
+            f' ({", ".join(ROLES)})'
+        )
     for name, role in roles.items():
         if not _USER.fullmatch(name) or name == OWNER:
-            raise Refused(f"--roles {path}: {name!r}: use letters, digits, '_', '-' or '.', and not {OWNER!r}")
+            raise Refused(
+                f"--roles {path}: {name!r}: use letters, digits, '_', '-' or '.', and not {OWNER!r}"
+            )
         if role not in ROLES:
-            raise Refused(f"--roles {path}: {name} = {role!r} is no role; {did_you_mean(str(role), ROLES)}")
+            raise Refused(
+                f"--roles {path}: {name} = {role!r} is no role; {did_you_mean(str(role), ROLES)}"
+            )
     return dict(roles)
 
 
 class RolesFile(Mapping[str, str]):
     """The roles of a file as it is now: one that is taken away is gone with the next request.
 
-    A file that is damaged later gives nobody a role. The names that the target lets in are those of its start.
+    A file that is damaged later gives nobody a role. The names that the target lets in are those of
+    its start.
 
     Parameters
     ----------
@@ -165,7 +190,11 @@ class Doors:
     @property
     def named(self) -> tuple[str, ...]:
         """Users or certificates that are let in by name."""
-        return tuple(self.roles) if self.roles is not None else tuple(user for user in self.users if user != OWNER)
+        return (
+            tuple(self.roles)
+            if self.roles is not None
+            else tuple(user for user in self.users if user != OWNER)
+        )
 
     @property
     def sentence(self) -> str:
@@ -180,35 +209,42 @@ class Doors:
         return self.roles.get(user, "")
 
     def check_upload(self, user: str) -> None:
-        """Refuse to compile the code of others where the kernel cannot keep the compiler from files of the target's user.
+        """Refuse to compile the code of others where the kernel cannot keep the compiler from files
+        of the target's user.
 
         Parameters
         ----------
         user : str
-            Whom the access control let in; empty for the target's own user, and for all where nobody is known by name.
+            Whom the access control let in; empty for the target's own user, and for all where
+            nobody is known by name.
 
         Raises
         ------
         Refused
-            There is no Landlock, and this may be somebody else. The target's own user may read these files anyway.
+            There is no Landlock, and this may be somebody else. The target's own user may read
+            these files anyway.
         """
         nameless = self.roles is None and not set(self.users) - {OWNER}
         beyond = self.routed or any(e.startswith(("tls/", "quic/")) for e in self.endpoints)
         own = user == OWNER or (not user and not (nameless and beyond))
         if not own and landlock_version() < 1:
             raise Refused(
-                f"this target does not compile for {user or 'others'}: its kernel has no Landlock (Linux 5.13), so .incbin could take in "
-                "files of the target's user. Compile on the target's own computer with --listen here alone, or use a newer kernel"
+                f"this target does not compile for {user or 'others'}: its kernel has no Landlock"
+                " (Linux 5.13), so .incbin could take in files of the target's user. Compile on"
+                " the target's own computer with --listen here alone, or use a newer kernel"
             )
 
 
 def may(role: str, verb: Verb) -> bool:
-    """Whether a role includes a verb; an empty one includes what is open to everyone who was let in."""
+    """Whether a role includes a verb; an empty one includes what is open to everyone who was let
+    in.
+    """
     return verb.name in OPEN or (role in ROLES and ROLES.index(role) >= ROLES.index(verb.role))
 
 
 def check_role(user: str, role: str, verb: Verb) -> None:
-    """Refuse what a user's role does not include; STOP, and seeing that it stopped, is open to everyone who was let in.
+    """Refuse what a user's role does not include; STOP, and seeing that it stopped, is open to
+    everyone who was let in.
 
     Raises
     ------
@@ -218,14 +254,18 @@ def check_role(user: str, role: str, verb: Verb) -> None:
     if not may(role, verb):
         has = f"has the role {role!r}" if role else "has none"
         raise Refused(
-            f"{verb.name!r} needs the role {verb.role!r}; {user} {has}. Roles are in the file given to the target with --roles"
+            f"{verb.name!r} needs the role {verb.role!r}; {user} {has}. Roles are in the file given"
+            " to the target with --roles"
         )
 
 
 def own_socket(name: str) -> str:
-    """The endpoint that only this user can open, a loopback port where its path would be too long."""
+    """The endpoint that only this user can open, a loopback port where its path would be too long.
+    """
     path = Path(registry.folder()).absolute() / registry.socket_name(name)
-    return f"unixsock-stream/{path}" if len(os.fsencode(path)) <= LONGEST_SOCKET else "tcp/127.0.0.1:0"
+    return (
+        f"unixsock-stream/{path}" if len(os.fsencode(path)) <= LONGEST_SOCKET else "tcp/127.0.0.1:0"
+    )
 
 
 def _protocol(endpoint: str) -> str:
@@ -255,27 +295,41 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     endpoints = tuple(own_socket(name) if e == "here" else e for e in listen or ("here",))
     check(endpoints, security)
     check_connect(connect, security)
-    for option, file in (("cert", security.certificate), ("key", security.key), ("ca", security.authority)):
+    for option, file in (
+        ("cert", security.certificate),
+        ("key", security.key),
+        ("ca", security.authority),
+    ):
         if file and not (os.path.isfile(file) and os.access(file, os.R_OK)):
-            raise Refused(f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes them)")
+            raise Refused(
+                f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
+                " them)"
+            )
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
     if both and users:
         raise Refused(
-            f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host could not be told from the router, "
-            "for which --users does not hold. Listen there or connect to the router, not both; the router has rules of its own"
+            f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host"
+            " could not be told from the router, for which --users does not hold. Listen there or"
+            " connect to the router, not both; the router has rules of its own"
         )
     if connect and roles is not None:
         raise Refused(
-            f"--roles with --connect {', '.join(connect)}: roles do not hold behind a router, since the target cannot see who "
-            "asks there. Leave out --roles and let the router decide who comes in, or have hosts connect to the target itself"
+            f"--roles with --connect {', '.join(connect)}: roles do not hold behind a router, since"
+            " the target cannot see who asks there. Leave out --roles and let the router decide"
+            " who comes in, or have hosts connect to the target itself"
         )
-    if roles is None and not users and security.authority and any(_protocol(e) in ENCRYPTED for e in endpoints):
+    if (
+        roles is None
+        and not users
+        and security.authority
+        and any(_protocol(e) in ENCRYPTED for e in endpoints)
+    ):
         raise Refused(
-            "--tls-ca without --roles: whoever has a certificate of that authority could do everything, under any name. "
-            "Name those who may come in, and what for, in a file: --roles FILE with lines like anna = \"download\" "
-            "('zendsp keys' makes it)"
+            "--tls-ca without --roles: whoever has a certificate of that authority could do"
+            " everything, under any name. Name those who may come in, and what for, in a file:"
+            " --roles FILE with lines like anna = \"download\" ('zendsp keys' makes it)"
         )
     sockets = [e for e in endpoints if e.startswith("unixsock-stream/")]
     certified = [e for e in endpoints if e.startswith(("tls/", "quic/")) and security.authority]
@@ -283,19 +337,28 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     beside = [e for e in endpoints if e not in (*sockets, *exposed)]
     if exposed and beside and not users:
         raise Refused(
-            f"--listen {exposed[0]} can be reached by every user of this computer: beside {beside[0]} it needs --users; or leave it "
-            "out, and listen with --listen here on the socket that only you can open"
+            f"--listen {exposed[0]} can be reached by every user of this computer: beside"
+            f" {beside[0]} it needs --users; or leave it out, and listen with --listen here on the"
+            " socket that only you can open"
         )
     token = (OWNER, os.urandom(24).hex()) if users or exposed else ("", "")
-    return Doors(endpoints, security, {**users, token[0]: token[1]} if token[0] else {}, roles, token, bool(connect))
+    return Doors(
+        endpoints,
+        security,
+        {**users, token[0]: token[1]} if token[0] else {},
+        roles,
+        token,
+        bool(connect),
+    )
 
 
 def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict[str, object]:
     """Zenoh's access control for the session of a target.
 
-    Hosts may ask, listen, and show that they are there; whatever else comes from them is dropped. A host that is known by
-    name may ask, be there, and hear live rows under that name only. Without this, a client could answer for the target,
-    publish false rows to the other hosts, and go on reading when its role is taken away.
+    Hosts may ask, listen, and show that they are there; whatever else comes from them is dropped. A
+    host that is known by name may ask, be there, and hear live rows under that name only. Without
+    this, a client could answer for the target, publish false rows to the other hosts, and go on
+    reading when its role is taken away.
 
     Parameters
     ----------
@@ -316,18 +379,46 @@ def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict
 
     def rule(number: str, flow: str, messages: Sequence[str], wanted: Sequence[str]) -> str:
         rules.append(
-            {"id": number, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(wanted)}
+            {
+                "id": number,
+                "permission": "allow",
+                "flows": [flow],
+                "messages": list(messages),
+                "key_exprs": list(wanted),
+            }
         )
         return number
 
     everywhere = f"{keys.ROOT}/**"
     common = [
-        rule("say", "egress", ("reply", "liveliness_token", "declare_queryable", "declare_subscriber",
-                               "declare_liveliness_subscriber", "liveliness_query"), (everywhere,)),
-        rule("listen", "ingress", ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"), (everywhere,)),
-    ]  # fmt: skip
+        rule(
+            "say",
+            "egress",
+            (
+                "reply",
+                "liveliness_token",
+                "declare_queryable",
+                "declare_subscriber",
+                "declare_liveliness_subscriber",
+                "liveliness_query",
+            ),
+            (everywhere,),
+        ),
+        rule(
+            "listen",
+            "ingress",
+            ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
+            (everywhere,),
+        ),
+    ]
 
-    def admit(number: str, who: Mapping[str, object], asked: Sequence[str], there: str, told: Sequence[str]) -> None:
+    def admit(
+        number: str,
+        who: Mapping[str, object],
+        asked: Sequence[str],
+        there: str,
+        told: Sequence[str],
+    ) -> None:
         rights = [
             rule(f"ask {number}", "ingress", ("query",), (keys.info(), *asked)),
             rule(f"show {number}", "ingress", ("liveliness_token",), (there,)),
@@ -343,8 +434,20 @@ def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict
         asked = (keys.rpc(name, "*", user), keys.variable(name, "**", user))
         told = (keys.event(name), keys.live(name, user=user))
         for field_name in ("usernames", "cert_common_names"):
-            admit(f"{field_name} {user}", {field_name: [user]}, asked, keys.host(name, f"{user}@$*"), told)
+            admit(
+                f"{field_name} {user}",
+                {field_name: [user]},
+                asked,
+                keys.host(name, f"{user}@$*"),
+                told,
+            )
     if connect:
         protocols = sorted({endpoint.partition("/")[0] for endpoint in connect})
         admit("routers", {"link_protocols": protocols}, everything, keys.host(name), (everywhere,))
-    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }

@@ -1,8 +1,8 @@
 """What the monitor may ask of the real-time side: the seam between the network and the loop.
 
-``zendsp_target.runtime.Runtime`` implements it on shared memory and a native runner process; the Zenoh server calls it and
-knows nothing of either. Every call is quick (the slow ones say so) and safe from any thread. Errors are those of
-``zendsp_protocol.errors``.
+``zendsp_target.runtime.Runtime`` implements it on shared memory and a native runner process; the
+Zenoh server calls it and knows nothing of either. Every call is quick (the slow ones say so) and
+safe from any thread. Errors are those of ``zendsp_protocol.errors``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class VariableInfo:
     name: str
     type: str  # "double" | "float" | "int32" | "bool"
     length: int  # 1 = scalar, else array elements
-    kind: str  # "parameter" (host may write) | "signal" (read only) | "table" (large array, two banks)
+    # "parameter" (host may write) | "signal" (read only) | "table" (large array, two banks)
+    kind: str
     unit: str
     minimum: float  # -inf where none
     maximum: float  # +inf where none
@@ -127,7 +128,8 @@ class Timing:
 
 @dataclass(frozen=True)
 class Trip:
-    reason: str  # "torque" | "speed" | "position" | "overrun" | "nan" | "stop" | "code" | "host lost" …
+    # "torque" | "speed" | "position" | "overrun" | "nan" | "stop" | "code" | "host lost" …
+    reason: str
     joint: int  # 1-based; 0 where none
     tick: int
     value: float
@@ -150,7 +152,8 @@ class Status:
     drive: DriveState
     trip: Trip | None
     crash: str  # "" or a sentence: signal, last sample
-    io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)  # enc, aout, adc, din, dout
+    # enc, aout, adc, din, dout
+    io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
     homed: bool = True
     drive_mode: str = "off"  # what the drives are told: "off" | "torque" | "velocity"
 
@@ -200,7 +203,8 @@ class Change:
 
 @dataclass(frozen=True)
 class Blank:
-    """A reply in which only numbers are missing, of eight bytes each, the most significant first."""
+    """A reply in which only numbers are missing, of eight bytes each, the most significant first.
+    """
 
     data: bytearray
     count: int  # where the tick or the sequence number goes
@@ -210,46 +214,75 @@ class Blank:
 class RuntimeApi(Protocol):
     """See the module docstring."""
 
-    def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult: ...  # slow
-    def load(self, key: str) -> None: ...  # slow: starts a fresh runner, runs UserInit, state "loaded"
+    # slow
+    def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult: ...
+    # slow: starts a fresh runner, runs UserInit, state "loaded"
+    def load(self, key: str) -> None: ...
     def start(self, ticks: int | None = None) -> None: ...  # ticks: run so many samples, then pause
     def pause(self) -> None: ...
-    def stop_page(self) -> str: ...  # path of the file by which this user's own programs stop it; "" where there is none
+    # path of the file by which this user's own programs stop it; "" where there is none
+    def stop_page(self) -> str: ...
     def stop(self) -> None: ...  # STOP: outputs safe at the next sample, latched until acknowledged
     def acknowledge(self) -> None: ...  # end a STOP or a trip; nothing moves before the next start
     def unload(self) -> None: ...
     def status(self) -> Status: ...
     def variables(self) -> tuple[VariableInfo, ...]: ...
-    def builtins(self) -> tuple[VariableInfo, ...]: ...  # signals that exist undeclared: tick, t, exec_us, enc, aout, …
+    # signals that exist undeclared: tick, t, exec_us, enc, aout, …
+    def builtins(self) -> tuple[VariableInfo, ...]: ...
     def machine(self) -> MachineInfo: ...
     def limits(self) -> Limits: ...
-    def set_limits(self, author: str, **changes: Any) -> int: ...  # fields of Limits; -> sequence, as of write
-    def set_drive(self, mode: str) -> None: ...  # "off" | "torque" | "velocity" | "auto" (on at start, off at pause)
+    # fields of Limits; -> sequence, as of write
+    def set_limits(self, author: str, **changes: Any) -> int: ...
+    # "off" | "torque" | "velocity" | "auto" (on at start, off at pause)
+    def set_drive(self, mode: str) -> None: ...
     def home(self) -> None: ...  # starts the machine's homing; status().homed tells
     def set_ramp(self, seconds: float) -> None: ...  # soft start and soft stop
-    def set_overrun(self, policy: str, limit: int = 10) -> None: ...  # "count" | "skip" | "trip" after `limit` in a row
+    # "count" | "skip" | "trip" after `limit` in a row
+    def set_overrun(self, policy: str, limit: int = 10) -> None: ...
     def set_inputs(self, bits: int) -> None: ...  # digital inputs of a simulated machine
-    def trip(self, reason: str) -> None: ...  # stop with a reason of the monitor's: "stop" | "host lost"
-    def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]: ...  # all from one sample; its tick
-    def ended(self) -> str: ...  # why the program no longer runs: crashed, tripped, stopped; "" where it does
-    def check(self, values: Mapping[str, Value]) -> None: ...  # raises what write would; nothing is written
-    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int: ...  # -> sequence
-    # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has happened, where the whole way has to be gone.
-    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None: ...  # takes the least tick
-    def repeat_write(  # takes a request, in which the value stands from byte `value_at` on, as in a reply
+    # stop with a reason of the monitor's: "stop" | "host lost"
+    def trip(self, reason: str) -> None: ...
+    # all from one sample; its tick
+    def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]: ...
+    # why the program no longer runs: crashed, tripped, stopped; "" where it does
+    def ended(self) -> str: ...
+    # raises what write would; nothing is written
+    def check(self, values: Mapping[str, Value]) -> None: ...
+    # -> sequence
+    def write(
+        self, values: Mapping[str, Value], author: str, at_tick: int | None = None
+    ) -> int: ...
+
+    # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has
+    # happened, where the whole way has to be gone. takes the least tick
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None: ...
+    # takes a request, in which the value stands from byte `value_at` on, as in a reply
+    def repeat_write(
         self, name: str, author: str, value_at: int, reply: Blank
     ) -> Callable[[bytes], int] | None: ...
-    def wait_applied(self, sequence: int, timeout: float) -> int: ...  # its tick; NotYet: not within the timeout
-    def log(self, since: int = 0) -> tuple[Change, ...]: ...  # lines from number `since` on; tables by their rows
-    def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...  # stream 0: recorder; 1…7: live
+    # its tick; NotYet: not within the timeout
+    def wait_applied(self, sequence: int, timeout: float) -> int: ...
+    # lines from number `since` on; tables by their rows
+    def log(self, since: int = 0) -> tuple[Change, ...]: ...
+    # stream 0: recorder; 1…7: live
+    def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus: ...
     def acquire_start(self, stream: int, force: bool = False) -> None: ...
-    def acquire_keep(self, about: About) -> None: ...  # the recorder's rows can be salvaged when this process is killed
+    # the recorder's rows can be salvaged when this process is killed
+    def acquire_keep(self, about: About) -> None: ...
     def acquire_stop(self, stream: int) -> None: ...
     def acquire_status(self, stream: int) -> AcquireStatus: ...
-    def acquire_held(self, stream: int) -> Held: ...  # where its rows stand, for a reader of the same user
-    def acquire_read(  # (rows, channels), in the memory of `into` where given; their bytes are folded into `fold`
-        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
+    # where its rows stand, for a reader of the same user
+    def acquire_held(self, stream: int) -> Held: ...
+    # (rows, channels), in the memory of `into` where given; their bytes are folded into `fold`
+    def acquire_read(
+        self,
+        stream: int,
+        first: int,
+        count: int,
+        into: npt.NDArray[np.float64] | None = None,
+        fold: bytearray | None = None,
     ) -> npt.NDArray[np.float64]: ...
+
     def seal(self) -> str: ...  # SHA-256 of what the machine conceals
     def reveal(self) -> str: ...  # the sealed record, JSON: asked for after the fact
     def close(self) -> None: ...

@@ -1,4 +1,6 @@
-"""The log of what was changed: every change of a parameter, with its sample, old and new value, and who made it."""
+"""The log of what was changed: every change of a parameter, with its sample, old and new value, and
+who made it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _MAX_LOG = 100_000  # lines kept; older ones are dropped
 
 
 class Flight(msgspec.Struct, frozen=True):
-    """A batch that was committed and not yet harvested; a struct of msgspec, which is made in C at each write."""
+    """A batch that was committed and not yet harvested; a struct of msgspec, which is made in C at
+    each write.
+    """
 
     slot: int
     places: tuple[tuple[str, Place], ...]  # one for each entry
@@ -28,10 +32,12 @@ class Flight(msgspec.Struct, frozen=True):
 
 
 class ChangeLog:
-    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a target.
+    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a
+    target.
 
-    A batch is kept as bytes when it comes back. It is put into words a few at a time, the rest when somebody asks: hundreds of updates a
-    second of many variables each would otherwise keep the interpreter from its requests.
+    A batch is kept as bytes when it comes back. It is put into words a few at a time, the rest when
+    somebody asks: hundreds of updates a second of many variables each would otherwise keep the
+    interpreter from its requests.
     """
 
     def __init__(self) -> None:
@@ -41,7 +47,9 @@ class ChangeLog:
         self._lock = threading.Lock()
 
     def append(self, flight: Flight, tick: int, old: bytes) -> None:
-        """Add a batch that took effect at a sample, with the old values in the form of a batch. One caller at a time."""
+        """Add a batch that took effect at a sample, with the old values in the form of a batch. One
+        caller at a time.
+        """
         self._raw.append((flight, tick, old))
         self._came += len(flight.places)
 

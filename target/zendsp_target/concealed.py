@@ -1,7 +1,9 @@
-"""What a simulated machine conceals: read from a file or drawn by seed, sealed by hash, told only after a reveal.
+"""What a simulated machine conceals: read from a file or drawn by seed, sealed by hash, told only
+after a reveal.
 
-The host never sees this module's data before it asks with the verb ``reveal``; the verb ``seal`` gives the SHA-256 of the
-record beforehand, so that everyone can check afterwards that the truth was not chosen to fit the answer.
+The host never sees this module's data before it asks with the verb ``reveal``; the verb ``seal``
+gives the SHA-256 of the record beforehand, so that everyone can check afterwards that the truth was
+not chosen to fit the answer.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from typing import Any
 
 from zendsp_protocol.errors import Refused
 
-# Parameters of each effect in the order of concealed_spec.h, with the units of the truth that is told. "N m" stands for the
-# command's unit where the command is a voltage.
+# Parameters of each effect in the order of concealed_spec.h, with the units of the truth that is
+# told. "N m" stands for the command's unit where the command is a voltage.
 EFFECTS: dict[str, dict[str, str]] = {
     "viscous": {"coefficient": "N m s/rad"},
     "viscous_asymmetry": {"coefficient_pos": "N m s/rad", "coefficient_neg": "N m s/rad"},
@@ -68,18 +70,29 @@ class ConcealedEffect:
         wanted, given = set(EFFECTS[self.effect]), set(self.parameters)
         if wanted != given:
             raise Refused(
-                f"concealed: {self.effect} takes {', '.join(EFFECTS[self.effect])}; "
-                f"missing: {', '.join(sorted(wanted - given)) or 'none'}, unknown: {', '.join(sorted(given - wanted)) or 'none'}"
+                f"concealed: {self.effect} takes {', '.join(EFFECTS[self.effect])}; missing:"
+                f" {', '.join(sorted(wanted - given)) or 'none'}, unknown:"
+                f" {', '.join(sorted(given - wanted)) or 'none'}"
             )
 
     def line(self) -> str:
         """The effect as one line of the machine's configuration."""
-        return " ".join([self.effect, f"joint={self.joint}", *(f"{k}={v!r}" for k, v in self.parameters.items())])
+        return " ".join(
+            [
+                self.effect,
+                f"joint={self.joint}",
+                *(f"{k}={v!r}" for k, v in self.parameters.items()),
+            ]
+        )
 
     def told(self) -> dict[str, Any]:
-        """The effect as the reveal tells it: parameters with units, in the form of a report's finding."""
+        """The effect as the reveal tells it: parameters with units, in the form of a report's
+        finding.
+        """
         units = EFFECTS[self.effect]
-        parameters: dict[str, Any] = {k: {"value": v, "unit": units[k]} for k, v in self.parameters.items()}
+        parameters: dict[str, Any] = {
+            k: {"value": v, "unit": units[k]} for k, v in self.parameters.items()
+        }
         if self.effect == "coupling":
             parameters["law"] = {"value": LAWS[int(self.parameters["law"])], "unit": ""}
         return {"effect": self.effect, "joint": self.joint, "parameters": parameters}
@@ -98,7 +111,8 @@ class Concealed:
     source : str
         Where it came from: "seed:17" or the name of a file.
     friction : str
-        "full": the machine's own friction with breakaway, bristles and asymmetry; "plain": viscous and Coulomb only.
+        "full": the machine's own friction with breakaway, bristles and asymmetry; "plain": viscous
+        and Coulomb only.
     nonce : str
         Random: without it the hash could be found by trying all effects.
 
@@ -109,7 +123,7 @@ class Concealed:
     {'friction': 'full', 'effect1': 'coulomb joint=1 level=2.0'}
     >>> hidden.seal() == hashlib.sha256(hidden.record_text().encode()).hexdigest()
     True
-    """
+    """  # noqa: E501
 
     machine: str
     effects: tuple[ConcealedEffect, ...]
@@ -119,7 +133,9 @@ class Concealed:
 
     def __post_init__(self) -> None:
         if len(self.effects) > MOST:
-            raise Refused(f"concealed: {len(self.effects)} effects; a machine carries at most {MOST}")
+            raise Refused(
+                f"concealed: {len(self.effects)} effects; a machine carries at most {MOST}"
+            )
         if self.friction not in ("full", "plain"):
             raise Refused(f"concealed: friction is {self.friction!r}; expected 'full' or 'plain'")
 
@@ -131,9 +147,12 @@ class Concealed:
     def record_text(self) -> str:
         """The record that is sealed, as canonical JSON: sorted keys, no spaces."""
         record = {
-            "machine": self.machine, "source": self.source, "friction": self.friction, "nonce": self.nonce,
+            "machine": self.machine,
+            "source": self.source,
+            "friction": self.friction,
+            "nonce": self.nonce,
             "effects": [effect.told() for effect in self.effects],
-        }  # fmt: skip
+        }
         return json.dumps(record, sort_keys=True, separators=(",", ":"))
 
     def seal(self) -> str:
@@ -153,15 +172,18 @@ def verify_seal(record_text: str, seal: str) -> bool:
     return hashlib.sha256(record_text.encode()).hexdigest() == seal
 
 
-def load_concealed(spec: str | None, machine: str, config: Mapping[str, Any] | None = None) -> Concealed:
+def load_concealed(
+    spec: str | None, machine: str, config: Mapping[str, Any] | None = None
+) -> Concealed:
     """What a machine shall conceal.
 
     Parameters
     ----------
     spec : str or None
-        ``"none"`` or None; ``"seed:17"``; ``"seed:17,effect=ripple,joint=2,friction=plain,count=2"`` (each part optional;
-        ``seed:random`` draws the seed too); or the path of a TOML or JSON file with ``[[effect]]`` tables
-        (``kind``, ``joint`` and the parameters), and optionally ``friction``.
+        ``"none"`` or None; ``"seed:17"``;
+        ``"seed:17,effect=ripple,joint=2,friction=plain,count=2"`` (each part optional;
+        ``seed:random`` draws the seed too); or the path of a TOML or JSON file with ``[[effect]]``
+        tables (``kind``, ``joint`` and the parameters), and optionally ``friction``.
     machine : str
         Name of the machine.
     config : mapping, optional
@@ -181,7 +203,7 @@ def load_concealed(spec: str | None, machine: str, config: Mapping[str, Any] | N
     --------
     >>> load_concealed("seed:17", "imi_planar").effects == load_concealed("seed:17", "imi_planar").effects
     True
-    """
+    """  # noqa: E501
     if spec is None or spec in ("", "none"):
         loaded = Concealed(machine, (), "none")
     elif spec.startswith("seed:"):
@@ -206,7 +228,9 @@ def _from_file(path: Path, machine: str) -> Concealed:
     for number, table in enumerate(data.get("effect", []), start=1):
         if not isinstance(table, dict) or "kind" not in table:
             raise Refused(f"concealed: {path}: effect {number} has no kind")
-        numbers = {k: _number(path, number, k, v) for k, v in table.items() if k not in ("kind", "joint")}
+        numbers = {
+            k: _number(path, number, k, v) for k, v in table.items() if k not in ("kind", "joint")
+        }
         effects.append(ConcealedEffect(str(table["kind"]), int(table.get("joint", 1)), numbers))
     return Concealed(machine, tuple(effects), path.name, str(data.get("friction", "full")))
 

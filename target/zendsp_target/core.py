@@ -1,4 +1,5 @@
-"""What a target holds: settings, shared memory, the loaded program; and how programs come and go."""
+"""What a target holds: settings, shared memory, the loaded program; and how programs come and go.
+"""
 
 from __future__ import annotations
 
@@ -78,12 +79,14 @@ class Core:
         return compile_program(sources, flags)
 
     def load(self, key: str) -> None:
-        """Start a fresh runner with a compiled program and run its UserInit. An earlier one is ended first.
+        """Start a fresh runner with a compiled program and run its UserInit. An earlier one is
+        ended first.
 
         Raises
         ------
         Refused
-            No such program, or it cannot run; or a STOP or trip that is not acknowledged: a fresh runner would forget it.
+            No such program, or it cannot run; or a STOP or trip that is not acknowledged: a fresh
+            runner would forget it.
         RunnerDied
             Its UserInit crashed or did not return.
         """
@@ -94,9 +97,12 @@ class Core:
                 require_no_trip(self._session)
             self.unload()
             if self._drive_wish != "auto":
-                self._drive_wish = "off"  # a fresh runner begins with its drives off, and is switched on deliberately
+                # a fresh runner begins with its drives off, and is switched on deliberately
+                self._drive_wish = "off"
             self._loads += 1
-            self._session = Session(key, self._settings, path, self._folder.path, self._loads, self._log)
+            self._session = Session(
+                key, self._settings, path, self._folder.path, self._loads, self._log
+            )
 
     def unload(self) -> None:
         """End the runner; acquired data and the log stay."""
@@ -106,7 +112,9 @@ class Core:
                 self._session = None
 
     def stop_page(self) -> str:
-        """Path of the file by which programs of this user stop the loop, past this process: see `zendsp_protocol.stop_page`."""
+        """Path of the file by which programs of this user stop the loop, past this process: see
+        `zendsp_protocol.stop_page`.
+        """
         return str(self._page.path)
 
     def runner_pid(self) -> int:
@@ -141,11 +149,15 @@ class Core:
         return session
 
     def seal(self) -> str:
-        """SHA-256 of what the machine conceals: tells nothing, and proves afterwards that nothing was changed."""
+        """SHA-256 of what the machine conceals: tells nothing, and proves afterwards that nothing
+        was changed.
+        """
         return self._concealed.seal()
 
     def reveal(self) -> str:
-        """The sealed record itself, as JSON text: the truth, to be asked for when the diagnosis is made."""
+        """The sealed record itself, as JSON text: the truth, to be asked for when the diagnosis is
+        made.
+        """
         return self._concealed.record_text()
 
     def close(self) -> None:

@@ -1,4 +1,6 @@
-"""The dictionary that the running code declares: names, types, limits, and where each value stands in a snapshot."""
+"""The dictionary that the running code declares: names, types, limits, and where each value stands
+in a snapshot.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,12 @@ from zendsp_protocol.errors import VariableError
 from zendsp_target.api import Value, VariableInfo
 from zendsp_target.layout import text_of
 
-SCALARS = {"double": struct.Struct("<d"), "float": struct.Struct("<f"), "int32": struct.Struct("<i"), "bool": struct.Struct("?")}
+SCALARS = {
+    "double": struct.Struct("<d"),
+    "float": struct.Struct("<f"),
+    "int32": struct.Struct("<i"),
+    "bool": struct.Struct("?"),
+}
 _TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
     1: ("double", np.dtype("<f8")),
     2: ("float", np.dtype("<f4")),
@@ -51,13 +58,16 @@ class Place:
     element: int | None = None
     offset: int = 0  # bytes into the variable
     scalar: bool = field(init=False)  # one number, rather than an array or a table
-    plain: bool = field(init=False)  # a double that the host may write: what is written a hundred times a second
+    # a double that the host may write: what is written a hundred times a second
+    plain: bool = field(init=False)
 
     def __post_init__(self) -> None:
         info = self.entry.info
         scalar = self.element is not None or (info.length == 1 and info.kind != "table")
         object.__setattr__(self, "scalar", scalar)
-        object.__setattr__(self, "plain", scalar and info.type == "double" and info.kind == "parameter")
+        object.__setattr__(
+            self, "plain", scalar and info.type == "double" and info.kind == "parameter"
+        )
 
 
 def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes | bytearray, offset: int) -> Value:
@@ -93,7 +103,9 @@ class Dictionary:
         for index in range(control.variables):
             entry = self._entry(control.variable[index], index, initial)
             self.entries[entry.info.name] = entry
-        self._places: dict[str, Place] = {name: Place(entry) for name, entry in self.entries.items()}
+        self._places: dict[str, Place] = {
+            name: Place(entry) for name, entry in self.entries.items()
+        }
 
     @staticmethod
     def _entry(raw: Any, index: int, initial: npt.NDArray[np.uint8]) -> Entry:
@@ -106,10 +118,18 @@ class Dictionary:
             array = initial[raw.snapshot : raw.snapshot + raw.size].view(dtype)
             start = array.copy() if raw.length > 1 else array[0].item()
         info = VariableInfo(
-            name=text_of(raw.name), type=type_name, length=raw.length * raw.columns, kind=kind, unit=text_of(raw.unit),
-            minimum=raw.minimum, maximum=raw.maximum, initial=start, description=text_of(raw.text), address=raw.address,
+            name=text_of(raw.name),
+            type=type_name,
+            length=raw.length * raw.columns,
+            kind=kind,
+            unit=text_of(raw.unit),
+            minimum=raw.minimum,
+            maximum=raw.maximum,
+            initial=start,
+            description=text_of(raw.text),
+            address=raw.address,
             columns=raw.columns,
-        )  # fmt: skip
+        )
         return Entry(info, index, dtype, raw.snapshot, raw.size, (raw.bank[0], raw.bank[1]))
 
     def infos(self, *kinds: str) -> tuple[VariableInfo, ...]:
@@ -141,7 +161,11 @@ class Dictionary:
             raise VariableError(f"{name}: no such variable; {self._nearest(name)}")
         index = int(match["index"])
         if entry.info.kind == "table" or index >= entry.info.length:
-            what = "is a table, which is read and written whole" if entry.info.kind == "table" else f"has {entry.info.length} elements"
+            what = (
+                "is a table, which is read and written whole"
+                if entry.info.kind == "table"
+                else f"has {entry.info.length} elements"
+            )
             raise VariableError(f"{name}: {entry.info.name} {what}")
         self._places[name] = Place(entry, index, index * entry.dtype.itemsize)
         return self._places[name]
@@ -152,8 +176,13 @@ class Dictionary:
         names = [n for n, e in self.entries.items() if e.info.kind != "setting"]
         close = difflib.get_close_matches(name, names, 3, 0.5)
         meant = f"did you mean {' or '.join(close)}? The" if close else "the"
-        counts = [(kind, sum(e.info.kind == kind for e in self.entries.values())) for kind in ("parameter", "signal", "table")]
-        declared = ", ".join(f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in counts if n) or "none"
+        counts = [
+            (kind, sum(e.info.kind == kind for e in self.entries.values()))
+            for kind in ("parameter", "signal", "table")
+        ]
+        declared = (
+            ", ".join(f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in counts if n) or "none"
+        )
         return f"{meant} program declares {declared}: 'zendsp info' or variables() lists them"
 
 
@@ -172,4 +201,7 @@ def decode(places: Mapping[str, Place], values: npt.NDArray[np.uint8]) -> dict[s
         Scalars as Python numbers, arrays as copies.
     """
     raw = values.tobytes()
-    return {name: value_of(place.entry, place.scalar, raw, place.entry.offset + place.offset) for name, place in places.items()}
+    return {
+        name: value_of(place.entry, place.scalar, raw, place.entry.offset + place.offset)
+        for name, place in places.items()
+    }

@@ -2,17 +2,19 @@
 
     off → ready → homed → enabled → running → stopped | tripped
 
-It stands above the C-level facilities of the runtime (drive mode, limits, latched trips) and below every host, so that the
-same rules hold for the API, the command line and the terminal. Two ways to use it:
+It stands above the C-level facilities of the runtime (drive mode, limits, latched trips) and below
+every host, so that the same rules hold for the API, the command line and the terminal. Two ways to
+use it:
 
-* **automatic** (the default): nobody has touched the sequence. ``start`` switches the drives on, ``pause`` off, as a script
-  wants it; limits, trips and STOP act all the same.
-* **explicit**: from the first power, home or enable on, or always with ``--managed``. Then nothing moves unless the drives have
-  been enabled, and enabling needs every condition; a refusal names those that fail.
+* **automatic** (the default): nobody has touched the sequence. ``start`` switches the drives on,
+  ``pause`` off, as a script wants it; limits, trips and STOP act all the same.
+* **explicit**: from the first power, home or enable on, or always with ``--managed``. Then nothing
+  moves unless the drives have been enabled, and enabling needs every condition; a refusal names
+  those that fail.
 
-The exclusive right to command is free until somebody takes it (or powers, homes, enables). While it is held, requests of
-others that could move or change something are refused; reading, recording and STOP never are. If its holder disappears, the
-host-lost policy decides.
+The exclusive right to command is free until somebody takes it (or powers, homes, enables). While it
+is held, requests of others that could move or change something are refused; reading, recording and
+STOP never are. If its holder disappears, the host-lost policy decides.
 """
 
 from __future__ import annotations
@@ -34,13 +36,26 @@ from zendsp_target.api import RuntimeApi, Status
 log = logging.getLogger(__name__)
 
 BEGIN_S = 1.0  # for the loop to take up homing
-SOFT_S = 0.1  # soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
+# soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
+SOFT_S = 0.1
 POLICIES = ("stop", "hold", "finish")
 # What could move the machine or change what moves it; STOP is not among them.
 COMMANDING = (
-    "start", "pause", "load", "unload", "write", "update", "table_commit", "set_limits", "set_drive", "set_ramp",
-    "set_overrun", "set_inputs", "home", "acknowledge",
-)  # fmt: skip
+    "start",
+    "pause",
+    "load",
+    "unload",
+    "write",
+    "update",
+    "table_commit",
+    "set_limits",
+    "set_drive",
+    "set_ramp",
+    "set_overrun",
+    "set_inputs",
+    "home",
+    "acknowledge",
+)
 STOPS = ("stop", "stop input")  # reasons of a latched trip that mean that somebody pressed STOP
 HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
 
@@ -63,8 +78,9 @@ class Drives:
     managed : bool
         True: always explicit; ``auto`` is refused.
     policy : str
-        What happens when the holder of the right to command disappears while the program runs: ``"stop"`` (zero velocity,
-        latched), ``"hold"`` (the program's bool parameter ``hold`` is set; without one, as stop), ``"finish"`` (goes on).
+        What happens when the holder of the right to command disappears while the program runs:
+        ``"stop"`` (zero velocity, latched), ``"hold"`` (the program's bool parameter ``hold`` is
+        set; without one, as stop), ``"finish"`` (goes on).
     """
 
     def __init__(self, runtime: RuntimeApi, managed: bool = False, policy: str = "stop") -> None:
@@ -80,7 +96,8 @@ class Drives:
         if managed:
             self._off()
 
-    # -- what is ------------------------------------------------------------------------------------------------------
+    # -- what is
+    # ----------------------------------------------------------------------------------------------
 
     def state(self, status: Status) -> DriveState:
         """Return where in the sequence a status is."""
@@ -109,11 +126,33 @@ class Drives:
 
         return (
             Condition("power", self._powered or not self._explicit, "switch the drives' power on"),
-            Condition("program", loaded, f"no code is loaded (the program is {status.state}): download a program"),
-            Condition("homed", status.homed and loaded, once_loaded("the position is unknown: home the machine")),
-            Condition("limits", self._limits_set(), once_loaded("torque, speed and position limits must be finite: set them")),
-            Condition("sensors", alive, once_loaded("no position comes from the machine: check its sensors, load the program again")),
-            Condition("no trip", trip is None, f"{trip.text or trip.reason}: acknowledge it" if trip is not None else ""),
+            Condition(
+                "program",
+                loaded,
+                f"no code is loaded (the program is {status.state}): download a program",
+            ),
+            Condition(
+                "homed",
+                status.homed and loaded,
+                once_loaded("the position is unknown: home the machine"),
+            ),
+            Condition(
+                "limits",
+                self._limits_set(),
+                once_loaded("torque, speed and position limits must be finite: set them"),
+            ),
+            Condition(
+                "sensors",
+                alive,
+                once_loaded(
+                    "no position comes from the machine: check its sensors, load the program again"
+                ),
+            ),
+            Condition(
+                "no trip",
+                trip is None,
+                f"{trip.text or trip.reason}: acknowledge it" if trip is not None else "",
+            ),
         )
 
     def _limits_set(self) -> bool:
@@ -137,18 +176,22 @@ class Drives:
                 homed=status.homed,
                 commander=self.commander,
                 host_lost=self._policy,
-                conditions=tuple(m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice) for c in self.conditions(status)),
+                conditions=tuple(
+                    m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice)
+                    for c in self.conditions(status)
+                ),
             )
 
-    # -- who may ------------------------------------------------------------------------------------------------------
+    # -- who may
+    # ----------------------------------------------------------------------------------------------
 
     def check_right(self, by: str) -> None:
         """Refuse unless ``by`` may command."""
         commander = self.commander
         if commander and commander != by:
             raise Refused(
-                f"{commander} has the exclusive right to command this target; take it over deliberately "
-                "(zendsp drive take --force), or use STOP, which always works"
+                f"{commander} has the exclusive right to command this target; take it over"
+                " deliberately (zendsp drive take --force), or use STOP, which always works"
             )
 
     def take(self, by: str, force: bool) -> str:
@@ -181,7 +224,8 @@ class Drives:
                     return
                 self._runtime.trip("host lost")
                 self._enabled = False
-            except ZendspError as error:  # the runner died meanwhile: it is in the safe state already
+            except ZendspError as error:
+                # the runner died meanwhile: it is in the safe state already
                 log.warning("host %s lost: %s", host, error)
 
     def _hold(self) -> bool:
@@ -192,7 +236,8 @@ class Drives:
         self._runtime.write({HOLD_VARIABLE: True}, "host lost")
         return True
 
-    # -- the sequence -------------------------------------------------------------------------------------------------
+    # -- the sequence
+    # ----------------------------------------------------------------------------------------------
 
     def act(self, args: verbs.Drive, by: str) -> str:
         """Do what a ``drive`` request asks; returns a sentence."""
@@ -237,7 +282,11 @@ class Drives:
     def home(self) -> str:
         """ready → homed."""
         status = self._runtime.status()
-        failing = [c for c in self.conditions(status) if not c.met and c.name in ("power", "program", "no trip")]
+        failing = [
+            c
+            for c in self.conditions(status)
+            if not c.met and c.name in ("power", "program", "no trip")
+        ]
         if failing:
             raise Refused(_refusal("homing", failing))
         if status.state == ProgramState.RUNNING:
@@ -246,7 +295,8 @@ class Drives:
         self._off()  # what acts while homing is the machine's own routine
         self._runtime.home()
         end = time.monotonic() + BEGIN_S
-        while time.monotonic() < end:  # so that who asks next for the status sees it homing, not about to
+        # so that who asks next for the status sees it homing, not about to
+        while time.monotonic() < end:
             now = self._runtime.status()
             if now.state == ProgramState.RUNNING or now.tick != status.tick or now.trip is not None:
                 break
@@ -275,7 +325,9 @@ class Drives:
         return "disabled"
 
     def acknowledge(self) -> str:
-        """stopped | tripped → homed; nothing moves before somebody enables (or, automatically, starts) again."""
+        """stopped | tripped → homed; nothing moves before somebody enables (or, automatically,
+        starts) again.
+        """
         if self._explicit:
             self._off()
         self._enabled = False
@@ -285,7 +337,10 @@ class Drives:
     def auto(self) -> str:
         """Leave the explicit sequence: drives on at start, off at pause."""
         if self._managed:
-            raise Refused("this target was started with --managed: the sequence must be followed (power, home, enable)")
+            raise Refused(
+                "this target was started with --managed: the sequence must be followed (power,"
+                " home, enable)"
+            )
         self._explicit = self._enabled = self._powered = False
         self._runtime.set_drive("auto")
         return "automatic: on at start, off at pause"
@@ -301,10 +356,13 @@ class Drives:
         self._enabled = False
         self._runtime.set_drive("off")
 
-    # -- before and after the other verbs -------------------------------------------------------------------------------
+    # -- before and after the other verbs
+    # -------------------------------------------------------------------------------
 
     def guard(self, handlers: dict[str, Callable[[Any, str], Any]]) -> None:
-        """Put the rules before every handler that could move something, and add the verbs of the sequence."""
+        """Put the rules before every handler that could move something, and add the verbs of the
+        sequence.
+        """
         for name in COMMANDING:
             handlers[name] = self._guarded(name, handlers[name])
         handlers["drive"] = lambda args, by: m.Said(text=self.act(args, by))
@@ -321,7 +379,10 @@ class Drives:
             if name == "start":
                 self._check_start()
             elif name == "set_drive" and self._explicit:
-                raise Refused("the safe sequence is in use: enable or disable the drives in place of setting their mode")
+                raise Refused(
+                    "the safe sequence is in use: enable or disable the drives in place of setting"
+                    " their mode"
+                )
             elif name == "home" and self._explicit:
                 return m.Said(text=self.home())
             elif name == "acknowledge":
@@ -342,7 +403,9 @@ class Drives:
             if not self._explicit or self._enabled:
                 return
             failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
-            failing = failing or [Condition("enabled", False, "the drives are not enabled: enable them")]
+            failing = failing or [
+                Condition("enabled", False, "the drives are not enabled: enable them")
+            ]
             raise Refused(_refusal("starting", failing))
 
 

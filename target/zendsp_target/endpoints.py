@@ -1,6 +1,7 @@
 """Where the target listens, and on what condition; and the Zenoh settings that follow.
 
-Loopback is for this computer; anything else needs TLS and a way to tell who connects. Who may come in is `admission`'s.
+Loopback is for this computer; anything else needs TLS and a way to tell who connects. Who may come
+in is `admission`'s.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import zenoh
 from zendsp_protocol.errors import Refused
 
 LEASE_MS = 1000  # a stopped or unplugged host is noticed within this time
-BULK_QUEUE = 16  # packets of 64 kB that may wait for the link: the most that Zenoh takes, and a whole chunk of a recording
+# packets of 64 kB that may wait for the link: the most that Zenoh takes, and a whole chunk of a
+# recording
+BULK_QUEUE = 16
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,8 @@ class Security:
     users : str
         File of lines ``user:password``: hosts must then know one.
     roles : str
-        TOML file whose table ``[roles]`` gives names of users or certificates their role. Empty: everyone who is let in
-        may do everything.
+        TOML file whose table ``[roles]`` gives names of users or certificates their role. Empty:
+        everyone who is let in may do everything.
     """
 
     certificate: str = ""
@@ -77,24 +80,29 @@ def check(endpoints: Sequence[str], security: Security) -> None:
     """
     for endpoint in endpoints:
         if "/" not in endpoint:
-            raise Refused(f"--listen {endpoint}: expected protocol/address:port, for example tcp/127.0.0.1:0")
+            raise Refused(
+                f"--listen {endpoint}: expected protocol/address:port, for example tcp/127.0.0.1:0"
+            )
         if is_local(endpoint):
             continue
         if endpoint.partition("/")[0] not in ("tls", "quic"):
             raise Refused(
-                f"--listen {endpoint} can be reached from other machines: use tls/… there, with --tls-cert, --tls-key and "
-                "either --tls-ca (hosts show a certificate) or --users (hosts know a password)"
+                f"--listen {endpoint} can be reached from other machines: use tls/… there, with"
+                " --tls-cert, --tls-key and either --tls-ca (hosts show a certificate) or --users"
+                " (hosts know a password)"
             )
         if not security.encrypted or not security.authenticated:
             missing = [] if security.encrypted else ["--tls-cert and --tls-key"]
             missing += [] if security.authenticated else ["--tls-ca or --users"]
             raise Refused(
-                f"--listen {endpoint} can be reached from other machines and needs {' and '.join(missing)}"
+                f"--listen {endpoint} can be reached from other machines and needs"
+                f" {' and '.join(missing)}"
             )
 
 
 def check_connect(endpoints: Sequence[str], security: Security) -> None:
-    """Refuse routers elsewhere that the target could not tell from an impostor: whoever is behind one can command it.
+    """Refuse routers elsewhere that the target could not tell from an impostor: whoever is behind
+    one can command it.
 
     Raises
     ------
@@ -105,7 +113,10 @@ def check_connect(endpoints: Sequence[str], security: Security) -> None:
         if is_local(endpoint):
             continue
         if endpoint.partition("/")[0] not in ("tls", "quic") or not security.authority:
-            raise Refused(f"--connect {endpoint} leads to another machine: use tls/… and --tls-ca, which proves who it is")
+            raise Refused(
+                f"--connect {endpoint} leads to another machine: use tls/… and --tls-ca, which"
+                " proves who it is"
+            )
 
 
 def with_free_ports(endpoints: Sequence[str]) -> list[str]:
@@ -124,7 +135,10 @@ def with_free_ports(endpoints: Sequence[str]) -> list[str]:
 
 
 def zenoh_config(
-    endpoints: Sequence[str], security: Security, connect: Sequence[str] = (), access: Mapping[str, object] | None = None,
+    endpoints: Sequence[str],
+    security: Security,
+    connect: Sequence[str] = (),
+    access: Mapping[str, object] | None = None,
     users: str = "",
 ) -> zenoh.Config:
     """Settings of the target's session, each for a measured reason.
@@ -145,17 +159,23 @@ def zenoh_config(
         "listen/endpoints": list(endpoints),
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
-        # The default waits half a second for others to be heard of; nothing is announced by multicast here.
+        # The default waits half a second for others to be heard of; nothing is announced by
+        # multicast here.
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,  # hosts of one target need not know of each other
         "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": LEASE_MS,  # the default of 10 s hides a dead host for 10 s
-        "transport/shared_memory/enabled": False,  # the recorder needs what there is; and see the host's settings
-        # Two packets of 64 kB, the default, make sender and link wait for each other 16 times a MiB. What is urgent has queues of its own,
-        # which the link empties first.
+        # the recorder needs what there is; and see the host's settings
+        "transport/shared_memory/enabled": False,
+        # Two packets of 64 kB, the default, make sender and link wait for each other 16 times a
+        # MiB. What is urgent has queues of its own, which the link empties first.
         "transport/link/tx/queue/size/data_low": BULK_QUEUE,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        },
     }
     if security.encrypted:
         settings["transport/link/tls/listen_certificate"] = security.certificate

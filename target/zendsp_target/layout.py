@@ -1,4 +1,6 @@
-"""The shared memory as Python sees it: cffi reads the runner's own headers, so there is one layout and no second copy of it."""
+"""The shared memory as Python sees it: cffi reads the runner's own headers, so there is one layout
+and no second copy of it.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ def _declarations(text: str) -> str:
 
 @functools.cache
 def layout() -> tuple[Any, Any]:
-    """The cffi handle that knows every struct of ``layout.h`` and ``machine.h``, and the compiled helper ``monitor.c``.
+    """The cffi handle that knows every struct of ``layout.h`` and ``machine.h``, and the compiled
+    helper ``monitor.c``.
 
     Returns
     -------
@@ -69,5 +72,7 @@ def set_text(field: Any, text: str) -> None:
     """
     encoded = text.encode()
     if len(encoded) >= len(field):
-        raise ValueError(f"text of {len(encoded)} bytes does not fit into {len(field) - 1}: {text[:40]!r}…")
+        raise ValueError(
+            f"text of {len(encoded)} bytes does not fit into {len(field) - 1}: {text[:40]!r}…"
+        )
     field[0 : len(encoded) + 1] = encoded + b"\0"

@@ -1,6 +1,7 @@
 """Live streams: the newest samples of chosen channels, published as they come, at a bounded cost.
 
-Rows that a slow poll missed are skipped and counted, never queued: the loop and the link owe nothing to a slow viewer.
+Rows that a slow poll missed are skipped and counted, never queued: the loop and the link owe
+nothing to a slow viewer.
 """
 
 from __future__ import annotations
@@ -34,9 +35,12 @@ UNWATCHED_S = 5.0  # then a stream ends: its viewer went without saying so
 
 
 class Send(Protocol):
-    """Publish one message of a stream to those who look, by the names under which they are known."""
+    """Publish one message of a stream to those who look, by the names under which they are known.
+    """
 
-    def __call__(self, stream: int, users: frozenset[str], payload: bytes, header: bytes) -> None: ...
+    def __call__(
+        self, stream: int, users: frozenset[str], payload: bytes, header: bytes
+    ) -> None: ...
 
 
 @dataclass
@@ -47,7 +51,8 @@ class Stream:
     config: AcquireConfig
     interval: float
     window: int
-    viewers: dict[str, str] = field(default_factory=dict)  # hosts, and the names under which they are known
+    # hosts, and the names under which they are known
+    viewers: dict[str, str] = field(default_factory=dict)
     users: frozenset[str] = frozenset()  # these names; an empty one for the target's own user
     session: int = 0
     columns: tuple[str, ...] = ()
@@ -63,7 +68,9 @@ class Stream:
 class LiveStreams:
     """Polls the runtime's rings from one thread and publishes what is new."""
 
-    def __init__(self, runtime: RuntimeApi, send: Send, watched: Callable[[int, frozenset[str]], bool]) -> None:
+    def __init__(
+        self, runtime: RuntimeApi, send: Send, watched: Callable[[int, frozenset[str]], bool]
+    ) -> None:
         self._runtime = runtime
         self._send = send
         self._watched = watched
@@ -76,7 +83,13 @@ class LiveStreams:
         self._thread.start()
 
     def open(
-        self, channels: list[str], decimation: int, interval: float, window: int, viewer: str, user: str = ""
+        self,
+        channels: list[str],
+        decimation: int,
+        interval: float,
+        window: int,
+        viewer: str,
+        user: str = "",
     ) -> Stream:
         """Open a stream, or join one of the same channels.
 
@@ -110,7 +123,10 @@ class LiveStreams:
         config = AcquireConfig(tuple(channels), decimation, seconds=ring, continuous=True)
         with self._lock:
             for stream in self._streams.values():
-                if stream.config.channels == config.channels and stream.config.decimation == decimation:
+                if (
+                    stream.config.channels == config.channels
+                    and stream.config.decimation == decimation
+                ):
                     self._look(stream, {**stream.viewers, viewer: user})
                     stream.watched = time.monotonic()
                     stream.interval = min(stream.interval, interval)
@@ -118,8 +134,12 @@ class LiveStreams:
                     return stream
             free = [number for number in STREAMS if number not in self._streams]
             if not free:
-                users = sorted({viewer for stream in self._streams.values() for viewer in stream.viewers})
-                raise Refused(f"all {len(STREAMS)} live streams are in use by {', '.join(users)}; close one")
+                users = sorted(
+                    {viewer for stream in self._streams.values() for viewer in stream.viewers}
+                )
+                raise Refused(
+                    f"all {len(STREAMS)} live streams are in use by {', '.join(users)}; close one"
+                )
             stream = Stream(free[0], config, interval, window)
             self._look(stream, {viewer: user})
             self._start(stream)
@@ -133,7 +153,9 @@ class LiveStreams:
             stream = self._streams.get(number)
             if stream is None:
                 return
-            self._look(stream, {other: user for other, user in stream.viewers.items() if other != viewer})
+            self._look(
+                stream, {other: user for other, user in stream.viewers.items() if other != viewer}
+            )
 
     def forget(self, viewer: str) -> None:
         """Leave all streams of a host that is gone."""
@@ -208,7 +230,8 @@ class LiveStreams:
             if stream.broken:
                 self._start(stream)
             status = self._runtime.acquire_status(stream.number)
-            if status.state in (RecorderState.IDLE, RecorderState.DONE):  # a new program was loaded: its rings are new as well
+            # a new program was loaded: its rings are new as well
+            if status.state in (RecorderState.IDLE, RecorderState.DONE):
                 stream.broken = True
                 return RETRY_S
             first = max(stream.next_row, status.first, status.count - stream.window)
@@ -223,7 +246,9 @@ class LiveStreams:
         self._publish(stream, status, first, rows)
         return stream.interval
 
-    def _publish(self, stream: Stream, status: Any, first: int, rows: npt.NDArray[np.float64]) -> None:
+    def _publish(
+        self, stream: Stream, status: Any, first: int, rows: npt.NDArray[np.float64]
+    ) -> None:
         stream.skipped += first - stream.next_row
         stream.next_row = first + len(rows)
         header = m.LiveHeader(

@@ -23,7 +23,9 @@ class MachineVerbs:
 
     def do_set_limits(self, args: verbs.SetLimits, by: str) -> dict[str, int]:
         given = {name: getattr(args, name) for name in args.__struct_fields__}
-        changes = {n: tuple(v) if isinstance(v, list) else v for n, v in given.items() if v is not None}
+        changes = {
+            n: tuple(v) if isinstance(v, list) else v for n, v in given.items() if v is not None
+        }
         return {"sequence": self.runtime.set_limits(by, **changes)}
 
     def do_set_drive(self, args: verbs.SetDrive, by: str) -> m.Empty:

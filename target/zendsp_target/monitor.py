@@ -56,7 +56,12 @@ class Monitor:
         self._server = Server(runtime, who, self._session, options.managed, doors)
         self.token = doors.token
         self._entry = register(
-            who.name, self.endpoints, options.machine, doors.token, self._server.service.once.instance.hex(), runtime.stop_page()
+            who.name,
+            self.endpoints,
+            options.machine,
+            doors.token,
+            self._server.service.once.instance.hex(),
+            runtime.stop_page(),
         )
         self._closed = False
 
@@ -71,7 +76,8 @@ class Monitor:
         self._runtime.close()
 
     def run(self, parent: int = 0, ready: Callable[[], None] | None = None) -> None:
-        """Serve until SIGTERM, SIGINT, SIGHUP, or until the process ``parent`` is no longer this one's parent.
+        """Serve until SIGTERM, SIGINT, SIGHUP, or until the process ``parent`` is no longer this
+        one's parent.
 
         ``ready`` is called once a signal would end it cleanly.
         """
@@ -95,7 +101,9 @@ def _open(options: Options, doors: Doors) -> tuple[Any, list[str]]:
         chosen = listening.with_free_ports(doors.endpoints)
         try:
             with users_file(options.name, doors.users) as users:
-                config = listening.zenoh_config(chosen, options.security, options.connect, access, users)
+                config = listening.zenoh_config(
+                    chosen, options.security, options.connect, access, users
+                )
                 return zenoh.open(config), chosen
         except zenoh.ZError as error:
             if list(doors.endpoints) == chosen or attempt == TRIES - 1:

@@ -1,4 +1,6 @@
-"""What moves: start, pause, STOP, drives, homing, limits. Words in shared memory that the loop obeys at its next sample."""
+"""What moves: start, pause, STOP, drives, homing, limits. Words in shared memory that the loop
+obeys at its next sample.
+"""
 
 from __future__ import annotations
 
@@ -38,21 +40,30 @@ class Motion(Core):
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs already: pause it first")
             if ticks is not None and not 1 <= ticks <= MOST_TICKS:
-                raise Refused(f"ticks = {ticks}: give 1 to {MOST_TICKS}, or none to run until a pause")
+                raise Refused(
+                    f"ticks = {ticks}: give 1 to {MOST_TICKS}, or none to run until a pause"
+                )
             if self._drive_wish == "auto":
                 session.control.drive = lib.MACHINE_TORQUE
             before = session.tick
-            lib.monitor_store64(ffi_address(session.control, "run_until"), before + ticks if ticks is not None else 0)
+            lib.monitor_store64(
+                ffi_address(session.control, "run_until"),
+                before + ticks if ticks is not None else 0,
+            )
             session.started = True
             session.request_run(lib.RUN_ISR)
             requested = ffi_address(session.control, "run")
             session.until(
-                lambda: session.running == lib.RUN_ISR or session.tick > before or lib.monitor_load32(requested) == lib.RUN_PAUSED,
+                lambda: session.running == lib.RUN_ISR
+                or session.tick > before
+                or lib.monitor_load32(requested) == lib.RUN_PAUSED,
                 "start",
             )
 
     def pause(self) -> None:
-        """Stop sampling after the present sample: a simulated machine stands still in time, hardware is made safe."""
+        """Stop sampling after the present sample: a simulated machine stands still in time,
+        hardware is made safe.
+        """
         _, lib = layout()
         with self._lock:
             session = self._living()
@@ -73,12 +84,16 @@ class Motion(Core):
         session = self._living()
         requested = ffi_address(session.control, "run")
         session.until(
-            lambda: lib.monitor_load32(requested) == lib.RUN_PAUSED and session.running == lib.RUN_PAUSED,
-            "the end of the run", timeout,
-        )  # fmt: skip
+            lambda: lib.monitor_load32(requested) == lib.RUN_PAUSED
+            and session.running == lib.RUN_PAUSED,
+            "the end of the run",
+            timeout,
+        )
 
     def stop(self) -> None:
-        """STOP: from the next sample on the drives stand still in velocity mode; latched until acknowledged. Never waits."""
+        """STOP: from the next sample on the drives stand still in velocity mode; latched until
+        acknowledged. Never waits.
+        """
         self.trip("stop")
 
     def trip(self, reason: str) -> None:
@@ -99,8 +114,8 @@ class Motion(Core):
     def acknowledge(self) -> None:
         """End a STOP or a trip. The program is paused; nothing moves before the next start.
 
-        Where the cause still stands (the STOP input is pressed), the next sample trips again. A joint beyond its position limit may
-        be moved back inside, and no further out.
+        Where the cause still stands (the STOP input is pressed), the next sample trips again. A
+        joint beyond its position limit may be moved back inside, and no further out.
         """
         _, lib = layout()
         with self._lock:
@@ -114,7 +129,9 @@ class Motion(Core):
             session.until(lambda: lib.monitor_load32(answered) == wanted, "acknowledge")
 
     def set_drive(self, mode: str) -> None:
-        """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque at each start, the default)."""
+        """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque
+        at each start, the default).
+        """
         if mode != "auto" and mode not in safety.DRIVE_MODES:
             raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
         with self._lock:
@@ -124,10 +141,13 @@ class Motion(Core):
             if self._session is not None:
                 if mode == "off":
                     self._session.control.off = (int(self._session.control.off) + 1) & 0xFFFFFFFF
-                self._session.control.drive = safety.DRIVE_MODES.get(mode, int(self._session.control.drive))
+                self._session.control.drive = safety.DRIVE_MODES.get(
+                    mode, int(self._session.control.drive)
+                )
 
     def home(self) -> None:
-        """Start the machine's homing; ``status().homed`` tells when it is done, a trip when it fails.
+        """Start the machine's homing; ``status().homed`` tells when it is done, a trip when it
+        fails.
 
         Raises
         ------
@@ -181,9 +201,14 @@ class Motion(Core):
         self._apply({"drive.ramp": seconds})
 
     def set_overrun(self, policy: str, limit: int = 10) -> None:
-        """What happens when samples take longer than the period: ``"count"``, ``"skip"``, or ``"trip"`` after `limit` in a row."""
+        """What happens when samples take longer than the period: ``"count"``, ``"skip"``, or
+        ``"trip"`` after `limit` in a row.
+        """
         if policy not in safety.OVERRUN_POLICIES or limit < 1:
-            raise Refused(f"overrun policy {policy!r}, limit {limit}: give count, skip or trip, and a limit of 1 or more")
+            raise Refused(
+                f"overrun policy {policy!r}, limit {limit}: give count, skip or trip, and a limit"
+                " of 1 or more"
+            )
         self._apply({"overrun.policy": safety.OVERRUN_POLICIES[policy], "overrun.limit": limit})
 
     def _apply(self, values: Mapping[str, object]) -> None:
@@ -191,7 +216,9 @@ class Motion(Core):
         session.updates.wait_applied(session.set_settings(values, "runtime"), 5.0)
 
     def set_inputs(self, bits: int) -> None:
-        """Digital inputs of a simulated machine, one bit each: what a person at its panel would press."""
+        """Digital inputs of a simulated machine, one bit each: what a person at its panel would
+        press.
+        """
         session = self._living()
         if not session.machine.simulated:
             raise Refused("digital inputs of real hardware cannot be set")

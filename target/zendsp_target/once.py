@@ -1,4 +1,6 @@
-"""Remembers what became of the requests that change something, so that one that comes again is not carried out again."""
+"""Remembers what became of the requests that change something, so that one that comes again is not
+carried out again.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ from zendsp_protocol.errors import LinkError, NotApplied
 from zendsp_protocol.once import FIRST, SETTLE, read_stamp
 
 LINKS = 256  # connections of one user that are remembered
-QUIET_S = 120.0  # a connection that was quiet for so long has given up every request: a host sends one again for 30 s at most
+# a connection that was quiet for so long has given up every request: a host sends one again for 30
+# s at most
+QUIET_S = 120.0
 RESULTS = 256  # of one connection: many times what its threads can have under way
 
 
@@ -37,7 +41,8 @@ class _Links:
     """Of one user: connections, the one that was quiet longest first."""
 
     memories: OrderedDict[bytes, _Memory] = field(default_factory=OrderedDict)
-    unsure: float = 0.0  # until then, one that is not known may be one that was dropped too early, s
+    # until then, one that is not known may be one that was dropped too early, s
+    unsure: float = 0.0
 
 
 class Once:
@@ -86,24 +91,39 @@ class Once:
         except ValueError as error:
             return None, codec.encode_error(LinkError(str(error)))
         if attempt != FIRST and instance != self.instance:
-            return None, codec.encode_error(LinkError(
-                "the target was started again while the link was broken: whether the request was applied before cannot be known, "
-                "and what it changed is gone with the program that ran; it is not applied now"
-            ))  # fmt: skip
+            return None, codec.encode_error(
+                LinkError(
+                    "the target was started again while the link was broken: whether the request"
+                    " was applied before cannot be known, and what it changed is gone with the"
+                    " program that ran; it is not applied now"
+                )
+            )
         with self._lock:
             memory = self._memory(user, link, attempt)
             if memory is None:
-                return None, codec.encode_error(LinkError(
-                    f"more than {LINKS} connections of the same user asked at once: whether the request was applied before "
-                    "cannot be known; it is not applied now"
-                ))  # fmt: skip
+                return None, codec.encode_error(
+                    LinkError(
+                        f"more than {LINKS} connections of the same user asked at once: whether the"
+                        " request was applied before cannot be known; it is not applied now"
+                    )
+                )
             results = memory.results
             known = results.get(number)
             if known is None:
                 if number <= memory.forgotten:
-                    return None, codec.encode_error(LinkError("the request is too old: whether it was applied cannot be known any more"))
+                    return None, codec.encode_error(
+                        LinkError(
+                            "the request is too old: whether it was applied cannot be known any"
+                            " more"
+                        )
+                    )
                 if attempt == SETTLE:
-                    known = results[number] = codec.encode_error(NotApplied("the request did not arrive in time: it was not applied, and will not be"))
+                    known = results[number] = codec.encode_error(
+                        NotApplied(
+                            "the request did not arrive in time: it was not applied, and will"
+                            " not be"
+                        )
+                    )
                     return None, known
                 results[number] = []
                 memory.begun += 1
@@ -130,7 +150,9 @@ class Once:
         return memory
 
     def _make_room(self, links: _Links, now: float) -> None:
-        """Drop connections that have long given up, then the quietest while there are too many; none with work under way."""
+        """Drop connections that have long given up, then the quietest while there are too many;
+        none with work under way.
+        """
         for link, memory in list(links.memories.items())[:-1]:
             quiet = now - memory.last > QUIET_S
             if memory.begun or not (quiet or len(links.memories) > LINKS):
@@ -145,7 +167,8 @@ class Once:
             return tuple(self._users[user].memories) if user in self._users else ()
 
     def finish(self, ticket: Ticket, reply: bytes | bytearray) -> list[Any]:
-        """Remember the reply of a request that was carried out; returns who asked for it meanwhile."""
+        """Remember the reply of a request that was carried out; returns who asked for it meanwhile.
+        """
         user, link, number = ticket
         with self._lock:
             memory = self._users[user].memories[link]

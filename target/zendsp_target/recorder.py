@@ -1,4 +1,6 @@
-"""The eight streams of a target, by number; each stays readable after the program that filled it is gone."""
+"""The eight streams of a target, by number; each stays readable after the program that filled it is
+gone.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,18 @@ class Recorder:
         with self._lock:
             session = self._current()
             if session is None or not session.alive():
-                raise AcquisitionError("no program is loaded: load one before configuring an acquisition")
+                raise AcquisitionError(
+                    "no program is loaded: load one before configuring an acquisition"
+                )
             self._files += 1
             path = self._folder.path / f"stream-{number}-{self._files}"
-            fresh = acquisition.create(path, session.dictionary, config, session.settings.rate_hz, self._folder.free_bytes())
+            fresh = acquisition.create(
+                path,
+                session.dictionary,
+                config,
+                session.settings.rate_hz,
+                self._folder.free_bytes(),
+            )
             try:
                 acquisition.attach(fresh, session.control, number, session.alive)
             except BaseException:
@@ -62,7 +72,9 @@ class Recorder:
         """Arm a stream, or fire the trigger of one that is armed."""
         found, session = self._stream(number)
         if not self._fed(session):
-            raise AcquisitionError(f"stream {number} belongs to a program that is no longer loaded: configure it again")
+            raise AcquisitionError(
+                f"stream {number} belongs to a program that is no longer loaded: configure it again"
+            )
         if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
             acquisition.request(found, "arm", session.alive)
         if force:
@@ -101,7 +113,12 @@ class Recorder:
         return acquisition.held(found, self._fed(session))
 
     def read(
-        self, number: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
+        self,
+        number: int,
+        first: int,
+        count: int,
+        into: npt.NDArray[np.float64] | None = None,
+        fold: bytearray | None = None,
     ) -> npt.NDArray[np.float64]:
         """Rows of a stream, shape (rows, channels)."""
         return acquisition.read(self._stream(number)[0], first, count, into, fold)

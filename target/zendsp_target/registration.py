@@ -15,7 +15,8 @@ from zendsp_protocol.version import PROTOCOL
 
 
 def own_folder() -> Path:
-    """The folder of the entries, made where it is not there; it belongs to this user, and nobody else can look into it.
+    """The folder of the entries, made where it is not there; it belongs to this user, and nobody
+    else can look into it.
 
     Raises
     ------
@@ -26,24 +27,30 @@ def own_folder() -> Path:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = folder.stat()
     if found.st_uid != os.getuid():
-        raise Refused(f"{folder} belongs to another user; set ZENDSP_RUNTIME_DIR to a folder of your own")
+        raise Refused(
+            f"{folder} belongs to another user; set ZENDSP_RUNTIME_DIR to a folder of your own"
+        )
     if found.st_mode & 0o077:
         raise Refused(
-            f"others may use {folder}, where targets of yours are reached: chmod 700 {folder}, or set ZENDSP_RUNTIME_DIR to "
-            "a folder of your own"
+            f"others may use {folder}, where targets of yours are reached: chmod 700 {folder}, or"
+            " set ZENDSP_RUNTIME_DIR to a folder of your own"
         )
     return folder
 
 
 @contextmanager
 def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
-    """A file of users and passwords while Zenoh reads it, which only this user can read; an empty name without users."""
+    """A file of users and passwords while Zenoh reads it, which only this user can read; an empty
+    name without users.
+    """
     if not users:
         yield ""
         return
     path = own_folder() / f"{name}.users"
     path.unlink(missing_ok=True)
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+    with open(
+        os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8"
+    ) as file:
         file.writelines(f"{user}:{password}\n" for user, password in users.items())
     try:
         yield str(path)
@@ -52,7 +59,12 @@ def users_file(name: str, users: Mapping[str, str]) -> Iterator[str]:
 
 
 def register(
-    name: str, endpoints: list[str], machine: str, token: tuple[str, str] = ("", ""), instance: str = "", stop: str = ""
+    name: str,
+    endpoints: list[str],
+    machine: str,
+    token: tuple[str, str] = ("", ""),
+    instance: str = "",
+    stop: str = "",
 ) -> Path:
     """Write the entry of this process; only this user may read the folder.
 
@@ -97,7 +109,8 @@ def check_free(name: str) -> None:
         return
     if entry.pid != os.getpid() and entry.born and registry.born(entry.pid) == entry.born:
         raise Refused(
-            f"a target named {name!r} runs here already (process {entry.pid}): stop it or choose --name"
+            f"a target named {name!r} runs here already (process {entry.pid}): stop it or choose"
+            " --name"
         )
 
 

@@ -1,8 +1,10 @@
-"""Requests that come again and again, known by their bytes: a host that tunes or watches sends the same ones thousands of times.
+"""Requests that come again and again, known by their bytes: a host that tunes or watches sends the
+same ones thousands of times.
 
-A monitor that wakes up for a request finds little of its Python in the caches, and pays for every function on the way several times over.
-So a request that has gone the whole way once is answered by what was made ready for its bytes: a reading by all of them, a write of one
-double by all but the number at its end. Whatever is not plainly right goes the whole way again, which finds the words.
+A monitor that wakes up for a request finds little of its Python in the caches, and pays for every
+function on the way several times over. So a request that has gone the whole way once is answered by
+what was made ready for its bytes: a reading by all of them, a write of one double by all but the
+number at its end. Whatever is not plainly right goes the whole way again, which finds the words.
 """
 
 from __future__ import annotations
@@ -20,12 +22,14 @@ from zendsp_target.variable_verbs import VariableVerbs
 
 _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that announces a double
 _COUNT = struct.Struct(">Q")  # likewise
-_LARGEST = 2**64 - 1  # a count that takes all of its eight bytes, which are no text: it stands nowhere else in a reply
+# a count that takes all of its eight bytes, which are no text: it stands nowhere else in a reply
+_LARGEST = 2**64 - 1
 _PROBE = -0.1  # likewise
 
 
 class Repeats:
-    """Answers to requests that came before; of one user and one thread, since a reply is filled in where the last one stood.
+    """Answers to requests that came before; of one user and one thread, since a reply is filled in
+    where the last one stood.
 
     Parameters
     ----------
@@ -35,7 +39,9 @@ class Repeats:
     lane : str
     """
 
-    def __init__(self, runtime: RuntimeApi, variables: VariableVerbs, drives: Drives, lane: str) -> None:
+    def __init__(
+        self, runtime: RuntimeApi, variables: VariableVerbs, drives: Drives, lane: str
+    ) -> None:
         self._runtime, self._variables, self._drives, self._lane = runtime, variables, drives, lane
         # None: it was looked at, and has no shorter way
         self._reads: dict[bytes, tuple[Callable[[int], int], bytearray] | None] = {}
@@ -56,7 +62,9 @@ class Repeats:
         return None
 
     def learn(self, request: bytes, verb: verbs.Verb, args: Any, said: str, author: str) -> None:
-        """Make ready for a request that went the whole way, and well: from whom, as it says, and as the target knows."""
+        """Make ready for a request that went the whole way, and well: from whom, as it says, and as
+        the target knows.
+        """
         if verb.name == "read":
             self._learn_read(request, args)
         elif verb.name == "write":
@@ -73,7 +81,9 @@ class Repeats:
         values = {name: _PROBE - number for number, name in enumerate(args.names)}
         data = bytearray(codec.encode_result({"tick": _LARGEST, "values": values}))
         places = tuple(data.index(_FLOAT.pack(value)) for value in values.values())
-        read = self._runtime.repeat_read(args.names, Blank(data, data.index(_COUNT.pack(_LARGEST)), places))
+        read = self._runtime.repeat_read(
+            args.names, Blank(data, data.index(_COUNT.pack(_LARGEST)), places)
+        )
         keep(self._reads, request, None if read is None else (read, data))
 
     def _learn_write(self, request: bytes, args: verbs.Write, said: str, author: str) -> None:
@@ -83,12 +93,16 @@ class Repeats:
         ((name, value),) = args.values.items()
         if type(value) is not float:
             return
-        try:  # whether the last eight bytes are the value, and nothing else is: with others there, another value must come out
+        # whether the last eight bytes are the value, and nothing else is: with others there,
+        # another value must come out
+        try:
             verb, other, by = codec.decode_request(key + _FLOAT.pack(_PROBE), self._lane)
         except LinkError:
             return
         if (verb.name, other, by) != ("write", verbs.Write(values={name: _PROBE}), said):
             return
         data = bytearray(codec.encode_result({"sequence": _LARGEST}))
-        write = self._runtime.repeat_write(name, author, len(key), Blank(data, data.index(_COUNT.pack(_LARGEST))))
+        write = self._runtime.repeat_write(
+            name, author, len(key), Blank(data, data.index(_COUNT.pack(_LARGEST)))
+        )
         keep(self._writes, key, None if write is None else (write, data, author))

@@ -64,7 +64,8 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
 
 
 def look_at(settings: Settings, folder: Path) -> str:
-    """Open a machine in a process of its own and close it again: what is wrong with it is said before a program is loaded.
+    """Open a machine in a process of its own and close it again: what is wrong with it is said
+    before a program is loaded.
 
     Parameters
     ----------
@@ -90,16 +91,22 @@ def look_at(settings: Settings, folder: Path) -> str:
         command = [str(build_runner()), "--look", str(file.path)]
         status = subprocess.run(command, timeout=settings.load_s, check=False).returncode
         if status != 0:
-            raise Refused(text_of(control.error) or f"the machine {settings.machine} ended the runner with status {status}")
+            raise Refused(
+                text_of(control.error)
+                or f"the machine {settings.machine} ended the runner with status {status}"
+            )
         return text_of(control.info.text)
     except subprocess.TimeoutExpired:
-        raise Refused(f"the machine {settings.machine} did not open within {settings.load_s:g} s") from None
+        raise Refused(
+            f"the machine {settings.machine} did not open within {settings.load_s:g} s"
+        ) from None
     finally:
         file.unlink()
 
 
 class RunnerProcess:
-    """One runner with its control and data files; ready, its UserInit done, when the constructor returns.
+    """One runner with its control and data files; ready, its UserInit done, when the constructor
+    returns.
 
     Parameters
     ----------
@@ -128,27 +135,34 @@ class RunnerProcess:
         data_path = folder / f"data-{number}"
         self._program = program
         self._contained = False  # not known yet
-        self.simulated = False  # not known yet: a crash while loading makes even a simulated machine safe, which does no harm
+        # not known yet: a crash while loading makes even a simulated machine safe, which does no
+        # harm
+        self.simulated = False
         try:
             _fill(self.control, settings, program, data_path)
             mark = uuid.uuid4().hex
             self._process = subprocess.Popen(
                 [str(build_runner()), str(self.control_file.path)],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True, cwd="/",
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                cwd="/",
                 env={**os.environ, MARK: mark},
-            )  # fmt: skip
+            )
         except BaseException:
             self.control_file.unlink()
             raise
         self._strays = Strays(self.pid, mark)
         self.handle = os.pidfd_open(self.pid) if hasattr(os, "pidfd_open") else -1
         if self.handle >= 0:
-            # not before the last that may ask: a number that is given anew would stand for another file
+            # not before the last that may ask: a number that is given anew would stand for another
+            # file
             weakref.finalize(self, os.close, self.handle)
         try:
             self._wait_ready()
             self.data_file = SharedFile(data_path)
-            self._contained = bool(self.control.contained)  # kept here: a wild pointer may change it
+            # kept here: a wild pointer may change it
+            self._contained = bool(self.control.contained)
             self.look()
             self.simulated = bool(self.control.info.simulated)
         except BaseException:
@@ -174,7 +188,8 @@ class RunnerProcess:
                 where = _WITHIN.get(int(self.control.within), "while it was being loaded")
                 self.kill()
                 raise RunnerDied(
-                    f"the program did not return within {self.settings.load_s:g} s {where}; it was ended"
+                    f"the program did not return within {self.settings.load_s:g} s {where}; it was"
+                    " ended"
                 )
             time.sleep(0.0005)
         if lib.monitor_load32(phase) == lib.PHASE_READY:
@@ -231,18 +246,23 @@ class RunnerProcess:
             hung and within not in _WITHIN
         ):  # not in anybody's code: it waited for its next sample and was not woken
             return (
-                f"the loop got no CPU for {self.settings.hang_s:g} s (another real-time program on the same CPU?): "
-                f"ended by the watchdog; {last}"
+                f"the loop got no CPU for {self.settings.hang_s:g} s (another real-time program on"
+                f" the same CPU?): ended by the watchdog; {last}"
             )
         if hung:
-            return f"no return within {self.settings.hang_s:g} s {where}: ended by the watchdog; {last}"
+            return (
+                f"no return within {self.settings.hang_s:g} s {where}: ended by the watchdog;"
+                f" {last}"
+            )
         if code is not None and code < 0:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
             return f"{name} {where}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
 
     def _status(self) -> int | None:
-        """Exit status of a process that has ended; `poll` alone answers None while another thread is asking."""
+        """Exit status of a process that has ended; `poll` alone answers None while another thread
+        is asking.
+        """
         try:
             return self._process.wait(2.0)
         except subprocess.TimeoutExpired:
@@ -289,14 +309,17 @@ class RunnerProcess:
             self._strays.look()
 
     def end_group(self) -> None:
-        """End what it started, where the system could not refuse that: its process group, and what left it."""
+        """End what it started, where the system could not refuse that: its process group, and what
+        left it.
+        """
         if not self._contained:
             self._strays.end()
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
 
     def make_safe(self) -> None:
-        """Bring real hardware into its safe state from a fresh process; a simulated machine ended with its runner.
+        """Bring real hardware into its safe state from a fresh process; a simulated machine ended
+        with its runner.
 
         The control file is made anew: the old one may be full of what a wild pointer wrote.
         """

@@ -1,4 +1,5 @@
-"""The real-time side as the server sees it: `zendsp_target.api.RuntimeApi` on shared memory and a native runner.
+"""The real-time side as the server sees it: `zendsp_target.api.RuntimeApi` on shared memory and a
+native runner.
 
 >>> from zendsp_target.runtime import Runtime
 >>> with Runtime("imi_planar", clock="fast") as runtime:
@@ -23,7 +24,15 @@ from zendsp_isr.build import source_root
 from zendsp_protocol.errors import RunnerDied
 from zendsp_protocol.kept import About, Kept
 from zendsp_protocol.messages import Held
-from zendsp_target.api import AcquireConfig, AcquireStatus, Blank, Change, Status, Value, VariableInfo
+from zendsp_target.api import (
+    AcquireConfig,
+    AcquireStatus,
+    Blank,
+    Change,
+    Status,
+    Value,
+    VariableInfo,
+)
 from zendsp_target.motion import Motion
 from zendsp_target.recorder import Recorder
 from zendsp_target.status import empty_status, status_of
@@ -59,14 +68,16 @@ class Runtime(Motion):
     rate_hz : float
         Samples a second, 1 … 100 000.
     clock : str
-        ``"real"``, or ``"fast"``: a simulated machine as fast as the CPU allows, with identical results.
+        ``"real"``, or ``"fast"``: a simulated machine as fast as the CPU allows, with identical
+        results.
     machine_config : mapping, optional
         Settings of the machine (start position …).
     concealed : str, optional
-        Handed to the machine and to nobody else before `reveal`: ``"seed:17"`` or a file, see `zendsp_target.concealed`.
+        Handed to the machine and to nobody else before `reveal`: ``"seed:17"`` or a file, see
+        `zendsp_target.concealed`.
     **options
-        Further fields of `zendsp_target.settings.Settings` (realtime, priority, cpu, spin_us, speed, hang_s, load_s), also as
-        text; and ``machine.KEY`` for settings of the machine.
+        Further fields of `zendsp_target.settings.Settings` (realtime, priority, cpu, spin_us,
+        speed, hang_s, load_s), also as text; and ``machine.KEY`` for settings of the machine.
 
     Raises
     ------
@@ -90,10 +101,12 @@ class Runtime(Motion):
 
     @property
     def left_behind(self) -> tuple[list[Kept], list[Kept]]:
-        """What targets that were killed had recorded: what stays in shared memory, and what the start of this one removed."""
+        """What targets that were killed had recorded: what stays in shared memory, and what the
+        start of this one removed.
+        """
         return self._folder.kept, self._folder.dropped
 
-    # ---- variables ----------------------------------------------------------------------------------------------------------
+    # ---- variables ----------------------------------------------------------------------------------------------------------  # noqa: E501
 
     def variables(self) -> tuple[VariableInfo, ...]:
         """Variables that the loaded program declares."""
@@ -114,7 +127,9 @@ class Runtime(Motion):
         return self._loaded().read(names)
 
     def ended(self) -> str:
-        """Why the loaded program no longer runs although nobody paused it, in a sentence; empty where it does or none is loaded."""
+        """Why the loaded program no longer runs although nobody paused it, in a sentence; empty
+        where it does or none is loaded.
+        """
         session = self._session
         return "" if session is None else session.ended()
 
@@ -153,7 +168,8 @@ class Runtime(Motion):
             raise
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
-        """What reads the same doubles again, straight into a reply; None where there is no such way.
+        """What reads the same doubles again, straight into a reply; None where there is no such
+        way.
 
         Parameters
         ----------
@@ -169,8 +185,11 @@ class Runtime(Motion):
         session = self._session
         return None if session is None else session.repeat_read(names, reply)
 
-    def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
-        """What writes the same double again, straight out of a request; None where there is no such way.
+    def repeat_write(
+        self, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None:
+        """What writes the same double again, straight out of a request; None where there is no such
+        way.
 
         Parameters
         ----------
@@ -184,13 +203,15 @@ class Runtime(Motion):
         Returns
         -------
         callable or None
-            Takes the request; returns the sequence number. 0: nothing was written, `write` says why.
+            Takes the request; returns the sequence number. 0: nothing was written, `write` says
+            why.
         """
         session = self._session
         return None if session is None else session.repeat_write(name, author, value_at, reply)
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
-        """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`."""
+        """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`.
+        """
         return self._loaded().updates.wait_applied(sequence, timeout)
 
     def log(self, since: int = 0) -> tuple[Change, ...]:
@@ -200,7 +221,7 @@ class Runtime(Motion):
             session.updates.harvest()
         return self._log.since(since)
 
-    # ---- acquisition --------------------------------------------------------------------------------------------------------
+    # ---- acquisition --------------------------------------------------------------------------------------------------------  # noqa: E501
 
     def acquire_configure(self, stream: int, config: AcquireConfig) -> AcquireStatus:
         """Set up a stream (0: recorder; 1 … 7: live); what it held before is dropped.
@@ -213,7 +234,8 @@ class Runtime(Motion):
         return self._recorder.configure(stream, config)
 
     def acquire_start(self, stream: int, force: bool = False) -> None:
-        """Begin to acquire, or wait for the trigger; `force` fires the trigger of a stream that is armed already.
+        """Begin to acquire, or wait for the trigger; `force` fires the trigger of a stream that is
+        armed already.
 
         Raises
         ------
@@ -223,7 +245,9 @@ class Runtime(Motion):
         self._recorder.start(stream, force)
 
     def acquire_keep(self, about: About) -> None:
-        """Have the rows of the recorder outlive this process if it is killed; see `zendsp_protocol.kept`."""
+        """Have the rows of the recorder outlive this process if it is killed; see
+        `zendsp_protocol.kept`.
+        """
         self._recorder.keep(about)
 
     def acquire_stop(self, stream: int) -> None:
@@ -235,16 +259,22 @@ class Runtime(Motion):
         return self._recorder.status(stream)
 
     def acquire_held(self, stream: int) -> Held:
-        """Where the rows of a stream stand, for a reader of the same user; see `acquisition.held`."""
+        """Where the rows of a stream stand, for a reader of the same user; see `acquisition.held`.
+        """
         return self._recorder.held(stream)
 
     def acquire_read(
-        self, stream: int, first: int, count: int, into: npt.NDArray[np.float64] | None = None, fold: bytearray | None = None
+        self,
+        stream: int,
+        first: int,
+        count: int,
+        into: npt.NDArray[np.float64] | None = None,
+        fold: bytearray | None = None,
     ) -> npt.NDArray[np.float64]:
         """Rows of a stream, shape (rows, channels). See `acquisition.read`."""
         return self._recorder.read(stream, first, count, into, fold)
 
-    # ---- status -------------------------------------------------------------------------------------------------------------
+    # ---- status -------------------------------------------------------------------------------------------------------------  # noqa: E501
 
     def status(self) -> Status:
         """Everything that a person wants to see at a glance."""
@@ -254,5 +284,10 @@ class Runtime(Motion):
     def __enter__(self) -> Runtime:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()

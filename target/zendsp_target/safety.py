@@ -14,9 +14,18 @@ from zendsp_target.layout import layout, text_of
 DRIVE_MODES = {"off": 0, "torque": 1, "velocity": 2}
 OVERRUN_POLICIES = {"count": 0, "skip": 1, "trip": 2}
 _REASONS = {
-    1: "stop", 2: "stop input", 3: "host lost", 4: "torque", 5: "speed", 6: "position", 7: "command", 8: "nan", 9: "overrun",
-    10: "sensor", 11: "homing",
-}  # fmt: skip
+    1: "stop",
+    2: "stop input",
+    3: "host lost",
+    4: "torque",
+    5: "speed",
+    6: "position",
+    7: "command",
+    8: "nan",
+    9: "overrun",
+    10: "sensor",
+    11: "homing",
+}
 REQUESTS = {"stop": 1, "host lost": 3}
 STOPS = ("stop", "stop input", "host lost")
 _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
@@ -37,10 +46,14 @@ def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
         return None
     raw = control.trip
     joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
-    return Trip(reason, joint, tick, value, limit, _sentence(machine, reason, joint, tick, value, limit))
+    return Trip(
+        reason, joint, tick, value, limit, _sentence(machine, reason, joint, tick, value, limit)
+    )
 
 
-def _sentence(machine: MachineInfo, reason: str, joint: int, tick: int, value: float, limit: float) -> str:
+def _sentence(
+    machine: MachineInfo, reason: str, joint: int, tick: int, value: float, limit: float
+) -> str:
     which = machine.joints[joint - 1] if 1 <= joint <= len(machine.joints) else machine.joints[0]
     unit, who = which.unit, which.name
     torque = "N" if unit == "m" else "N m"
@@ -48,7 +61,9 @@ def _sentence(machine: MachineInfo, reason: str, joint: int, tick: int, value: f
         "stop": "STOP was requested",
         "stop input": "the STOP input of the machine is active",
         "host lost": "the host that commanded the motion is gone",
-        "torque": f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}",
+        "torque": (
+            f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}"
+        ),
         "speed": f"{who}: speed of {value:.4g} {unit}/s exceeds the limit of {limit:.4g} {unit}/s",
         "position": f"{who}: position {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
         "command": f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV",
@@ -70,21 +85,43 @@ def machine_of(control: Any) -> MachineInfo:
     info = control.info
     joints = tuple(
         JointInfo(
-            text_of(j.name), text_of(j.unit), text_of(j.command), j.counts_per_unit, j.zero_counts, j.mv_per_torque,
-            j.mv_per_speed, j.command_max, j.position_min, j.position_max, j.speed_max, j.torque_max, j.home, j.length,
+            text_of(j.name),
+            text_of(j.unit),
+            text_of(j.command),
+            j.counts_per_unit,
+            j.zero_counts,
+            j.mv_per_torque,
+            j.mv_per_speed,
+            j.command_max,
+            j.position_min,
+            j.position_max,
+            j.speed_max,
+            j.torque_max,
+            j.home,
+            j.length,
         )
         for j in (info.joint[i] for i in range(info.joints))
-    )  # fmt: skip
+    )
     return MachineInfo(
-        text_of(info.name), text_of(info.text), bool(info.simulated), joints,
-        tuple(text_of(info.adc_name[i]) for i in range(info.adcs)), tuple(text_of(info.adc_unit[i]) for i in range(info.adcs)),
-        info.dins, info.douts, info.stop_input, bool(info.needs_homing),
-    )  # fmt: skip
+        text_of(info.name),
+        text_of(info.text),
+        bool(info.simulated),
+        joints,
+        tuple(text_of(info.adc_name[i]) for i in range(info.adcs)),
+        tuple(text_of(info.adc_unit[i]) for i in range(info.adcs)),
+        info.dins,
+        info.douts,
+        info.stop_input,
+        bool(info.needs_homing),
+    )
 
 
 def limits_of(values: dict[str, Value]) -> Limits:
     """Limits from the values of the settings ``limit.…``."""
-    arrays = {name: tuple(float(x) for x in np.atleast_1d(np.asarray(values[f"limit.{name}"]))) for name in _ARRAYS}
+    arrays = {
+        name: tuple(float(x) for x in np.atleast_1d(np.asarray(values[f"limit.{name}"])))
+        for name in _ARRAYS
+    }
     return Limits(**arrays, torque_clamp=bool(values["limit.torque_clamp"]))
 
 
@@ -94,7 +131,8 @@ def limit_names() -> tuple[str, ...]:
 
 
 def check_limits(machine: MachineInfo, changes: dict[str, Any]) -> dict[str, Any]:
-    """Settings for changed limits, checked against the machine: a limit may be tightened, never beyond what the machine bears.
+    """Settings for changed limits, checked against the machine: a limit may be tightened, never
+    beyond what the machine bears.
 
     Parameters
     ----------
@@ -124,10 +162,15 @@ def check_limits(machine: MachineInfo, changes: dict[str, Any]) -> dict[str, Any
         array = np.full(joints, float(array)) if array.ndim == 0 else array
         if array.shape != (joints,) or not np.all(np.isfinite(array)):
             raise Refused(f"limit {name}: give {joints} finite numbers, got {value!r}")
-        for joint, (wanted, own) in enumerate(zip(array, (getattr(j, name) for j in machine.joints), strict=True), 1):
+        for joint, (wanted, own) in enumerate(
+            zip(array, (getattr(j, name) for j in machine.joints), strict=True), 1
+        ):
             beyond = wanted < own if name == "position_min" else wanted > own
             if beyond or (name not in ("position_min", "position_max") and wanted < 0.0):
-                raise Refused(f"limit {name} of joint {joint}: {wanted:g} is outside what the machine bears ({own:g})")
+                raise Refused(
+                    f"limit {name} of joint {joint}: {wanted:g} is outside what the machine bears"
+                    f" ({own:g})"
+                )
         settings[f"limit.{name}"] = float(array[0]) if joints == 1 else array
     return settings
 

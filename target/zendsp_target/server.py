@@ -1,4 +1,6 @@
-"""The Zenoh side of the target: lanes of requests, publications, and the tokens that show it is alive."""
+"""The Zenoh side of the target: lanes of requests, publications, and the tokens that show it is
+alive.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ from zendsp_target.service import Identity, Service
 
 log = logging.getLogger(__name__)
 
-# Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile, a wait for a sample or a large transfer must
-# neither hold these up nor each other.
+# Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile,
+# a wait for a sample or a large transfer must neither hold these up nor each other.
 THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
 WRITE = verbs.VERBS["write"]
 WAITING = 1024  # requests that may wait in a lane
@@ -61,7 +63,9 @@ class Server:
         self._threads: list[threading.Thread] = []
         self._queryables: list[Any] = []
         for lane, count in THREADS.items():
-            self._serve(keys.rpc(self.name, lane), [self._answerer(lane, False) for _ in range(count)])
+            self._serve(
+                keys.rpc(self.name, lane), [self._answerer(lane, False) for _ in range(count)]
+            )
             # STOP of each waits in a queue of its own, behind nobody else's requests
             for user in self._doors.named if lane == "stop" else ("*",):
                 self._serve(keys.rpc(self.name, lane, user), [self._answerer(lane, True)])
@@ -83,15 +87,19 @@ class Server:
         for thread in self._threads:
             thread.join(JOIN_S)
 
-    # requests --------------------------------------------------------------------------------------------------------
+    # requests
+    # ----------------------------------------------------------------------------------------------
 
     def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
         """Answer what comes for a key, in as many threads.
 
-        A queue that is full lets go of its oldest request, whose sender asks again. One that held back the sender would
-        hold back others too: the few threads in which Zenoh receives would all wait there, and STOP with them.
+        A queue that is full lets go of its oldest request, whose sender asks again. One that held
+        back the sender would hold back others too: the few threads in which Zenoh receives would
+        all wait there, and STOP with them.
         """
-        queryable = self._session.declare_queryable(key, zenoh.handlers.RingChannel(WAITING), complete=True)
+        queryable = self._session.declare_queryable(
+            key, zenoh.handlers.RingChannel(WAITING), complete=True
+        )
         self._queryables.append(queryable)
         waiting = queryable.handler
 
@@ -112,7 +120,9 @@ class Server:
         self._threads.append(thread)
 
     def _answerer(self, lane: str, named: bool) -> Callable[[zenoh.Query], None]:
-        """Make what answers the requests of a lane in one thread; of hosts that are known by name, or of the target's own user."""
+        """Make what answers the requests of a lane in one thread; of hosts that are known by name,
+        or of the target's own user.
+        """
         made: dict[str, Repeats] = {}
 
         def of(user: str) -> Repeats:
@@ -120,7 +130,13 @@ class Server:
 
         return partial(self._request, lane, named, of if lane == "quick" else None)
 
-    def _request(self, lane: str, named: bool, repeats_of: Callable[[str], Repeats] | None, query: zenoh.Query) -> None:
+    def _request(
+        self,
+        lane: str,
+        named: bool,
+        repeats_of: Callable[[str], Repeats] | None,
+        query: zenoh.Query,
+    ) -> None:
         """Answer one request, whatever happens: silence would look like a dead target."""
         reply: bytes | bytearray
         ticket: Ticket | None = None
@@ -137,8 +153,13 @@ class Server:
             if payload is None:
                 raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
             request = payload.to_bytes()
-            # a role that may write may read as well; who has less goes the whole way, where each verb asks for its own
-            repeats = repeats_of(user) if repeats_of and (not user or may(self._doors.role_of(user), WRITE)) else None
+            # a role that may write may read as well; who has less goes the whole way, where each
+            # verb asks for its own
+            repeats = (
+                repeats_of(user)
+                if repeats_of and (not user or may(self._doors.role_of(user), WRITE))
+                else None
+            )
             short = None if repeats is None else repeats.answer(request)
             if short is not None:
                 reply = short
@@ -151,7 +172,11 @@ class Server:
                 if verb.name == "compile":
                     self._doors.check_upload(user)
                 handler = self.service.handlers.get(verb.name)
-                result = self._special(verb, args, by, user, query) if handler is None else handler(args, by)
+                result = (
+                    self._special(verb, args, by, user, query)
+                    if handler is None
+                    else handler(args, by)
+                )
                 reply = codec.encode_result(result)
                 if repeats is not None:
                     repeats.learn(request, verb, args, said, by)
@@ -179,9 +204,12 @@ class Server:
             reply = codec.encode_error(error)
         self._answered(query, ticket, reply)
 
-    def _answered(self, query: zenoh.Query, ticket: Ticket | None, reply: bytes | bytearray) -> None:
+    def _answered(
+        self, query: zenoh.Query, ticket: Ticket | None, reply: bytes | bytearray
+    ) -> None:
         """Reply, also to those who sent the same request again while it was carried out."""
-        self._reply(query, reply)  # first: who waits is spared the rest, and who asks again until then is answered below
+        # first: who waits is spared the rest, and who asks again until then is answered below
+        self._reply(query, reply)
         if ticket is not None:
             for again in self.service.once.finish(ticket, reply):
                 self._reply(again, reply)
@@ -194,7 +222,8 @@ class Server:
         finally:
             query.drop()  # type: ignore[no-untyped-call]
 
-    # for any Zenoh client --------------------------------------------------------------------------------------------
+    # for any Zenoh client
+    # --------------------------------------------------------------------------------------------
 
     def _info(self, query: zenoh.Query) -> None:
         self._answer(
@@ -210,10 +239,13 @@ class Server:
             check_role(user, self._doors.role_of(user), verbs.VERBS["read"])
         runtime = self.service.runtime
         infos = {info.name: info for info in runtime.variables()}
-        found = [n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n, user)))]
+        found = [
+            n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n, user)))
+        ]
         if not found:
             raise LinkError(
-                f"no variable matches {wanted}; there are: {', '.join(infos) or 'none (no program loaded)'}"
+                f"no variable matches {wanted}; there are:"
+                f" {', '.join(infos) or 'none (no program loaded)'}"
             )
         tick, read = runtime.read(found)
         return {
@@ -246,7 +278,8 @@ class Server:
         if (stream, user) not in self._publishers:
             self._publishers[stream, user] = self._session.declare_publisher(
                 keys.live(self.name, stream, user),
-                congestion_control=zenoh.CongestionControl.DROP,  # a viewer that hangs must not hold up the others
+                # a viewer that hangs must not hold up the others
+                congestion_control=zenoh.CongestionControl.DROP,
                 express=True,
             )
         return self._publishers[stream, user]
@@ -255,7 +288,9 @@ class Server:
         return not user or may(self._doors.role_of(user), verbs.VERBS["live_open"])
 
     def _pulse(self) -> None:
-        """Publish the status at every change of state and twice a second; end live views whose role was taken away."""
+        """Publish the status at every change of state and twice a second; end live views whose role
+        was taken away.
+        """
         publisher = self._session.declare_publisher(keys.event(self.name))
         last, due = None, 0.0
         while not self._end.wait(PULSE_POLL_S):
@@ -268,7 +303,13 @@ class Server:
                 log.exception("the status cannot be read")
                 continue
             now = time.monotonic()
-            shown = (status["state"], status["drive"], status["crash"], status["hosts"], status["trip"])
+            shown = (
+                status["state"],
+                status["drive"],
+                status["crash"],
+                status["hosts"],
+                status["trip"],
+            )
             if shown != last or now >= due:
                 last, due = shown, now + PULSE_S
                 publisher.put(codec.encode({"v": PROTOCOL, **status}))

@@ -1,4 +1,6 @@
-"""What each verb does: the arguments are checked already, errors are replies, and nothing here knows Zenoh."""
+"""What each verb does: the arguments are checked already, errors are replies, and nothing here
+knows Zenoh.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ from zendsp_target.once import Once
 from zendsp_target.repeats import Repeats
 from zendsp_target.variable_verbs import VariableVerbs
 
-SPECIAL = ("acquire_read", "live_open")  # answered by the server: they need more than arguments and author
+# answered by the server: they need more than arguments and author
+SPECIAL = ("acquire_read", "live_open")
 REMEMBERED = 32  # programs whose sources are kept for the recordings
 POST_MORTEM_S = 4.0  # at most, until it is known how a runner died
 
@@ -46,7 +49,8 @@ class Identity:
 class Service:
     """Handlers of all verbs, in terms of a runtime.
 
-    ``handlers`` maps each verb to ``function(arguments, author) -> result``; more may be added before the server starts.
+    ``handlers`` maps each verb to ``function(arguments, author) -> result``; more may be added
+    before the server starts.
     """
 
     def __init__(
@@ -72,7 +76,8 @@ class Service:
         }
         self.drives.guard(self.handlers)
 
-    # the target ------------------------------------------------------------------------------------------------------
+    # the target
+    # ----------------------------------------------------------------------------------------------
 
     def do_info(self, args: verbs.Nothing, by: str) -> m.Info:
         status = self.runtime.status()
@@ -107,7 +112,11 @@ class Service:
         """Status of a runner that is dead already, once it is known how it died."""
         deadline = time.monotonic() + POST_MORTEM_S
         status = self.runtime.status()
-        while status.state == ProgramState.CRASHED and not status.crash and time.monotonic() < deadline:
+        while (
+            status.state == ProgramState.CRASHED
+            and not status.crash
+            and time.monotonic() < deadline
+        ):
             time.sleep(0.005)
             status = self.runtime.status()
         return self._shown(status)
@@ -119,7 +128,8 @@ class Service:
     def do_stopped(self, args: verbs.Nothing, by: str) -> Any:
         return self._shown(self.runtime.status())
 
-    # what a simulated machine conceals ----------------------------------------------------------------------------------
+    # what a simulated machine conceals
+    # ----------------------------------------------------------------------------------
 
     def do_seal(self, args: verbs.Nothing, by: str) -> m.Seal:
         return m.Seal(sha256=self.runtime.seal())
@@ -128,13 +138,17 @@ class Service:
         record, sha256 = self.runtime.reveal(), self.runtime.seal()
         return m.Revealed(record=record, sha256=sha256, tick=self.runtime.status().tick)
 
-    # programs --------------------------------------------------------------------------------------------------------
+    # programs
+    # ----------------------------------------------------------------------------------------------
 
     def do_compile(self, args: verbs.Compile, by: str) -> CompileResult:
         result = self.runtime.compile(args.sources, args.flags)
         if result.ok:
             program = m.Program(
-                key=result.key, sources=args.sources, flags=tuple(result.flags), compiler=result.compiler
+                key=result.key,
+                sources=args.sources,
+                flags=tuple(result.flags),
+                compiler=result.compiler,
             )
             with self._lock:
                 self._programs[result.key] = program
@@ -181,16 +195,24 @@ class Service:
             program = self._programs.get(key) or m.Program(key=key)
         return msgspec.structs.replace(program, log_start=self._log_start)
 
-    # acquisition -----------------------------------------------------------------------------------------------------
+    # acquisition
+    # ----------------------------------------------------------------------------------------------
 
     def do_acquire_configure(self, args: verbs.AcquireConfigure, by: str) -> Any:
         trigger = None if args.trigger is None else Trigger(
             args.trigger.source, args.trigger.level, args.trigger.edge, args.trigger.pre_s
         )  # fmt: skip
-        config = AcquireConfig(tuple(args.channels), args.decimation, args.seconds, trigger, args.continuous)
+        config = AcquireConfig(
+            tuple(args.channels), args.decimation, args.seconds, trigger, args.continuous
+        )
         with self._lock:
             owner = self._recorder_owner
-            busy = self.runtime.acquire_status(RECORDER).state in (RecorderState.ARMED, RecorderState.RUNNING) if owner else False
+            busy = (
+                self.runtime.acquire_status(RECORDER).state
+                in (RecorderState.ARMED, RecorderState.RUNNING)
+                if owner
+                else False
+            )
             if busy and owner != by and owner in self.present() and not args.take:
                 raise Refused(f"{owner} is recording; wait, or take the recorder over (take=True)")
             status = self.runtime.acquire_configure(RECORDER, config)
@@ -214,7 +236,11 @@ class Service:
             program=self.do_program(verbs.Nothing(), ""),
             parameters=self.runtime.read(names)[1] if names else {},
             versions={**info.versions, "protocol": str(PROTOCOL)},
-            extra={"program": status.program, "scheduling": status.scheduling, "clock": status.clock},
+            extra={
+                "program": status.program,
+                "scheduling": status.scheduling,
+                "clock": status.clock,
+            },
         )
 
     def do_acquire_stop(self, args: verbs.Nothing, by: str) -> m.Empty:
@@ -227,11 +253,14 @@ class Service:
     def do_acquire_held(self, args: verbs.Nothing, by: str) -> m.Held:
         return self.runtime.acquire_held(RECORDER)
 
-    # live ------------------------------------------------------------------------------------------------------------
+    # live
+    # ----------------------------------------------------------------------------------------------
 
     def open_live(self, args: verbs.LiveOpen, by: str, user: str) -> m.LiveOpened:
         """Answer ``live_open``: the key is that of the name under which the host is known."""
-        stream = self.live.open(args.channels, args.decimation, args.interval, args.window, by, user)
+        stream = self.live.open(
+            args.channels, args.decimation, args.interval, args.window, by, user
+        )
         rate = self.runtime.status().rate_hz
         return m.LiveOpened(
             stream=stream.number,
@@ -246,7 +275,9 @@ class Service:
         return m.Empty()
 
     def host_gone(self, host: str) -> None:
-        """Give back what a vanished host held; the program goes on, unless that host commanded (see ``drives``)."""
+        """Give back what a vanished host held; the program goes on, unless that host commanded (see
+        ``drives``).
+        """
         self.drives.host_gone(host)
         self.live.forget(host)
 

@@ -1,4 +1,6 @@
-"""One load of a program: its runner, its dictionary, its updates. Readable after its runner has died."""
+"""One load of a program: its runner, its dictionary, its updates. Readable after its runner has
+died.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class Session:
         As `RunnerProcess`.
     """
 
-    def __init__(self, key: str, settings: Settings, program: Path, folder: Path, number: int, log: ChangeLog) -> None:
+    def __init__(
+        self, key: str, settings: Settings, program: Path, folder: Path, number: int, log: ChangeLog
+    ) -> None:
         self.key, self.settings = key, settings
         self.crash = ""
         self.started = False
@@ -54,15 +58,22 @@ class Session:
         data = self.process.data_file
         memory = np.frombuffer(data.map, dtype=np.uint8)
         start = int(self.control.initial_offset)
-        self.dictionary = Dictionary(self.control, memory[start : start + int(self.control.snapshot_bytes)].copy())
-        self.updates = Updates(self.control, data, self.dictionary, log, self.process.alive, self.process.handle)
+        self.dictionary = Dictionary(
+            self.control, memory[start : start + int(self.control.snapshot_bytes)].copy()
+        )
+        self.updates = Updates(
+            self.control, data, self.dictionary, log, self.process.alive, self.process.handle
+        )
         self._memory = memory
-        # kept here, since user code with a wild pointer may overwrite what is shared: nothing there shall steer a copy
+        # kept here, since user code with a wild pointer may overwrite what is shared: nothing there
+        # shall steer a copy
         self.machine = machine_of(self.control)
         self._newest = ffi_address(self.control, "newest")
         self._slots_at = int(self.control.snapshot_offset)
         self._slots = data.pointer("unsigned char", self._slots_at)
-        self._stride, self._bytes = int(self.control.snapshot_stride), int(self.control.snapshot_bytes)
+        self._stride, self._bytes = int(self.control.snapshot_stride), int(
+            self.control.snapshot_bytes
+        )
         ffi, _ = layout()
         self._ended = ffi.new("uint32_t *")  # for what was made ready, and is kept by others
         self._read_plans: dict[tuple[str, ...], ReadPlan] = {}
@@ -70,10 +81,13 @@ class Session:
 
     def _died(self, sentence: str) -> None:
         self.crash = sentence
-        layout()[1].monitor_store32(self._ended, 1)  # what was made ready would not say that the values are old
+        # what was made ready would not say that the values are old
+        layout()[1].monitor_store32(self._ended, 1)
 
     def ended(self) -> str:
-        """Why the program no longer runs, in a sentence: it crashed, or a STOP or trip is latched; else empty."""
+        """Why the program no longer runs, in a sentence: it crashed, or a STOP or trip is latched;
+        else empty.
+        """
         if not self.alive():
             return f"the program crashed: {self.crash or 'the runner ended'}"
         trip = safety.trip_of(self.control, self.machine)
@@ -87,7 +101,9 @@ class Session:
         """Raise RunnerDied, with how it died, when the runner is gone."""
         if not self.alive():
             self._supervisor.join()
-            raise RunnerDied(f"the runner is gone ({self.crash or 'ended'}): load the program again")
+            raise RunnerDied(
+                f"the runner is gone ({self.crash or 'ended'}): load the program again"
+            )
 
     @property
     def tick(self) -> int:
@@ -123,7 +139,9 @@ class Session:
                     return
                 self.require_alive()
             if time.monotonic() > end:
-                raise Refused(f"the loop does not answer to {what} within {timeout_s:g} s: see status")
+                raise Refused(
+                    f"the loop does not answer to {what} within {timeout_s:g} s: see status"
+                )
             time.sleep(0.0002)
 
     def snapshot(self) -> tuple[int, np.ndarray[tuple[int], np.dtype[np.uint8]]]:
@@ -132,7 +150,14 @@ class Session:
         values = np.empty(self._bytes, dtype=np.uint8)
         tick = ffi.new("uint64_t *")
         target = ffi.cast("unsigned char *", ffi.from_buffer(values))
-        self.until(lambda: bool(lib.monitor_snapshot(self._newest, self._slots, self._stride, 0, self._bytes, target, tick)), "reading")
+        self.until(
+            lambda: bool(
+                lib.monitor_snapshot(
+                    self._newest, self._slots, self._stride, 0, self._bytes, target, tick
+                )
+            ),
+            "reading",
+        )
         return int(tick[0]), values
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
@@ -145,7 +170,10 @@ class Session:
         """
         key = tuple(names)
         plan = self._read_plans.get(key)
-        if plan is not None and (read := plan.read(self._newest, self._slots, self._stride)) is not None:
+        if (
+            plan is not None
+            and (read := plan.read(self._newest, self._slots, self._stride)) is not None
+        ):
             return read
         places: dict[str, Place] = {}
         problems: list[str] = []
@@ -167,7 +195,9 @@ class Session:
         return tick, {name: found[name] for name in names}
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
-        """Make what fills a reply with the newest values of the same names; see `RuntimeApi.repeat_read`."""
+        """Make what fills a reply with the newest values of the same names; see
+        `RuntimeApi.repeat_read`.
+        """
         plan = self._read_plans.get(tuple(names))
         if plan is None:
             return None
@@ -176,7 +206,9 @@ class Session:
         data = ffi.from_buffer("unsigned char[]", self.process.data_file.map)
         return plan.again(self._ended, control, data, self._slots_at, self._stride, reply)
 
-    def repeat_write(self, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
+    def repeat_write(
+        self, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None:
         """Make what writes one value again; see `RuntimeApi.repeat_write`."""
         return self.updates.repeat(self._ended, name, author, value_at, reply)
 
@@ -185,7 +217,12 @@ class Session:
         word = int(self.control.variable[entry.index].table)
         rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
         start = entry.banks[word >> 32 & 1]
-        return self._memory[start : start + rows * columns * 8].view("<f8").reshape(rows, columns).copy()
+        return (
+            self._memory[start : start + rows * columns * 8]
+            .view("<f8")
+            .reshape(rows, columns)
+            .copy()
+        )
 
     def set_settings(self, values: Mapping[str, object], author: str) -> int:
         """Write the runtime's own settings as one update."""

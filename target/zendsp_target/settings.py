@@ -1,4 +1,6 @@
-"""How a runner runs: rate, clock, scheduling, watchdog; checked here, and read from text where a command line gives it."""
+"""How a runner runs: rate, clock, scheduling, watchdog; checked here, and read from text where a
+command line gives it.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Settings:
     cpu : int
         CPU of the loop, -1: the last one.
     spin_us : float
-        Stretch before each deadline that is waited awake (only under SCHED_RR, at most 0.6 of the period), µs.
+        Stretch before each deadline that is waited awake (only under SCHED_RR, at most 0.6 of the
+        period), µs.
     speed : float
         Fast clock: at most so many machine seconds a second; 0: no limit.
     hang_s : float
@@ -40,7 +43,8 @@ class Settings:
     load_s : float
         UserInit that does not return within so many seconds ends the runner.
     memory_mb : float
-        That user code may take beside what the machine has, shared memory aside, 50 MB or more; beyond it `malloc` returns NULL.
+        That user code may take beside what the machine has, shared memory aside, 50 MB or more;
+        beyond it `malloc` returns NULL.
     """
 
     machine: str
@@ -71,7 +75,8 @@ class Settings:
 
 
 def split_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Options as a command line gives them: fields of `Settings`, as text or as values, and ``machine.KEY``.
+    """Options as a command line gives them: fields of `Settings`, as text or as values, and
+    ``machine.KEY``.
 
     Parameters
     ----------
@@ -94,14 +99,20 @@ def split_options(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str,
     >>> split_options({"spin_us": "0", "machine.q1": "0.3"})
     ({'spin_us': 0.0}, {'q1': '0.3'})
     """
-    known = {f.name: f.default for f in fields(Settings) if f.name not in ("machine", "machine_config", "rate_hz", "clock")}
+    known = {
+        f.name: f.default
+        for f in fields(Settings)
+        if f.name not in ("machine", "machine_config", "rate_hz", "clock")
+    }
     settings: dict[str, Any] = {}
     machine: dict[str, Any] = {}
     for name, value in options.items():
         if name.startswith("machine."):
             machine[name.removeprefix("machine.")] = value
         elif name not in known:
-            raise Refused(f"no option {name!r}: there are {', '.join(known)}, concealed, and machine.KEY")
+            raise Refused(
+                f"no option {name!r}: there are {', '.join(known)}, concealed, and machine.KEY"
+            )
         else:
             settings[name] = _converted(name, value, known[name])
     return settings, machine

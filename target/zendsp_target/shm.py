@@ -1,6 +1,8 @@
-"""Files in shared memory: plain ``mmap`` on ``/dev/shm``, in a folder that its owner's lock marks as alive.
+"""Files in shared memory: plain ``mmap`` on ``/dev/shm``, in a folder that its owner's lock marks
+as alive.
 
-Not ``multiprocessing.shared_memory``: its resource tracker deletes a segment when a process that merely attached exits.
+Not ``multiprocessing.shared_memory``: its resource tracker deletes a segment when a process that
+merely attached exits.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from zendsp_target.layout import layout
 
 
 def _clear_abandoned() -> tuple[list[Kept], list[Kept]]:
-    """Remove what targets left that were killed; recorded rows of the last few stay. Returns what stays and what went of these."""
+    """Remove what targets left that were killed; recorded rows of the last few stay. Returns what
+    stays and what went of these.
+    """
     with kept.abandoned() as folders:
         found: list[tuple[float, Path, Kept]] = []
         for folder in folders:
@@ -44,7 +48,9 @@ def _available_memory() -> int:
     """Bytes that programs may still take, as the kernel reckons."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:"))
+        return next(
+            int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")
+        )
     except (OSError, StopIteration, ValueError, IndexError):
         return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
@@ -55,7 +61,8 @@ class SharedFolder:
     Attributes
     ----------
     kept, dropped : list of Kept
-        What targets that were killed had recorded: what stays in shared memory, and what was removed now.
+        What targets that were killed had recorded: what stays in shared memory, and what was
+        removed now.
     """
 
     def __init__(self) -> None:
@@ -85,8 +92,8 @@ class SharedFile:
     ----------
     path : Path
     size : int or None
-        Create the file with so many bytes, allocated now (a full /dev/shm is an error here, not a crash later); None: map it
-        as it is.
+        Create the file with so many bytes, allocated now (a full /dev/shm is an error here, not a
+        crash later); None: map it as it is.
     """
 
     def __init__(self, path: Path, size: int | None = None) -> None:

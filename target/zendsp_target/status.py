@@ -26,9 +26,20 @@ def empty_status(settings: Settings) -> Status:
         Of the next load.
     """
     return Status(
-        state=ProgramState.EMPTY, tick=0, t=0.0, rate_hz=settings.rate_hz, clock=settings.clock, scheduling="", machine=settings.machine,
-        joints=0, program="", timing=safety.no_timing(), drive=DriveState.OFF, trip=None, crash="",
-    )  # fmt: skip
+        state=ProgramState.EMPTY,
+        tick=0,
+        t=0.0,
+        rate_hz=settings.rate_hz,
+        clock=settings.clock,
+        scheduling="",
+        machine=settings.machine,
+        joints=0,
+        program="",
+        timing=safety.no_timing(),
+        drive=DriveState.OFF,
+        trip=None,
+        crash="",
+    )
 
 
 def status_of(session: Session) -> Status:
@@ -44,12 +55,23 @@ def status_of(session: Session) -> Status:
     tick = session.tick
     mode, homed = _MODES.get(int(control.drive_mode), "off"), bool(control.homed)
     return Status(
-        state=state, tick=tick, t=tick / session.settings.rate_hz, rate_hz=session.settings.rate_hz,
-        clock=session.settings.clock, scheduling=text_of(control.scheduling), machine=session.machine.name,
-        joints=len(session.machine.joints), program=session.key, timing=safety.timing_of(control),
-        drive=_drive(state, trip.reason if trip else "", mode, homed), trip=trip, crash=session.crash,
-        io=_io(session), homed=homed, drive_mode=mode,
-    )  # fmt: skip
+        state=state,
+        tick=tick,
+        t=tick / session.settings.rate_hz,
+        rate_hz=session.settings.rate_hz,
+        clock=session.settings.clock,
+        scheduling=text_of(control.scheduling),
+        machine=session.machine.name,
+        joints=len(session.machine.joints),
+        program=session.key,
+        timing=safety.timing_of(control),
+        drive=_drive(state, trip.reason if trip else "", mode, homed),
+        trip=trip,
+        crash=session.crash,
+        io=_io(session),
+        homed=homed,
+        drive_mode=mode,
+    )
 
 
 def _state(session: Session, tripped: bool) -> ProgramState:
@@ -79,4 +101,6 @@ def _io(session: Session) -> dict[str, npt.NDArray[np.float64]]:
         _, values = session.read(names)
     except (RunnerDied, Refused):
         return {}
-    return {name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()}
+    return {
+        name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()
+    }

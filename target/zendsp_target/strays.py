@@ -1,4 +1,6 @@
-"""Processes that user code started where the system has no filter of system calls: found, and ended with their runner."""
+"""Processes that user code started where the system has no filter of system calls: found, and ended
+with their runner.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ class Strays:
     runner : int
         Its process id. It is the subreaper of what it starts, so nothing leaves it while it lives.
     mark : str
-        Value of `MARK` in its environment, by which most of the rest is found once it is dead; what took that off is found by the
-        sessions and groups of what was seen.
+        Value of `MARK` in its environment, by which most of the rest is found once it is dead; what
+        took that off is found by the sessions and groups of what was seen.
     """
 
     def __init__(self, runner: int, mark: str) -> None:
@@ -32,14 +34,20 @@ class Strays:
         self._seen: set[Process] = set()
 
     def look(self) -> None:
-        """Note what is beneath the runner now: one that took the mark off is known when the runner is dead."""
+        """Note what is beneath the runner now: one that took the mark off is known when the runner
+        is dead.
+        """
         self._seen |= _beneath(self._runner)
 
     def end(self) -> None:
         """End all of them; those that start more meanwhile as well."""
         for _ in range(ROUNDS):
             self.look()
-            left = {process for process in self._seen | self._elsewhere() if born(process[0]) == process[1] != ""}
+            left = {
+                process
+                for process in self._seen | self._elsewhere()
+                if born(process[0]) == process[1] != ""
+            }
             if not left:
                 return
             for number, _ in left:
@@ -56,7 +64,9 @@ class Strays:
             with contextlib.suppress(OSError, IndexError):
                 fields = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
                 related = {int(fields[2]), int(fields[3])} & known  # group, session
-                if number != self._runner and (related or self._mark in (folder / "environ").read_bytes().split(b"\0")):
+                if number != self._runner and (
+                    related or self._mark in (folder / "environ").read_bytes().split(b"\0")
+                ):
                     found.add((number, born(number)))
         return found
 

@@ -1,4 +1,6 @@
-"""Watch one runner: see it die at once, end it when it hangs, and bring the machine into its safe state."""
+"""Watch one runner: see it die at once, end it when it hangs, and bring the machine into its safe
+state.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,12 @@ class Supervisor:
         Called once, with a sentence, when the runner ended without being asked to.
     """
 
-    def __init__(self, process: RunnerProcess, each_round: Callable[[], None], on_death: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        process: RunnerProcess,
+        each_round: Callable[[], None],
+        on_death: Callable[[str], None],
+    ) -> None:
         self._process, self._each_round, self._on_death = process, each_round, on_death
         self._expected = threading.Event()
         self._thread = threading.Thread(target=self._run, name="zendsp-supervisor", daemon=True)
@@ -47,10 +54,14 @@ class Supervisor:
             self._process.look()
             self._each_round()
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
-            # a computer that stood still (or starved this thread) must not look like a program that did
+            # a computer that stood still (or starved this thread) must not look like a program that
+            # did
             passed, last = min(now - last, 2.0 * _ROUND_S), now
-            # odd: within a sample. Even: the loop waits for its deadline, which a slow rate may set far ahead
-            allowed = self._process.settings.hang_s + (0.0 if beat % 2 else 2.0 / self._process.settings.rate_hz)
+            # odd: within a sample. Even: the loop waits for its deadline, which a slow rate may set
+            # far ahead
+            allowed = self._process.settings.hang_s + (
+                0.0 if beat % 2 else 2.0 / self._process.settings.rate_hz
+            )
             stalled = stalled + passed if beat == seen else 0.0
             seen = beat
             if stalled > allowed:

@@ -1,7 +1,9 @@
-"""Synchronous updates: any number of variables, applied whole at the start of one sample, and the log of what changed.
+"""Synchronous updates: any number of variables, applied whole at the start of one sample, and the
+log of what changed.
 
-A batch is filled in shared memory and then published by one release store: a monitor that dies while filling it has published
-nothing. The loop exchanges values when it applies a batch, so the old ones come back exactly as they were at that sample.
+A batch is filled in shared memory and then published by one release store: a monitor that dies
+while filling it has published nothing. The loop exchanges values when it applies a batch, so the
+old ones come back exactly as they were at that sample.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from zendsp_target.shm import SharedFile
 from zendsp_target.values import FloatArray, check_kind, numbers_of
 
 _SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
-_SHORT_NS = 100_000  # periods up to this one are waited for awake: falling asleep and waking take as long
+# periods up to this one are waited for awake: falling asleep and waking take as long
+_SHORT_NS = 100_000
 _TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
 _MAX_ACKS = 4096
 _LAST_TICK = 2**64 - 1
@@ -49,7 +52,13 @@ class Updates:
     """
 
     def __init__(
-        self, control: Any, data: SharedFile, dictionary: Dictionary, log: ChangeLog, alive: Callable[[], bool], handle: int = -1
+        self,
+        control: Any,
+        data: SharedFile,
+        dictionary: Dictionary,
+        log: ChangeLog,
+        alive: Callable[[], bool],
+        handle: int = -1,
     ) -> None:
         ffi, lib = layout()
         self._lib, self._control, self._data = lib, control, data
@@ -75,9 +84,11 @@ class Updates:
         self._sequence = 0
         self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
 
-    # ---- write ------------------------------------------------------------------------------------------------------------
+    # ---- write ------------------------------------------------------------------------------------------------------------  # noqa: E501
 
-    def write(self, values: Mapping[str, object], author: str, at_tick: int | None, settings: bool = False) -> int:
+    def write(
+        self, values: Mapping[str, object], author: str, at_tick: int | None, settings: bool = False
+    ) -> int:
         """Check everything, then commit it as one batch.
 
         Parameters
@@ -102,13 +113,20 @@ class Updates:
             Nothing to write, or too many updates wait.
         """
         if at_tick is not None and not 0 <= at_tick <= _LAST_TICK:
-            raise Refused(f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next")
+            raise Refused(
+                f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next"
+            )
         if not values:
             raise Refused("an update needs at least one variable")
         plan = self._plan(values, settings)
         given = tuple(values.values())
-        # What has to be looked at one by one is so before others are kept waiting; single numbers are judged as they are committed.
-        numbers = None if plan.scalar and _NUMBERS.issuperset(map(type, given)) else self._numbers(values, settings)
+        # What has to be looked at one by one is so before others are kept waiting; single numbers
+        # are judged as they are committed.
+        numbers = (
+            None
+            if plan.scalar and _NUMBERS.issuperset(map(type, given))
+            else self._numbers(values, settings)
+        )
         with self._lock:
             slot = self._take_slot(plan.tables)
             try:
@@ -118,7 +136,11 @@ class Updates:
                     plan.put(self._banked(plan, numbers) if plan.tables else numbers)
                 done = plan.commit(self._batches[slot], slot, self._sequence + 1, at_tick or 0)
                 if done < 0:
-                    raise VariableError("; ".join(f"{name}: {value!r} does not fit" for name, value in values.items()))
+                    raise VariableError(
+                        "; ".join(
+                            f"{name}: {value!r} does not fit" for name, value in values.items()
+                        )
+                    )
             except BaseException as error:
                 self._free.append(slot)
                 if isinstance(error, VariableError | OverflowError):
@@ -133,9 +155,16 @@ class Updates:
         plan = self._plans[settings].get(names)
         if plan is None:
             self._numbers(values, settings)  # says all that is wrong, not only with the names
-            plan = WritePlan([(name, self._dictionary.place(name)) for name in names], self._pointer, self._handle)
+            plan = WritePlan(
+                [(name, self._dictionary.place(name)) for name in names],
+                self._pointer,
+                self._handle,
+            )
             if plan.size > self._room:
-                raise Refused(f"the update takes {plan.size} bytes, {self._room} fit: write whole arrays in place of their elements")
+                raise Refused(
+                    f"the update takes {plan.size} bytes, {self._room} fit: write whole arrays in"
+                    " place of their elements"
+                )
             keep(self._plans[settings], names, plan)
         return plan
 
@@ -158,14 +187,24 @@ class Updates:
         """Raise what `write` would raise for these values; nothing is written."""
         self._numbers(values, False)
 
-    def repeat(self, ended: Any, name: str, author: str, value_at: int, reply: Blank) -> Callable[[bytes], int] | None:
-        """Make what commits one value again, out of the bytes of a request; see `RuntimeApi.repeat_write`."""
+    def repeat(
+        self, ended: Any, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None:
+        """Make what commits one value again, out of the bytes of a request; see
+        `RuntimeApi.repeat_write`.
+        """
         plan = self._plans[False].get((name,))
         commit = None if plan is None or self._handle < 0 else plan.again(ended, value_at, reply)
         if plan is None or commit is None:
             return None
         entries = partial(plan.entries_of, value_at)
-        lock, batches, free, flights, now = self._lock, self._batches, self._free, self._flights, time.time
+        lock, batches, free, flights, now = (
+            self._lock,
+            self._batches,
+            self._free,
+            self._flights,
+            time.time,
+        )
 
         def write(request: bytes) -> int:
             with lock:
@@ -177,7 +216,9 @@ class Updates:
                 if commit(request, batches[slot], slot, sequence) != 1:
                     free.append(slot)
                     return 0
-                flights[sequence] = Flight(slot, plan.places, plan.size, partial(entries, request), author, now())
+                flights[sequence] = Flight(
+                    slot, plan.places, plan.size, partial(entries, request), author, now()
+                )
                 self._sequence = sequence
                 return sequence
 
@@ -190,22 +231,35 @@ class Updates:
         if tables or len(self._flights) >= _TOGETHER or not self._free:
             self._harvest()
         if not self._free:
-            raise Refused(f"{self._lib.LAYOUT_BATCHES} updates wait already: wait until some of them are applied")
+            raise Refused(
+                f"{self._lib.LAYOUT_BATCHES} updates wait already: wait until some of them are"
+                " applied"
+            )
         return self._free.pop()
 
     def _banked(self, plan: WritePlan, numbers: list[FloatArray]) -> list[FloatArray]:
-        """Put the rows of tables into their banks; what the batch holds is bank and number of rows."""
-        waiting = {place.entry.index for flight in self._flights.values() for _, place in flight.places}
+        """Put the rows of tables into their banks; what the batch holds is bank and number of rows.
+        """
+        waiting = {
+            place.entry.index for flight in self._flights.values() for _, place in flight.places
+        }
         for name, place in plan.places:  # all of them before the first bank is touched
             if place.entry.info.kind == "table" and place.entry.index in waiting:
-                raise Refused(f"{name}: its last download is not in effect yet; wait for it, then write again")
+                raise Refused(
+                    f"{name}: its last download is not in effect yet; wait for it, then write again"
+                )
         return [
-            np.array(self._fill_bank(place, rows), np.float64) if place.entry.info.kind == "table" else rows
+            (
+                np.array(self._fill_bank(place, rows), np.float64)
+                if place.entry.info.kind == "table"
+                else rows
+            )
             for (_, place), rows in zip(plan.places, numbers, strict=True)
         ]
 
     def _fill_bank(self, place: Place, rows: FloatArray) -> tuple[int, int]:
-        """Write a table into the bank that the loop does not read; returns the bank and the rows."""
+        """Write a table into the bank that the loop does not read; returns the bank and the rows.
+        """
         index = place.entry.index
         current = self._bank.get(index, int(self._control.variable[index].table) >> 32 & 1)
         bank = 1 - current if int(self._control.variable[index].table) or index in self._bank else 0
@@ -223,7 +277,7 @@ class Updates:
         self._flights[self._sequence] = flight
         return self._sequence
 
-    # ---- acknowledge ------------------------------------------------------------------------------------------------------
+    # ---- acknowledge ------------------------------------------------------------------------------------------------------  # noqa: E501
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
         """Sleep until a batch has taken effect.
@@ -267,10 +321,14 @@ class Updates:
                 raise RunnerDied(f"the runner ended before update {sequence} took effect")
             left = end - time.monotonic()
             if left <= 0.0:
-                raise NotYet(f"update {sequence} did not take effect within {timeout:g} s: it waits for its sample (is the loop running?)")
+                raise NotYet(
+                    f"update {sequence} did not take effect within {timeout:g} s: it waits for its"
+                    " sample (is the loop running?)"
+                )
 
     def _tick_of(self, sequence: int) -> int | None:
-        """The sample at which a batch took effect; it is left to be taken back by whoever has time."""
+        """The sample at which a batch took effect; it is left to be taken back by whoever has time.
+        """
         flight = self._flights.get(sequence)
         if flight is None:
             return self._applied.get(sequence)

@@ -1,4 +1,6 @@
-"""Large arrays on their way in: chunks are checked, kept in order, and applied in one sample when complete."""
+"""Large arrays on their way in: chunks are checked, kept in order, and applied in one sample when
+complete.
+"""
 
 from __future__ import annotations
 
@@ -50,37 +52,47 @@ class Uploads:
             Too many uploads under way.
         """
         if dtype not in DTYPES:
-            raise VariableError(f"{name}: dtype {dtype!r} cannot be uploaded; use one of {', '.join(DTYPES)}")
+            raise VariableError(
+                f"{name}: dtype {dtype!r} cannot be uploaded; use one of {', '.join(DTYPES)}"
+            )
         size = length * np.dtype(dtype).itemsize
         if not 0 < size <= LARGEST:
-            raise VariableError(f"{name}: {size} bytes cannot be uploaded; between 1 and {LARGEST} can")
+            raise VariableError(
+                f"{name}: {size} bytes cannot be uploaded; between 1 and {LARGEST} can"
+            )
         with self._lock:
             now = time.monotonic()
             self._open = {k: u for k, u in self._open.items() if now - u.touched < PATIENCE_S}
             if len(self._open) >= MOST:
-                raise Refused(f"{MOST} uploads are under way already; finish one or wait {PATIENCE_S:g} s")
+                raise Refused(
+                    f"{MOST} uploads are under way already; finish one or wait {PATIENCE_S:g} s"
+                )
             number = next(self._numbers)
             self._open[number] = Upload(name, dtype, checksum, bytearray(size))
             return number
 
     def chunk(self, number: int, offset: int, data: bytes, checksum: int) -> int:
-        """Take one chunk and return how many bytes are there without a gap; a repeated chunk does no harm.
+        """Take one chunk and return how many bytes are there without a gap; a repeated chunk does
+        no harm.
 
         Raises
         ------
         Refused
-            Unknown upload, a gap, bytes beyond the end, or a checksum that does not fit: send from the returned place on.
+            Unknown upload, a gap, bytes beyond the end, or a checksum that does not fit: send from
+            the returned place on.
         """
         with self._lock:
             upload = self._get(number)
             if crc(data) != checksum:
                 raise Refused(
-                    f"chunk at byte {offset} of {upload.name!r} arrived damaged (CRC-32); send it again"
+                    f"chunk at byte {offset} of {upload.name!r} arrived damaged (CRC-32); send it"
+                    " again"
                 )
             end = offset + len(data)
             if not 0 <= offset <= upload.received or end > len(upload.buffer):
                 raise Refused(
-                    f"chunk {offset}…{end} of {upload.name!r} does not follow byte {upload.received} of {len(upload.buffer)}"
+                    f"chunk {offset}…{end} of {upload.name!r} does not follow byte"
+                    f" {upload.received} of {len(upload.buffer)}"
                 )
             upload.buffer[offset:end] = data
             upload.received = max(upload.received, end)
@@ -99,11 +111,14 @@ class Uploads:
             upload = self._get(number)
             if upload.received != len(upload.buffer):
                 raise Refused(
-                    f"{upload.name!r} is not complete: {upload.received} of {len(upload.buffer)} bytes"
+                    f"{upload.name!r} is not complete: {upload.received} of {len(upload.buffer)}"
+                    " bytes"
                 )
             del self._open[number]
         if crc(memoryview(upload.buffer)) != upload.crc:
-            raise Refused(f"{upload.name!r} arrived damaged (CRC-32 of the whole differs); upload it again")
+            raise Refused(
+                f"{upload.name!r} arrived damaged (CRC-32 of the whole differs); upload it again"
+            )
         return upload.name, np.frombuffer(upload.buffer, dtype=upload.dtype)
 
     def _get(self, number: int) -> Upload:

@@ -1,7 +1,8 @@
-"""Values as a host gives them, as numbers to write; and the words for what cannot be written, one line for each variable.
+"""Values as a host gives them, as numbers to write; and the words for what cannot be written, one
+line for each variable.
 
-Whether a number fits its variable (limits, NaN, whole numbers) is decided in one place for every road that an update can
-take: ``monitor_fit`` of ``monitor.c``. Here it is asked for the reason.
+Whether a number fits its variable (limits, NaN, whole numbers) is decided in one place for every
+road that an update can take: ``monitor_fit`` of ``monitor.c``. Here it is asked for the reason.
 """
 
 from __future__ import annotations
@@ -48,12 +49,18 @@ def numbers_of(name: str, place: Place, value: object) -> FloatArray:
 
 
 def check_kind(name: str, place: Place, settings: bool) -> None:
-    """Raise VariableError unless a variable may be written; settings of the runtime only by its own verbs."""
+    """Raise VariableError unless a variable may be written; settings of the runtime only by its own
+    verbs.
+    """
     kind = place.entry.info.kind
     if (kind == "setting") != settings:
-        raise VariableError(f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun")
+        raise VariableError(
+            f"{name}: is a setting of the runtime; use set_limits, set_ramp or set_overrun"
+        )
     if kind not in ("parameter", "setting", "table"):
-        raise VariableError(f"{name}: is a {kind}, read only; declare it with PARAMETER to write it")
+        raise VariableError(
+            f"{name}: is a {kind}, read only; declare it with PARAMETER to write it"
+        )
 
 
 def _check_fit(name: str, place: Place, array: FloatArray) -> None:
@@ -68,7 +75,10 @@ def _check_fit(name: str, place: Place, array: FloatArray) -> None:
     unit = f" {info.unit}" if info.unit else ""
     words = {
         lib.FIT_NOT_FINITE: f"{number} is not a finite number{where}; nothing was written",
-        lib.FIT_OUTSIDE: f"{number:g}{unit} is outside its limits {info.minimum:g} … {info.maximum:g}{unit}{where}",
+        lib.FIT_OUTSIDE: (
+            f"{number:g}{unit} is outside its limits {info.minimum:g} …"
+            f" {info.maximum:g}{unit}{where}"
+        ),
         lib.FIT_NOT_WHOLE: f"{number} is not a 32-bit integer{where}",
         lib.FIT_NO_FLAG: f"{number} is neither true nor false (1 or 0){where}",
         lib.FIT_TOO_LARGE: f"{number} exceeds the range of float{where}",
@@ -83,9 +93,14 @@ def _numbers(name: str, value: object, kind: str) -> FloatArray:
             raise TypeError
         numbers = array.astype(np.float64)
     except (TypeError, ValueError):
-        raise VariableError(f"{name}: {_short(value)} is not a number or an array of numbers") from None
+        raise VariableError(
+            f"{name}: {_short(value)} is not a number or an array of numbers"
+        ) from None
     if array.dtype.kind == "b" and kind != "bool":
-        raise VariableError(f"{name}: {_short(value)} is true or false, not a number, which a {kind} needs; write 1 or 0 if that is meant")
+        raise VariableError(
+            f"{name}: {_short(value)} is true or false, not a number, which a {kind} needs; write 1"
+            " or 0 if that is meant"
+        )
     return numbers
 
 
@@ -110,5 +125,8 @@ def _as_rows(name: str, place: Place, array: npt.NDArray[Any]) -> FloatArray:
     if array.ndim != 2 or array.shape[1] != columns:
         raise VariableError(f"{name}: needs shape (rows, {columns}), got {array.shape}")
     if array.shape[0] > place.entry.rows:
-        raise VariableError(f"{name}: {array.shape[0]} rows exceed its capacity of {place.entry.rows}; declare a larger TABLE")
+        raise VariableError(
+            f"{name}: {array.shape[0]} rows exceed its capacity of {place.entry.rows}; declare a"
+            " larger TABLE"
+        )
     return np.ascontiguousarray(array)

@@ -42,7 +42,8 @@ class VariableVerbs:
     def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
         tick, found = self.runtime.read(args.names)
         deadline = 0.0
-        # Whoever was told that an update took effect at a sample must not read the sample before it.
+        # Whoever was told that an update took effect at a sample must not read the sample before
+        # it.
         while tick < self.acknowledged:
             now = time.monotonic()
             deadline = deadline or now + CATCH_UP_S
@@ -51,7 +52,11 @@ class VariableVerbs:
             time.sleep(0.0001)
             tick, found = self.runtime.read(args.names)
         ended = self.runtime.ended()
-        return {"tick": tick, "values": found, "ended": ended} if ended else {"tick": tick, "values": found}
+        return (
+            {"tick": tick, "values": found, "ended": ended}
+            if ended
+            else {"tick": tick, "values": found}
+        )
 
     def do_check(self, args: verbs.Write, by: str) -> m.Empty:
         self.runtime.check(self._given(args))
@@ -88,9 +93,15 @@ class VariableVerbs:
 
     def _shaped(self, given: dict[str, Any]) -> dict[str, Any]:
         """Give the values of a table that came flat their rows and columns back."""
-        flat = [name for name, value in given.items() if isinstance(value, np.ndarray) and value.ndim == 1]
+        flat = [
+            name
+            for name, value in given.items()
+            if isinstance(value, np.ndarray) and value.ndim == 1
+        ]
         columns = {
-            i.name: i.columns for i in self.runtime.variables() if i.name in flat and i.kind == "table"
+            i.name: i.columns
+            for i in self.runtime.variables()
+            if i.name in flat and i.kind == "table"
         }
         fits = [name for name in columns if given[name].size % columns[name] == 0]
         return {**given, **{name: given[name].reshape(-1, columns[name]) for name in fits}}
@@ -123,11 +134,15 @@ class VariableVerbs:
         if info.length < length:
             raise VariableError(f"{name}: {length} elements do not fit into {info.length}")
         if length % info.columns:
-            raise VariableError(f"{name}: {length} elements are no whole number of rows of {info.columns}")
+            raise VariableError(
+                f"{name}: {length} elements are no whole number of rows of {info.columns}"
+            )
 
 
 def _light(info: VariableInfo) -> VariableInfo:
-    """Shorten the initial value of a large array that is one value throughout: a table of zeros is not worth megabytes."""
+    """Shorten the initial value of a large array that is one value throughout: a table of zeros is
+    not worth megabytes.
+    """
     initial = info.initial
     if (
         isinstance(initial, np.ndarray)

@@ -1,4 +1,6 @@
-"""The C sources themselves: no warning, nothing in the sample that could block, one layout on both sides."""
+"""The C sources themselves: no warning, nothing in the sample that could block, one layout on both
+sides.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +18,65 @@ from zendsp_target.layout import layout
 from zendsp_target.safety import histogram_edges
 
 ROOT = source_root()
-STRICT = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
+STRICT = [
+    "-std=gnu11",
+    "-O2",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wshadow",
+    "-Wstrict-prototypes",
+    "-Werror",
+]
 INCLUDE = [f"-I{ROOT / folder}" for folder in ("include", "runtime", "machines")]
-SOURCES = sorted(path for folder in ("runtime", "machines", "programs") for path in (ROOT / folder).glob("*.c"))
+SOURCES = sorted(
+    path for folder in ("runtime", "machines", "programs") for path in (ROOT / folder).glob("*.c")
+)
 # what a sample may call: the clock, copying bytes, mathematics that the compiler did not inline
-MAY_CALL = {"clock_gettime", "clock_nanosleep", "memcpy", "memset", "memmove", "_GLOBAL_OFFSET_TABLE_"}
+MAY_CALL = {
+    "clock_gettime",
+    "clock_nanosleep",
+    "memcpy",
+    "memset",
+    "memmove",
+    "_GLOBAL_OFFSET_TABLE_",
+}
 OURS = ("batch_", "stream_", "safety_", "realtime_granted", "loop")
 BETWEEN_RUNS = {"realtime_stay_awake"}  # at start and pause, not in a sample
 
 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_every_source_compiles_without_a_warning(source: Path, tmp_path: Path) -> None:
-    command = [*find_compiler().command, *STRICT, *INCLUDE, "-c", str(source), "-o", str(tmp_path / "x.o")]
+    command = [
+        *find_compiler().command,
+        *STRICT,
+        *INCLUDE,
+        "-c",
+        str(source),
+        "-o",
+        str(tmp_path / "x.o"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("header", ["include/isr.h", "include/machine.h", "include/machine_config.h", "runtime/layout.h"])
+@pytest.mark.parametrize(
+    "header", ["include/isr.h", "include/machine.h", "include/machine_config.h", "runtime/layout.h"]
+)
 def test_every_public_header_stands_alone_and_is_pedantic_c11(header: str, tmp_path: Path) -> None:
     source = tmp_path / "x.c"
     source.write_text(f'#include "{ROOT / header}"\ntypedef int not_empty;\n')
-    command = [*find_compiler().command, "-std=c11", "-Wpedantic", *STRICT[2:], *INCLUDE, "-c", str(source), "-o", str(tmp_path / "x.o")]
+    command = [
+        *find_compiler().command,
+        "-std=c11",
+        "-Wpedantic",
+        *STRICT[2:],
+        *INCLUDE,
+        "-c",
+        str(source),
+        "-o",
+        str(tmp_path / "x.o"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -46,8 +86,22 @@ def test_a_sample_calls_nothing_that_allocates_locks_prints_or_blocks(tmp_path: 
     undefined: set[str] = set()
     for name in ("loop", "batch", "stream", "safety"):
         target = tmp_path / f"{name}.o"
-        subprocess.run([*find_compiler().command, "-std=gnu11", "-O2", *INCLUDE, "-c", str(ROOT / "runtime" / f"{name}.c"), "-o", str(target)], check=True)
-        listed = subprocess.run(["nm", "-u", str(target)], capture_output=True, text=True, check=True).stdout
+        subprocess.run(
+            [
+                *find_compiler().command,
+                "-std=gnu11",
+                "-O2",
+                *INCLUDE,
+                "-c",
+                str(ROOT / "runtime" / f"{name}.c"),
+                "-o",
+                str(target),
+            ],
+            check=True,
+        )
+        listed = subprocess.run(
+            ["nm", "-u", str(target)], capture_output=True, text=True, check=True
+        ).stdout
         undefined |= {line.split()[-1] for line in listed.splitlines() if line.strip()}
     foreign = {name for name in undefined if not name.startswith(OURS)} - MAY_CALL - BETWEEN_RUNS
     assert foreign == set()
@@ -56,12 +110,25 @@ def test_a_sample_calls_nothing_that_allocates_locks_prints_or_blocks(tmp_path: 
 
 def test_monitor_and_runner_agree_on_the_layout(tmp_path: Path) -> None:
     ffi, _ = layout()
-    names = ("control", "variable_entry", "stream_head", "batch", "batch_entry", "snapshot", "timing_counts", "machine_info")
+    names = (
+        "control",
+        "variable_entry",
+        "stream_head",
+        "batch",
+        "batch_entry",
+        "snapshot",
+        "timing_counts",
+        "machine_info",
+    )
     source = tmp_path / "sizes.c"
     lines = "".join(f'    printf("%zu\\n", sizeof({name}));\n' for name in names)
-    source.write_text(f'#include <stdio.h>\n#include "layout.h"\nint main(void) {{\n{lines}    return 0;\n}}\n')
+    source.write_text(
+        f'#include <stdio.h>\n#include "layout.h"\nint main(void) {{\n{lines}    return 0;\n}}\n'
+    )
     program = tmp_path / "sizes"
-    subprocess.run([*find_compiler().command, *INCLUDE, str(source), "-o", str(program)], check=True)
+    subprocess.run(
+        [*find_compiler().command, *INCLUDE, str(source), "-o", str(program)], check=True
+    )
     said = subprocess.run([str(program)], capture_output=True, text=True, check=True).stdout.split()
     assert [int(size) for size in said] == [ffi.sizeof(name) for name in names]
 
@@ -71,10 +138,20 @@ def test_histogram_bins_have_the_edges_that_are_published(tmp_path: Path) -> Non
     values = [0, 1, 3, 4, 5, 7, 8, 9, 10, 15, 16, 1000, 123_456, 10**9, 2**40]
     source = tmp_path / "bins.c"
     lines = "".join(f'    printf("%u\\n", timing_bin({value}ull));\n' for value in values)
-    source.write_text(f'#define _GNU_SOURCE\n#include <stdio.h>\n#include "timing.h"\nint main(void) {{\n{lines}    return 0;\n}}\n')
+    source.write_text(
+        f'#define _GNU_SOURCE\n#include <stdio.h>\n#include "timing.h"\nint main(void) {{\n{lines} '
+        "   return 0;\n}\n"
+    )
     program = tmp_path / "bins"
-    subprocess.run([*find_compiler().command, "-O1", *INCLUDE, str(source), "-o", str(program)], check=True)
-    bins = [int(b) for b in subprocess.run([str(program)], capture_output=True, text=True, check=True).stdout.split()]
+    subprocess.run(
+        [*find_compiler().command, "-O1", *INCLUDE, str(source), "-o", str(program)], check=True
+    )
+    bins = [
+        int(b)
+        for b in subprocess.run(
+            [str(program)], capture_output=True, text=True, check=True
+        ).stdout.split()
+    ]
     edges = histogram_edges(int(lib.LAYOUT_BINS))
     assert np.all(np.diff(edges) > 0)
     for value, b in zip(values, bins, strict=True):

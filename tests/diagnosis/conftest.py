@@ -29,4 +29,9 @@ def other() -> dict[str, np.ndarray]:
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
     """A complete model of it, inertia off by 2 %."""
-    return reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03))
+    return reality.model_file(
+        tmp_path / "model.toml",
+        RATE,
+        reality.effect("viscous", coefficient=0.004),
+        reality.effect("coulomb", level=0.03),
+    )

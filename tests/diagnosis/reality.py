@@ -1,6 +1,8 @@
-"""A machine that shares no code with what is judged: plain Python, semi-implicit Euler at 10 kHz, friction by tanh.
+"""A machine that shares no code with what is judged: plain Python, semi-implicit Euler at 10 kHz,
+friction by tanh.
 
-The equation is M q̈ + friction + gravity + … = torque; a PD loop with a quantised encoder computes the command once a sample.
+The equation is M q̈ + friction + gravity + … = torque; a PD loop with a quantised encoder computes
+the command once a sample.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ class Machine:
     spring: float = 0.0
     wave: float = 0.0  # a law that no library has: wave * tanh(sin(3 q)) * cos(2 q̇)
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
-    sticky: float = 0.0  # a look-alike of friction that varies with position: sticky * tanh(2 sin(3 q)) * tanh(q̇ / 0.1)
+    # a look-alike of friction that varies with position: sticky * tanh(2 sin(3 q)) * tanh(q̇ / 0.1)
+    sticky: float = 0.0
     push: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N m, from s, to s
     gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
     load: float = 0.0
@@ -45,26 +48,41 @@ class Machine:
     oval: float = 0.0  # rad: an error of the sensor twice a turn
     smear: float = 0.0  # s: a low-pass filter between the sensor and the recording
     late: int = 0  # rows by which the command column is late; early where negative
-    supply: float = math.inf  # torque at standstill that the supply allows, less `back` times the speed
+    # torque at standstill that the supply allows, less `back` times the speed
+    supply: float = math.inf
     back: float = 0.0
-    soft: float = 0.0  # N m/rad: the spring before `load`, without a gap, with `hard` times the bend cubed
+    # N m/rad: the spring before `load`, without a gap, with `hard` times the bend cubed
+    soft: float = 0.0
     hard: float = 0.0
     wobble: float = 0.0  # rad by which a rigid transmission errs, five times a turn
     thin: float = 0.0  # 1/K by which dry friction falls with the temperature, which rises by 15 K
     extra: dict[str, float] = field(default_factory=dict)
 
 
-def multisine(seconds: float, rate: float, seed: int, *, size: float = 1.0, low: float = 0.2, high: float = 4.0) -> np.ndarray:
+def multisine(
+    seconds: float,
+    rate: float,
+    seed: int,
+    *,
+    size: float = 1.0,
+    low: float = 0.2,
+    high: float = 4.0,
+) -> np.ndarray:
     """Reference of ten sines, `size` rad at most."""
     r = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate)) / rate
     f = np.geomspace(low, high, 10)
-    q = sum(np.sin(2 * np.pi * a * t + p) / (a + 0.5) for a, p in zip(f, r.uniform(0, 6.28, 10), strict=True))
+    q = sum(
+        np.sin(2 * np.pi * a * t + p) / (a + 0.5)
+        for a, p in zip(f, r.uniform(0, 6.28, 10), strict=True)
+    )
     ramp = np.minimum(1.0, t / 0.5)
     return np.asarray(size * ramp * q / np.max(np.abs(q)))
 
 
-def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> dict[str, np.ndarray]:
+def simulate(
+    m: Machine, reference: np.ndarray, rate: float, seed: int = 0
+) -> dict[str, np.ndarray]:
     """Columns t, q, u, r of one run."""
     T = 1.0 / rate
     sub = max(4, round(1e4 / rate))
@@ -75,7 +93,14 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
     queue = [0.0] * (late + 1)
     ys, us = [], []
     draw = np.random.default_rng(seed)
-    slow = [(2 * math.pi * a, b) for a, b in zip(draw.uniform(0.2, 2.0, 40), draw.uniform(0, 6.28, 40), strict=True)] if m.unrest else []
+    slow = (
+        [
+            (2 * math.pi * a, b)
+            for a, b in zip(draw.uniform(0.2, 2.0, 40), draw.uniform(0, 6.28, 40), strict=True)
+        ]
+        if m.unrest
+        else []
+    )
     seen, warm = q, []
     for k, r in enumerate(reference):
         warm.append(20.0 + 15.0 * (1.0 - math.exp(-k * T / 3.0)))
@@ -97,16 +122,32 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
             torque = max(-m.supply - m.back * v, min(m.supply - m.back * v, torque))
             torque = max(-m.weak, min(m.weak, torque)) + unrest
             torque += m.push[0] if m.push[1] <= k * T < m.push[2] else 0.0
-            level = m.coulomb + ((m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2)) if m.breakaway else 0.0)
-            f = m.viscous * v + m.drag * v * abs(v) + m.gravity * math.sin(q) + m.ripple * math.sin(m.order * q + 0.4) + m.spring * q
-            f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (1 + v * v)
+            level = m.coulomb + (
+                (m.breakaway - m.coulomb) * math.exp(-((v / m.stribeck) ** 2))
+                if m.breakaway
+                else 0.0
+            )
+            f = (
+                m.viscous * v
+                + m.drag * v * abs(v)
+                + m.gravity * math.sin(q)
+                + m.ripple * math.sin(m.order * q + 0.4)
+                + m.spring * q
+            )
+            f += m.wave * math.tanh(3 * math.sin(3 * q)) * math.cos(2 * v) + m.wiggle * v / (
+                1 + v * v
+            )
             level *= 1.0 - m.thin * (warm[-1] - 20.0)
             inertia = m.inertia
             if m.wobble:  # the load turns by `slope` for each turn of the motor
-                slope, bend = 1.0 + 5 * m.wobble * math.cos(5 * q + 0.6), -25 * m.wobble * math.sin(5 * q + 0.6)
+                slope, bend = 1.0 + 5 * m.wobble * math.cos(5 * q + 0.6), -25 * m.wobble * math.sin(
+                    5 * q + 0.6
+                )
                 inertia *= slope * slope
                 f += m.inertia * slope * bend * v * v
-                f += m.gravity * (slope * math.sin(q + m.wobble * math.sin(5 * q + 0.6)) - math.sin(q))
+                f += m.gravity * (
+                    slope * math.sin(q + m.wobble * math.sin(5 * q + 0.6)) - math.sin(q)
+                )
             f += m.sticky * math.tanh(2 * math.sin(3 * q)) * math.tanh(v / 0.1)
             # dry friction implicitly in its slope: stable at any step
             s = math.tanh(v / 1e-3)
@@ -121,7 +162,10 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
                 apart = q - there
                 deep = apart - math.copysign(0.5 * m.gap, apart)
                 if abs(apart) > 0.5 * m.gap:
-                    push = math.copysign(max(0.0, math.copysign(1.0, apart) * (120.0 * deep + 0.2 * (v - speed))), apart)
+                    push = math.copysign(
+                        max(0.0, math.copysign(1.0, apart) * (120.0 * deep + 0.2 * (v - speed))),
+                        apart,
+                    )
                 speed += h * push / m.load
                 there += h * speed
             v += h * (torque - f - push - level * s) / (inertia - m.load + h * steep)
@@ -129,14 +173,26 @@ def simulate(m: Machine, reference: np.ndarray, rate: float, seed: int = 0) -> d
             seen += h * (q - seen) / m.smear if m.smear else 0.0
     n = len(reference)
     rows = np.clip(np.arange(n) - m.late, 0, n - 1)
-    columns = {"t": np.arange(n) * T, "q": np.array(ys), "u": np.array(us)[rows], "r": np.asarray(reference, float)}
+    columns = {
+        "t": np.arange(n) * T,
+        "q": np.array(ys),
+        "u": np.array(us)[rows],
+        "r": np.asarray(reference, float),
+    }
     return {**columns, "warm": np.array(warm)} if m.thin else columns
 
 
 def save(path: Path, columns: dict[str, np.ndarray]) -> Path:
     """CSV with a header, twelve digits."""
     names = list(columns)
-    np.savetxt(path, np.stack([columns[n] for n in names], axis=1), delimiter=",", header=",".join(names), comments="", fmt="%.12g")
+    np.savetxt(
+        path,
+        np.stack([columns[n] for n in names], axis=1),
+        delimiter=",",
+        header=",".join(names),
+        comments="",
+        fmt="%.12g",
+    )
     return path
 
 
@@ -174,10 +230,21 @@ def effect(kind: str, **numbers: float) -> str:
     return f'[[effect]]\nkind = "{kind}"\njoint = 1\n{rows}\n'
 
 
-def model_file(path: Path, rate: float, *effects: str, inertia: float = 0.0102, gravity: float = 0.0, resolution: float = RESOLUTION) -> Path:
+def model_file(
+    path: Path,
+    rate: float,
+    *effects: str,
+    inertia: float = 0.0102,
+    gravity: float = 0.0,
+    resolution: float = RESOLUTION,
+) -> Path:
     """The given model: what it has is what is written here."""
     text = MODEL.format(
-        period=1.0 / rate, inertia=inertia, gravity=f"gravity = {{ value = {gravity} }}" if gravity else "", effects="\n".join(effects), resolution=repr(resolution)
+        period=1.0 / rate,
+        inertia=inertia,
+        gravity=f"gravity = {{ value = {gravity} }}" if gravity else "",
+        effects="\n".join(effects),
+        resolution=repr(resolution),
     )
     path.write_text(text)
     return path

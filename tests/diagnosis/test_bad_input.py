@@ -1,4 +1,6 @@
-"""Bad input ends with exit status 2 and one clear sentence, never a traceback, never a diagnosis (issue 5)."""
+"""Bad input ends with exit status 2 and one clear sentence, never a traceback, never a diagnosis
+(issue 5).
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ Columns = dict[str, np.ndarray]
 
 
 @pytest.fixture
-def refuse(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+def refuse(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., str]:
     """Run `zendsp diagnose` and give the one sentence that it ends with."""
 
     def run(*args: object) -> str:
@@ -131,7 +135,9 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
 
 
 @pytest.mark.parametrize("mistake", BAD)
-def test_wrong_data_is_refused_with_the_likeliest_mistake(mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_wrong_data_is_refused_with_the_likeliest_mistake(
+    mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     change, words = BAD[mistake]
     columns = {k: v.copy() for k, v in good.items()}
     change(columns)
@@ -140,31 +146,51 @@ def test_wrong_data_is_refused_with_the_likeliest_mistake(mistake: str, good: Co
 
 
 @pytest.mark.parametrize(("rows", "words"), [(100, "at least 300 samples"), (700, "at least 2 s")])
-def test_short_recordings_are_refused(rows: int, words: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_short_recordings_are_refused(
+    rows: int, words: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     columns = {k: v[500 : 500 + rows] for k, v in good.items()}
     assert words in refuse(reality.save(tmp_path / "run.csv", columns), "--model", model)
 
 
-def test_bad_held_out_recording_is_refused_by_its_name(good: Columns, other: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_bad_held_out_recording_is_refused_by_its_name(
+    good: Columns, other: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     train = reality.save(tmp_path / "run.csv", good)
     held = reality.save(tmp_path / "test.csv", {**other, "u": -other["u"]})
     text = refuse(train, "--model", model, "--heldout", held)
     assert "test.csv" in text and "flipped" in text
 
 
-def test_missing_column_names_file_column_and_what_there_is(good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
-    text = refuse(reality.save(tmp_path / "run.csv", {k: v for k, v in good.items() if k != "u"}), "--model", model)
+def test_missing_column_names_file_column_and_what_there_is(
+    good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    text = refuse(
+        reality.save(tmp_path / "run.csv", {k: v for k, v in good.items() if k != "u"}),
+        "--model",
+        model,
+    )
     assert "run.csv" in text and "'u'" in text and "q" in text
 
 
-def test_sample_time_that_contradicts_the_clock_is_refused(good: Columns, tmp_path: Path, refuse: Callable[..., str]) -> None:
-    wrong = reality.model_file(tmp_path / "model.toml", 1000.0, reality.effect("viscous", coefficient=0.004))
+def test_sample_time_that_contradicts_the_clock_is_refused(
+    good: Columns, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    wrong = reality.model_file(
+        tmp_path / "model.toml", 1000.0, reality.effect("viscous", coefficient=0.004)
+    )
     assert "sample_time" in refuse(reality.save(tmp_path / "run.csv", good), "--model", wrong)
 
 
-def test_a_recording_without_a_clock_needs_the_model_to_state_one(good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_a_recording_without_a_clock_needs_the_model_to_state_one(
+    good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     file = reality.save(tmp_path / "run.csv", {k: v for k, v in good.items() if k != "t"})
-    model.write_text("\n".join(line for line in model.read_text().splitlines() if not line.startswith("sample_time")))
+    model.write_text(
+        "\n".join(
+            line for line in model.read_text().splitlines() if not line.startswith("sample_time")
+        )
+    )
     assert "sample_time" in refuse(file, "--model", model)
 
 
@@ -181,7 +207,9 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_unreadable_files_are_refused_by_name(name: str, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_unreadable_files_are_refused_by_name(
+    name: str, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     content, words = FILES[name]
     if content is not None:
         (tmp_path / name).write_bytes(content)
@@ -198,37 +226,79 @@ def _swap_text(old: str, new: str) -> Callable[[str], str]:
 
 MODELS: dict[str, tuple[Callable[[str], str], str]] = {
     "not TOML": (lambda t: t + "\n[[[", "not TOML"),
-    "negative inertia": (_swap_text("inertia = { value = 0.0102 }", "inertia = { value = -0.01 }"), "inertia"),
-    "inertia missing": (_swap_text("inertia = { value = 0.0102 }", "mass = { value = 1.0 }"), "inertia"),
+    "negative inertia": (
+        _swap_text("inertia = { value = 0.0102 }", "inertia = { value = -0.01 }"),
+        "inertia",
+    ),
+    "inertia missing": (
+        _swap_text("inertia = { value = 0.0102 }", "mass = { value = 1.0 }"),
+        "inertia",
+    ),
     "inertia a word": (_swap_text("{ value = 0.0102 }", '"heavy"'), "inertia"),
     "inertia not finite": (_swap_text("0.0102", "nan"), "inertia"),
     "unknown kind": (_swap_text('"rotary"', '"wheel"'), "rotary | linear"),
     "unknown effect": (_swap_text('"coulomb"', '"friktion"'), "friktion"),
     "joint out of range": (_swap_text("joint = 1", "joint = 3"), "joint"),
     "parameter of an effect missing": (_swap_text("coefficient", "coeficient"), "coefficient"),
-    "negative friction": (_swap_text("level = { value = 0.03 }", "level = { value = -0.03 }"), "level"),
+    "negative friction": (
+        _swap_text("level = { value = 0.03 }", "level = { value = -0.03 }"),
+        "level",
+    ),
     "no position column": (_swap_text('position = "q"', 'place = "q"'), "position"),
     "gain zero": (_swap_text("gain = { value = 1.0", "gain = { value = 0.0"), "gain"),
-    "negative resolution": (lambda t: t.replace("position_resolution = ", "position_resolution = -"), "position_resolution"),
-    "negative sample time": (_swap_text("sample_time = 0.002", "sample_time = -0.002"), "sample_time"),
-    "urdf missing": (lambda text: '[mechanism]\nkind = "urdf"\nfile = "nowhere.urdf"\n[columns]' + text.split("[columns]")[1], "nowhere.urdf"),
-    "python entry missing": (_swap_text('kind = "rotary"', 'kind = "python"\nentry = "nowhere:run"'), "nowhere"),
+    "negative resolution": (
+        lambda t: t.replace("position_resolution = ", "position_resolution = -"),
+        "position_resolution",
+    ),
+    "negative sample time": (
+        _swap_text("sample_time = 0.002", "sample_time = -0.002"),
+        "sample_time",
+    ),
+    "urdf missing": (
+        lambda text: '[mechanism]\nkind = "urdf"\nfile = "nowhere.urdf"\n[columns]'
+        + text.split("[columns]")[1],
+        "nowhere.urdf",
+    ),
+    "python entry missing": (
+        _swap_text('kind = "rotary"', 'kind = "python"\nentry = "nowhere:run"'),
+        "nowhere",
+    ),
 }
 
 
 @pytest.mark.parametrize("mistake", MODELS)
-def test_wrong_models_are_refused_with_the_key(mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_wrong_models_are_refused_with_the_key(
+    mistake: str, good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     change, words = MODELS[mistake]
     model.write_text(change(model.read_text()))
     assert words in refuse(reality.save(tmp_path / "run.csv", good), "--model", model)
 
 
-def test_missing_model_file_is_refused(good: Columns, tmp_path: Path, refuse: Callable[..., str]) -> None:
-    assert "nothing.toml" in refuse(reality.save(tmp_path / "run.csv", good), "--model", tmp_path / "nothing.toml")
+def test_missing_model_file_is_refused(
+    good: Columns, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    assert "nothing.toml" in refuse(
+        reality.save(tmp_path / "run.csv", good), "--model", tmp_path / "nothing.toml"
+    )
 
 
-def test_scheduler_without_each_is_refused(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(tmp_path / "a.csv"), "--model", str(model), "--scheduler", "tcp://127.0.0.1:1"])
+def test_scheduler_without_each_is_refused(
+    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [
+            "zendsp",
+            "diagnose",
+            str(tmp_path / "a.csv"),
+            "--model",
+            str(model),
+            "--scheduler",
+            "tcp://127.0.0.1:1",
+        ],
+    )
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2 and "--each" in capsys.readouterr().err
@@ -261,13 +331,21 @@ UNUSUAL = {
 def test_unusual_but_right_recordings_are_accepted(name: str, tmp_path: Path) -> None:
     machine, reference = UNUSUAL[name]
     columns = reality.simulate(machine, reality.multisine(10.0, RATE, 3, **reference), RATE)
-    model = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03), resolution=machine.resolution)
+    model = reality.model_file(
+        tmp_path / "model.toml",
+        RATE,
+        reality.effect("viscous", coefficient=0.004),
+        reality.effect("coulomb", level=0.03),
+        resolution=machine.resolution,
+    )
     if machine.limit < 3.0:
         model.write_text(model.read_text().replace("limit = 3.0", f"limit = {machine.limit}"))
     _accepted(reality.save(tmp_path / "run.csv", columns), model)
 
 
-def test_a_jittered_clock_is_resampled_and_the_report_says_so(good: Columns, model: Path, tmp_path: Path) -> None:
+def test_a_jittered_clock_is_resampled_and_the_report_says_so(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
     r = np.random.default_rng(5)
     t = good["t"] + r.uniform(-0.2, 0.2, len(good["t"])) / RATE
     columns = {"t": t, **{k: np.interp(t, good["t"], good[k]) for k in ("q", "r")}, "u": good["u"]}
@@ -289,12 +367,20 @@ def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> No
     assert abs(late) < 0.02 / RATE
 
 
-def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Path, refuse: Callable[..., str]) -> None:
+def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(
+    tmp_path: Path, refuse: Callable[..., str]
+) -> None:
     machine = reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.001)
     swing = reality.simulate(machine, np.r_[1.2, np.zeros(4999)], RATE)
-    text = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.001), gravity=0.4).read_text()
+    text = reality.model_file(
+        tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.001), gravity=0.4
+    ).read_text()
     model = tmp_path / "free.toml"
-    model.write_text("\n".join(line for line in text.splitlines() if not line.startswith(("command", "reference"))))
+    model.write_text(
+        "\n".join(
+            line for line in text.splitlines() if not line.startswith(("command", "reference"))
+        )
+    )
     _accepted(reality.save(tmp_path / "swing.csv", {"t": swing["t"], "q": swing["q"]}), model)
     upright = reality.save(tmp_path / "upright.csv", {"t": swing["t"], "q": swing["q"] - np.pi})
     assert "hanging down" in refuse(upright, "--model", model)
@@ -302,7 +388,9 @@ def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(tmp_path: Pat
     assert "degrees" in refuse(degrees, "--model", model)
 
 
-def test_rows_that_repeat_the_row_before_are_left_out_and_said(good: Columns, model: Path, tmp_path: Path) -> None:
+def test_rows_that_repeat_the_row_before_are_left_out_and_said(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
     rows = np.sort(np.r_[np.arange(len(good["t"])), [100, 101, 900]])
     again = reality.save(tmp_path / "again.csv", {k: v[rows] for k, v in good.items()})
     given = kernel_model(load_model(model))
@@ -312,8 +400,22 @@ def test_rows_that_repeat_the_row_before_are_left_out_and_said(good: Columns, mo
 
 
 def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) -> None:
-    free = reality.simulate(reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002), np.r_[1.2, np.zeros(4999)], RATE)
+    free = reality.simulate(
+        reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002),
+        np.r_[1.2, np.zeros(4999)],
+        RATE,
+    )
     speed = np.gradient(free["q"], 1.0 / RATE)
-    compensation = 0.001 * np.tanh(speed / 0.1) + 2e-4 * np.random.default_rng(0).standard_normal(len(speed))
-    model = reality.model_file(tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.002), gravity=0.4)
-    _accepted(reality.save(tmp_path / "hardly.csv", {"t": free["t"], "q": free["q"], "u": compensation, "r": 0 * speed}), model)
+    compensation = 0.001 * np.tanh(speed / 0.1) + 2e-4 * np.random.default_rng(0).standard_normal(
+        len(speed)
+    )
+    model = reality.model_file(
+        tmp_path / "model.toml", RATE, reality.effect("viscous", coefficient=0.002), gravity=0.4
+    )
+    _accepted(
+        reality.save(
+            tmp_path / "hardly.csv",
+            {"t": free["t"], "q": free["q"], "u": compensation, "r": 0 * speed},
+        ),
+        model,
+    )

@@ -1,4 +1,6 @@
-"""Wrong bodies of an arm: Pinocchio is the reality, with friction in every joint that the given model may lack."""
+"""Wrong bodies of an arm: Pinocchio is the reality, with friction in every joint that the given
+model may lack.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,11 @@ def urdf(links: tuple[tuple[str, str, str, float, str, float], ...]) -> str:
     parts, parent = ['<robot name="arm"><link name="base"/>'], "base"
     for name, place, axis, mass, com, inertia in links:
         parts.append(
-            f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia ixx="{inertia}"'
-            f' iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-            f'<joint name="to_{name}" type="revolute"><parent link="{parent}"/><child link="{name}"/>'
-            f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="-9" upper="9" effort="99" velocity="9"/></joint>'
+            f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/><inertia'
+            f' ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0"'
+            f' iyz="0"/></inertial></link><joint name="to_{name}" type="revolute"><parent'
+            f' link="{parent}"/><child link="{name}"/><origin xyz="{place}"/><axis'
+            f' xyz="{axis}"/><limit lower="-9" upper="9" effort="99" velocity="9"/></joint>'
         )
         parent = name
     return "".join([*parts, "</robot>"])
@@ -53,7 +56,9 @@ class Arm:
 
 
 def simulate(arm: Arm, seed: int, seconds: float = 10.0) -> dict[str, np.ndarray]:
-    """Columns t, q, u of a loop with gravity compensation of the given model; semi-implicit Euler at 2 kHz."""
+    """Columns t, q, u of a loop with gravity compensation of the given model; semi-implicit Euler
+    at 2 kHz.
+    """
     import pinocchio as pin
 
     given = pin.buildModelFromXML(urdf(LINKS))
@@ -67,8 +72,16 @@ def simulate(arm: Arm, seed: int, seconds: float = 10.0) -> dict[str, np.ndarray
     r = np.random.default_rng(seed)
     f, phase = r.uniform(0.1, 0.9, (3, 5)), r.uniform(0, 6.28, (3, 5))
     size = np.array([0.8, 0.6, 0.8])[:, None] * 0.4 / f**0.5
-    kp, kd, gain = np.array([60.0, 90.0, 40.0]), np.array([8.0, 12.0, 4.0]), np.array([1.0, arm.gain, 1.0])
-    h, q, v = 1.0 / RATE / SUB, np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1), np.zeros(3)
+    kp, kd, gain = (
+        np.array([60.0, 90.0, 40.0]),
+        np.array([8.0, 12.0, 4.0]),
+        np.array([1.0, arm.gain, 1.0]),
+    )
+    h, q, v = (
+        1.0 / RATE / SUB,
+        np.array([0.0, 0.6, -0.9]) + (size * np.sin(phase)).sum(1),
+        np.zeros(3),
+    )
     last, rows = q.copy(), []
     for k in range(int(seconds * RATE)):
         t = k / RATE
@@ -87,7 +100,9 @@ def simulate(arm: Arm, seed: int, seconds: float = 10.0) -> dict[str, np.ndarray
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Model, list[Path]]]:
-    """Make (once) two recordings of an arm and a model that lacks what is wrong with it, and friction too unless told."""
+    """Make (once) two recordings of an arm and a model that lacks what is wrong with it, and
+    friction too unless told.
+    """
     folder = tmp_path_factory.mktemp("arms")
     (folder / "arm.urdf").write_text(urdf(LINKS))
 
@@ -98,17 +113,23 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Mode
                 np.savez(path, **simulate(arm, seed))
         effects = [
             {"kind": kind, "joint": j + 1, key: {"value": float(values[j])}}
-            for kind, key, values in (("coulomb", "level", FRICTION), ("viscous", "coefficient", DAMPING))
+            for kind, key, values in (
+                ("coulomb", "level", FRICTION),
+                ("viscous", "coefficient", DAMPING),
+            )
             for j in range(3)
         ]
         model = folder / "model.toml"
         model.write_text(
-            f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile = "arm.urdf"\n'
-            f'[sensor]\nposition_resolution = {RESOLUTION}\n[columns]\ntime = "t"\nposition = "q"\ncommand = "u"\n'
+            f'name = "arm"\nsample_time = {1 / RATE}\n[mechanism]\nkind = "urdf"\nfile ='
+            f' "arm.urdf"\n[sensor]\nposition_resolution = {RESOLUTION}\n[columns]\ntime ='
+            ' "t"\nposition = "q"\ncommand = "u"\n'
         )
         given = load_model(model)
         if friction:
-            known = parse_model({"mechanism": {"kind": "urdf", "file": str(folder / "arm.urdf")}, "effect": effects})
+            known = parse_model(
+                {"mechanism": {"kind": "urdf", "file": str(folder / "arm.urdf")}, "effect": effects}
+            )
             given = given.with_terms(known.terms)
         return given, paths
 
@@ -121,10 +142,11 @@ def searched(made: tuple[Model, list[Path]]) -> BodySearch:
     return find_bodies(fit, choose, model, 1, lambda _text: None)
 
 
-def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nobody_modelled(record) -> None:  # type: ignore[no-untyped-def]
+def test_a_payload_is_one_body_with_its_mass_and_centre_beside_friction_that_nobody_modelled(record) -> None:  # type: ignore[no-untyped-def]  # noqa: E501
     (found,) = searched(record("payload", Arm(mass=1.5))).found
     assert (found.term.effect, found.term.joint, found.body) == ("payload", 3, "fore")
-    assert found.term.value("mass") == pytest.approx(1.5, rel=0.01)  # friction's width of 5 mrad/s is not the columns'
+    # friction's width of 5 mrad/s is not the columns'
+    assert found.term.value("mass") == pytest.approx(1.5, rel=0.01)
     com = [found.term.value(key) for key in ("com_x", "com_y", "com_z")]
     assert np.abs(np.array(com) - (0.35, 0.05, 0.03)).max() < 0.003  # m
     std = {key: q.std for key, q in found.term.parameters.items()}
@@ -136,7 +158,7 @@ def test_nothing_is_found_where_only_friction_is_missing(record) -> None:  # typ
     assert search.found == () and search.tried, "hypotheses were tried, and none holds"
 
 
-def test_a_heavier_link_is_a_mass_of_the_link_and_a_payload_there_cannot_be_told_from_it(record) -> None:  # type: ignore[no-untyped-def]
+def test_a_heavier_link_is_a_mass_of_the_link_and_a_payload_there_cannot_be_told_from_it(record) -> None:  # type: ignore[no-untyped-def]  # noqa: E501
     (found,) = searched(record("heavier", Arm(heavier=0.5))).found
     assert (found.term.effect, found.body) == ("body", "upper")
     assert found.term.value("mass") == pytest.approx(0.5, rel=0.05)
@@ -146,7 +168,9 @@ def test_a_heavier_link_is_a_mass_of_the_link_and_a_payload_there_cannot_be_told
 def test_a_shifted_centre_of_mass_is_the_links(record) -> None:  # type: ignore[no-untyped-def]
     (found,) = searched(record("shifted", Arm(shifted=0.03))).found
     assert (found.term.effect, found.body) == ("body", "upper")
-    assert found.term.value("mass") == 0.0 and found.term.value("com_x") == pytest.approx(0.03, abs=0.002)
+    assert found.term.value("mass") == 0.0 and found.term.value("com_x") == pytest.approx(
+        0.03, abs=0.002
+    )
 
 
 def test_a_tilted_base_is_gravity_and_no_body(record) -> None:  # type: ignore[no-untyped-def]
@@ -167,7 +191,8 @@ def test_a_larger_fault_of_one_joint_does_not_hide_a_body(record) -> None:  # ty
     assert found.term.value("angle_x") == pytest.approx(np.deg2rad(0.5), rel=0.1)
 
 
-def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+def test_a_body_that_is_not_there_is_proposed_in_vain(record,
+    monkeypatch) -> None:  # type: ignore[no-untyped-def]
     from zendsp.diagnosis import engine
 
     def wrong(fit, choose, model, jobs, tell):  # type: ignore[no-untyped-def]
@@ -182,15 +207,23 @@ def test_a_body_that_is_not_there_is_proposed_in_vain(record, monkeypatch) -> No
     assert ("payload", 3) in {(r.effect, r.joint) for r in d.rejected}
 
 
-def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
+    tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     model, paths = record("payload", Arm(mass=1.5), True)
     d = zendsp.diagnose(paths[0], model, paths[1], jobs=1)
     assert d.verdict == "missing"
     first = d.findings[0]
-    assert (first.effect, first.joint, first.as_dict()["body"], first.mechanism) == ("payload", 3, "fore", "inertia")
+    assert (first.effect, first.joint, first.as_dict()["body"], first.mechanism) == (
+        "payload",
+        3,
+        "fore",
+        "inertia",
+    )
     truth = {"mass": 1.5, "com_x": 0.35, "com_y": 0.05, "com_z": 0.03}
     for key, value in truth.items():
-        assert abs(first.parameters[key].value - value) < 4 * first.parameters[key].std < 0.05 * value
+        assert (
+            abs(first.parameters[key].value - value) < 4 * first.parameters[key].std < 0.05 * value
+        )
     mass = first.parameters["mass"]
     assert not {"coupling", "inertia", "torque_gain", "gravity"} & {f.effect for f in d.findings}
     assert d.test is not None and d.test.improved < 0.1 * d.test.calibrated
@@ -199,4 +232,6 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record, tmp_path: P
 
     write_report(d, tmp_path / "out", pictures=False)
     back = load_model(tmp_path / "out" / "model.toml")
-    assert [t.value("mass") for t in back.terms if t.effect == "payload"] == [pytest.approx(mass.value)]
+    assert [t.value("mass") for t in back.terms if t.effect == "payload"] == [
+        pytest.approx(mass.value)
+    ]

@@ -1,4 +1,6 @@
-"""The diagnosis names what a machine of independent code has and the given model has not, and stays silent where nothing is missing."""
+"""The diagnosis names what a machine of independent code has and the given model has not, and stays
+silent where nothing is missing.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ COULOMB = reality.effect("coulomb", level=0.03)
 
 @dataclass
 class Case:
-    """True machine, effects of the given model, and what must be found: effect -> parameter -> true value."""
+    """True machine, effects of the given model, and what must be found: effect -> parameter -> true
+    value.
+    """
 
     machine: reality.Machine
     given: list[str]
@@ -33,15 +37,43 @@ class Case:
 
 SINGLE: dict[str, Case] = {
     "viscous missing": Case(reality.Machine(), [COULOMB], {"viscous": {"coefficient": 0.004}}),
-    "coulomb absorbed into viscous": Case(reality.Machine(), [VISCOUS], {"coulomb": {"level": 0.03}}),
-    "drag": Case(reality.Machine(drag=0.004), [VISCOUS, COULOMB], {"quadratic_drag": {"coefficient": 0.004}}),
-    "stribeck": Case(reality.Machine(breakaway=0.06), [VISCOUS, COULOMB], {"stribeck": {"breakaway": 0.06, "velocity": 0.1}}, {"size": 0.5}),
-    "ripple": Case(reality.Machine(ripple=0.02), [VISCOUS, COULOMB], {"ripple": {"order": 7.0, "amplitude": 0.02, "phase": 0.4}}),
-    "gravity": Case(reality.Machine(gravity=0.15), [VISCOUS, COULOMB], {"gravity": {"torque": 0.15}}),
-    "spring": Case(reality.Machine(spring=0.08), [VISCOUS, COULOMB], {"stiffness": {"coefficient": 0.08}}),
-    "delay": Case(reality.Machine(delay=0.004), [VISCOUS, COULOMB], {"delay": {"time": 0.004}}, {"high": 12.0}),
-    "saturation far below the commands": Case(reality.Machine(weak=0.15), [VISCOUS, COULOMB], {"saturation": {"level": 0.15}}, {"size": 2.0, "high": 3.0}),
-    "pair": Case(reality.Machine(ripple=0.02, drag=0.004), [VISCOUS, COULOMB], {"ripple": {"amplitude": 0.02}, "quadratic_drag": {"coefficient": 0.004}}),
+    "coulomb absorbed into viscous": Case(
+        reality.Machine(), [VISCOUS], {"coulomb": {"level": 0.03}}
+    ),
+    "drag": Case(
+        reality.Machine(drag=0.004), [VISCOUS, COULOMB], {"quadratic_drag": {"coefficient": 0.004}}
+    ),
+    "stribeck": Case(
+        reality.Machine(breakaway=0.06),
+        [VISCOUS, COULOMB],
+        {"stribeck": {"breakaway": 0.06, "velocity": 0.1}},
+        {"size": 0.5},
+    ),
+    "ripple": Case(
+        reality.Machine(ripple=0.02),
+        [VISCOUS, COULOMB],
+        {"ripple": {"order": 7.0, "amplitude": 0.02, "phase": 0.4}},
+    ),
+    "gravity": Case(
+        reality.Machine(gravity=0.15), [VISCOUS, COULOMB], {"gravity": {"torque": 0.15}}
+    ),
+    "spring": Case(
+        reality.Machine(spring=0.08), [VISCOUS, COULOMB], {"stiffness": {"coefficient": 0.08}}
+    ),
+    "delay": Case(
+        reality.Machine(delay=0.004), [VISCOUS, COULOMB], {"delay": {"time": 0.004}}, {"high": 12.0}
+    ),
+    "saturation far below the commands": Case(
+        reality.Machine(weak=0.15),
+        [VISCOUS, COULOMB],
+        {"saturation": {"level": 0.15}},
+        {"size": 2.0, "high": 3.0},
+    ),
+    "pair": Case(
+        reality.Machine(ripple=0.02, drag=0.004),
+        [VISCOUS, COULOMB],
+        {"ripple": {"amplitude": 0.02}, "quadratic_drag": {"coefficient": 0.004}},
+    ),
 }
 
 
@@ -49,7 +81,11 @@ def run(case: Case, folder: Path, resolution: float = reality.RESOLUTION) -> Dia
     files = []
     for name, seconds, seed in (("train", 9.0, 1), ("heldout", 7.0, 2)):
         reference = reality.multisine(seconds, RATE, seed, **case.reference)
-        files.append(reality.save(folder / f"{name}.csv", reality.simulate(case.machine, reference, RATE, seed)))
+        files.append(
+            reality.save(
+                folder / f"{name}.csv", reality.simulate(case.machine, reference, RATE, seed)
+            )
+        )
     model = reality.model_file(folder / "model.toml", RATE, *case.given, resolution=resolution)
     return diagnose(files[0], model, files[1], jobs=2)
 
@@ -64,9 +100,11 @@ def test_missing_effect_is_named_with_its_parameters(name: str, tmp_path: Path) 
         assert f.joint == 1 and f.confidence > 0.5
         assert not set(f.indistinguishable) & set(case.found)
         for key, true in case.found[f.effect].items():
-            # 4 %: the target of issue 5 is 3 % in the median, and reality's friction has a slope of its own below 1 mrad/s
+            # 4 %: the target of issue 5 is 3 % in the median, and reality's friction has a slope of
+            # its own below 1 mrad/s
             assert f.parameters[key].value == pytest.approx(true, rel=0.04), key
-    # nine tenths of the gap between calibrated and noise floor closed on the recording that was held out
+    # nine tenths of the gap between calibrated and noise floor closed on the recording that was
+    # held out
     h = d.heldout
     assert h.calibrated - h.improved > 0.9 * (h.calibrated - d.noise_floor)
 
@@ -81,21 +119,35 @@ def test_a_gap_is_named_with_its_width_and_the_inertia_behind_it(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("size", "high", "counts"), [(1.0, 4.0, 16384), (0.15, 1.0, 4096)])
-def test_complete_model_raises_no_alarm(size: float, high: float, counts: int, tmp_path: Path) -> None:
+def test_complete_model_raises_no_alarm(
+    size: float, high: float, counts: int, tmp_path: Path
+) -> None:
     resolution = 2 * np.pi / counts
-    case = Case(reality.Machine(resolution=resolution), [VISCOUS, COULOMB], {}, {"size": size, "high": high})
+    case = Case(
+        reality.Machine(resolution=resolution), [VISCOUS, COULOMB], {}, {"size": size, "high": high}
+    )
     d = run(case, tmp_path, resolution)
     assert d.verdict == "complete" and d.findings == () and d.regions == ()
 
 
-def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(tmp_path: Path) -> None:
+def test_a_fast_ripple_is_found_though_the_held_out_recording_has_another_zero(
+    tmp_path: Path,
+) -> None:
     fine = 2 * np.pi / 2**17
     machine = reality.Machine(ripple=0.003, order=57, kp=8.0, kd=0.3, resolution=fine)
     files = []
     for name, seed, zero in (("train", 1, 0.0), ("heldout", 2, 4000 * fine)):
         run = reality.simulate(machine, reality.multisine(8.0, RATE, seed, size=2.0), RATE)
-        files.append(reality.save(tmp_path / f"{name}.csv", {**run, "q": run["q"] + zero, "r": run["r"] + zero}))
-    d = diagnose(files[0], reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, resolution=fine), files[1])
+        files.append(
+            reality.save(
+                tmp_path / f"{name}.csv", {**run, "q": run["q"] + zero, "r": run["r"] + zero}
+            )
+        )
+    d = diagnose(
+        files[0],
+        reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, resolution=fine),
+        files[1],
+    )
     assert {f.effect for f in d.findings} == {"coulomb", "ripple"}
     ripple = next(f for f in d.findings if f.effect == "ripple")
     assert ripple.parameters["order"].value == pytest.approx(57, abs=0.3)
@@ -124,12 +176,28 @@ def test_wrong_term_of_the_given_model_is_replaced(tmp_path: Path) -> None:
 
 def test_several_recordings_are_fitted_jointly(tmp_path: Path) -> None:
     machine = reality.Machine()
-    files = [reality.save(tmp_path / f"run{s}.csv", reality.simulate(machine, reality.multisine(6.0, RATE, s), RATE)) for s in (1, 2, 3)]
+    files = [
+        reality.save(
+            tmp_path / f"run{s}.csv",
+            reality.simulate(machine, reality.multisine(6.0, RATE, s), RATE),
+        )
+        for s in (1, 2, 3)
+    ]
     model = reality.model_file(tmp_path / "model.toml", RATE, VISCOUS)
     one, three = diagnose(files[0], model), diagnose(files, model)
     assert [f.effect for f in three.findings] == ["coulomb"] == [f.effect for f in one.findings]
-    # three times the samples: the statistical standard deviation falls by about the root of three; that of the numerics stays
-    spread = [dict(zip((h.key for h in d.details["whole"].fits[1].handles), d.details["whole"].fits[1].std, strict=True))["level"] for d in (one, three)]
+    # three times the samples: the statistical standard deviation falls by about the root of three;
+    # that of the numerics stays
+    spread = [
+        dict(
+            zip(
+                (h.key for h in d.details["whole"].fits[1].handles),
+                d.details["whole"].fits[1].std,
+                strict=True,
+            )
+        )["level"]
+        for d in (one, three)
+    ]
     assert spread[1] < 0.8 * spread[0]
     assert three.findings[0].parameters["level"].std < one.findings[0].parameters["level"].std
 
@@ -138,19 +206,38 @@ def test_user_effect_is_named(tmp_path: Path) -> None:
     """A file of one's own effect, and a recording that has it: it is named, with its number."""
     file = tmp_path / "lubricant.py"
     file.write_text(
-        "from zendsp.physics.effects import Effect, Parameter\n"
-        "FILM = Effect(name='film', site='torque', parameters=(Parameter('strength', 'torque/speed', lower=0),),\n"
-        "    c='return p[0] * s->qd / (1.0 + s->qd * s->qd);', linear=('strength',), sentence='Joint {joint} has a film of {strength}.',\n"
-        "    experiment='Speeds around 1 rad/s.', equation='w qd / (1 + qd^2)')\n"
+        "from zendsp.physics.effects import Effect, Parameter\nFILM = Effect(name='film',"
+        " site='torque', parameters=(Parameter('strength', 'torque/speed', lower=0),),\n   "
+        " c='return p[0] * s->qd / (1.0 + s->qd * s->qd);', linear=('strength',), sentence='Joint"
+        " {joint} has a film of {strength}.',\n    experiment='Speeds around 1 rad/s.', equation='w"
+        " qd / (1 + qd^2)')\n"
     )
     machine = reality.Machine(wiggle=0.05)
     for name, seed in (("a", 1), ("b", 2)):
-        reality.save(tmp_path / f"{name}.csv", reality.simulate(machine, reality.multisine(9.0, RATE, seed, high=2.0), RATE))
+        reality.save(
+            tmp_path / f"{name}.csv",
+            reality.simulate(machine, reality.multisine(9.0, RATE, seed, high=2.0), RATE),
+        )
     reality.model_file(tmp_path / "model.toml", RATE, VISCOUS, COULOMB)
     # a process of its own: loaded effects stay in the library
     entry = "from zendsp.cli import main; main()"
-    command = [sys.executable, "-c", entry, "diagnose", "a.csv", "--model", "model.toml", "--heldout", "b.csv", "--effects", "lubricant.py", "--json"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False)
+    command = [
+        sys.executable,
+        "-c",
+        entry,
+        "diagnose",
+        "a.csv",
+        "--model",
+        "model.toml",
+        "--heldout",
+        "b.csv",
+        "--effects",
+        "lubricant.py",
+        "--json",
+    ]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False
+    )
     assert done.returncode == 0, done.stderr
     report: dict[str, Any] = json.loads(done.stdout)
     assert [f["effect"] for f in report["findings"]] == ["film"]
@@ -158,9 +245,23 @@ def test_user_effect_is_named(tmp_path: Path) -> None:
     assert "film" in report["findings"][0]["sentence"]
 
 
-def test_file_that_defines_no_effect_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_file_that_defines_no_effect_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "none.py").write_text("x = 1\n")
-    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", "a.csv", "--model", "m.toml", "--effects", str(tmp_path / "none.py")])
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [
+            "zendsp",
+            "diagnose",
+            "a.csv",
+            "--model",
+            "m.toml",
+            "--effects",
+            str(tmp_path / "none.py"),
+        ],
+    )
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2 and "none.py" in capsys.readouterr().err

@@ -1,4 +1,5 @@
-"""Numbers of a finding belong to its own term, also where a joint has several terms of one effect."""
+"""Numbers of a finding belong to its own term, also where a joint has several terms of one effect.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from zendsp.diagnosis.reading import Signals, split
 from zendsp.physics.fit import Fit, Handle
 from zendsp.physics.model import Model, Quantity, Term
 
-SIZES = (0.3, 0.02, 0.7)  # of the couplings from joint 2 by inertia, from joint 2 by speed, from joint 3 by inertia
+# of the couplings from joint 2 by inertia, from joint 2 by speed, from joint 3 by inertia
+SIZES = (0.3, 0.02, 0.7)
 
 
 def _coupling(from_joint: int, law: int, size: float) -> Term:
@@ -22,7 +24,8 @@ def _coupling(from_joint: int, law: int, size: float) -> Term:
 
 def _couplings(scale: float) -> tuple[Term, ...]:
     return tuple(
-        _coupling(joint, law, scale * size) for (joint, law), size in zip(((2, 0), (2, 2), (3, 0)), SIZES, strict=True)
+        _coupling(joint, law, scale * size)
+        for (joint, law), size in zip(((2, 0), (2, 2), (3, 0)), SIZES, strict=True)
     )
 
 
@@ -32,7 +35,18 @@ def fit() -> Fit:
     model = Model("arm", 1e-3, "urdf", {}, terms)
     handles = tuple(Handle("term", i, "coefficient") for i in (1, 2, 3))
     spread = np.diag([0.01, 0.02, 0.03]) ** 2  # so the second is no coupling at all
-    return Fit(model, handles, np.array(SIZES), spread, 0.0, 1, (False,) * 3, True, np.empty((0, 3)), np.empty(0))
+    return Fit(
+        model,
+        handles,
+        np.array(SIZES),
+        spread,
+        0.0,
+        1,
+        (False,) * 3,
+        True,
+        np.empty((0, 3)),
+        np.empty(0),
+    )
 
 
 def test_each_of_several_couplings_has_its_own_numbers(fit: Fit) -> None:
@@ -47,8 +61,16 @@ def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> N
 
 
 def test_a_ripple_is_found_again_by_how_often_it_repeats() -> None:
-    ripples = [Term("ripple", 1, {"order": Quantity(n), "amplitude": Quantity(0.1)}) for n in (5.0, 7.0, 12.0)]
-    assert counterpart(ripples, Term("ripple", 1, {"order": Quantity(7.01), "amplitude": Quantity(0.2)})) is ripples[1]
+    ripples = [
+        Term("ripple", 1, {"order": Quantity(n), "amplitude": Quantity(0.1)})
+        for n in (5.0, 7.0, 12.0)
+    ]
+    assert (
+        counterpart(
+            ripples, Term("ripple", 1, {"order": Quantity(7.01), "amplitude": Quantity(0.2)})
+        )
+        is ripples[1]
+    )
 
 
 def test_hysteresis_is_found_again_when_its_exponent_was_chosen_anew() -> None:
@@ -62,9 +84,15 @@ def test_a_term_that_is_not_there_is_no_other_one(fit: Fit) -> None:
         counterpart(fit.model.terms, Term("coupling", 2, {}))
 
 
-def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_comes_to_rest() -> None:
+def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_comes_to_rest() -> (
+    None
+):
     t = np.arange(20_000) * 1e-3
-    for q, share in ((np.exp(-t) * np.sin(6 * t), 0.055), (np.sin(6 * t), 2 / 3), (np.sin(6 * np.minimum(t, 5.0)), 1 / 6)):
+    for q, share in (
+        (np.exp(-t) * np.sin(6 * t), 0.055),
+        (np.sin(6 * t), 2 / 3),
+        (np.sin(6 * np.minimum(t, 5.0)), 1 / 6),
+    ):
         s = Signals("swing", t, 1e-3, q[:, None], np.zeros((len(t), 1)), None, np.array([1e-4]))
         train, test, notes = split([s])
         assert len(train[0].time) + len(test[0].time) == len(t)

@@ -18,18 +18,45 @@ RATE = 500.0
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three machines of one kind: healthy, with more friction than the model knows, and with a broken recording."""
+    """Three machines of one kind: healthy, with more friction than the model knows, and with a
+    broken recording.
+    """
     folder = tmp_path_factory.mktemp("fleet")
     for name, machine in (("one", reality.Machine()), ("two", reality.Machine(drag=0.005))):
-        reality.save(folder / f"{name}.csv", reality.simulate(machine, reality.multisine(8.0, RATE, 4), RATE))
+        reality.save(
+            folder / f"{name}.csv", reality.simulate(machine, reality.multisine(8.0, RATE, 4), RATE)
+        )
     (folder / "three.csv").write_text("t,q,u\n0,0,0\n")
-    reality.model_file(folder / "model.toml", RATE, reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03))
+    reality.model_file(
+        folder / "model.toml",
+        RATE,
+        reality.effect("viscous", coefficient=0.004),
+        reality.effect("coulomb", level=0.03),
+    )
     return folder
 
 
-def test_each_recording_gets_its_own_diagnosis_in_its_own_process(fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_recording_gets_its_own_diagnosis_in_its_own_process(
+    fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     runs = [str(fleet / f"{n}.csv") for n in ("one", "two", "three")]
-    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", *runs, "--model", str(fleet / "model.toml"), "--each", "--jobs", "2", "--out", str(tmp_path), "--json"])
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [
+            "zendsp",
+            "diagnose",
+            *runs,
+            "--model",
+            str(fleet / "model.toml"),
+            "--each",
+            "--jobs",
+            "2",
+            "--out",
+            str(tmp_path),
+            "--json",
+        ],
+    )
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 0
@@ -38,7 +65,9 @@ def test_each_recording_gets_its_own_diagnosis_in_its_own_process(fleet: Path, t
     assert [r["report"] and r["report"]["verdict"] for r in rows] == ["complete", "missing", None]
     assert rows[1]["report"]["findings"][0]["effect"] == "quadratic_drag"
     assert "three.csv" in rows[2]["error"] and "samples" in rows[2]["error"]
-    assert (tmp_path / "one" / "report.json").exists() and (tmp_path / "two" / "report.html").exists()
+    assert (tmp_path / "one" / "report.json").exists() and (
+        tmp_path / "two" / "report.html"
+    ).exists()
     assert not (tmp_path / "three").exists()
 
 
@@ -54,14 +83,29 @@ def test_recordings_of_the_same_name_get_folders_of_their_own() -> None:
     assert stems(["/a/run.csv", "/b/run.csv", "/c/other.csv.gz"]) == ["1_run", "2_run", "other"]
 
 
-def test_all_recordings_unusable_is_an_error(fleet: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(fleet / "three.csv"), "--model", str(fleet / "model.toml"), "--each"])
+def test_all_recordings_unusable_is_an_error(
+    fleet: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [
+            "zendsp",
+            "diagnose",
+            str(fleet / "three.csv"),
+            "--model",
+            str(fleet / "model.toml"),
+            "--each",
+        ],
+    )
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2 and "three.csv" in capsys.readouterr().err
 
 
-def test_without_dask_the_scheduler_option_says_what_to_install(fleet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_dask_the_scheduler_option_says_what_to_install(
+    fleet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)  # as if it were not installed
     with pytest.raises(ZendspError, match=r"zendsp\[fleet\]"):
         diagnose_each([fleet / "one.csv"], fleet / "model.toml", scheduler="tcp://127.0.0.1:8786")
@@ -69,8 +113,14 @@ def test_without_dask_the_scheduler_option_says_what_to_install(fleet: Path, mon
 
 def test_on_a_dask_cluster_the_outcome_is_the_same(fleet: Path) -> None:
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
-        there = diagnose_each([fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml", scheduler=cluster.scheduler_address)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        there = diagnose_each(
+            [fleet / "one.csv", fleet / "two.csv"],
+            fleet / "model.toml",
+            scheduler=cluster.scheduler_address,
+        )
     here = diagnose_each([fleet / "one.csv", fleet / "two.csv"], fleet / "model.toml")
     for a, b in zip(there, here, strict=True):
         assert a.report is not None and b.report is not None
@@ -81,6 +131,7 @@ def test_a_scheduler_that_is_not_there_is_named() -> None:
     pytest.importorskip("distributed")
     import dask
 
-    soon = dask.config.set({"distributed.comm.timeouts.connect": "1s"})  # ten seconds otherwise, with nobody there
+    # ten seconds otherwise, with nobody there
+    soon = dask.config.set({"distributed.comm.timeouts.connect": "1s"})
     with soon, pytest.raises(LinkError, match=r"127\.0\.0\.1:9"):
         diagnose_each(["x.csv"], "m.toml", scheduler="tcp://127.0.0.1:9")

@@ -1,4 +1,6 @@
-"""What is found does not change with units, the origin of time, unnamed columns, the width of numbers, or a recording given twice."""
+"""What is found does not change with units, the origin of time, unnamed columns, the width of
+numbers, or a recording given twice.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,10 @@ CHANGES: dict[str, Callable[[Columns], Columns]] = {
     "none": lambda c: c,
     "origin of time": lambda c: {**c, "t": c["t"] + 1.7e9},
     "float32": lambda c: {k: v if k == "t" else v.astype(np.float32) for k, v in c.items()},
-    "unnamed column": lambda c: {**c, "other": np.random.default_rng(0).standard_normal(len(c["t"]))},
+    "unnamed column": lambda c: {
+        **c,
+        "other": np.random.default_rng(0).standard_normal(len(c["t"])),
+    },
     "command in thousandths": _milli,
     "torque in mN m": _milli,
     "twice": lambda c: c,
@@ -41,7 +46,9 @@ TORQUES = r"(inertia = \{ value|coefficient = \{ value|level = \{ value|limit) =
 
 def _model(text: str, change: str) -> str:
     if change == "command in thousandths":
-        return text.replace("gain = { value = 1.0", "gain = { value = 0.001").replace("limit = 3.0", "limit = 3000.0")
+        return text.replace("gain = { value = 1.0", "gain = { value = 0.001").replace(
+            "limit = 3.0", "limit = 3000.0"
+        )
     if change == "torque in mN m":
         text, changed = re.subn(TORQUES, lambda m: f"{m[1]} = {1e3 * float(m[2])!r}", text)
         assert changed == 4
@@ -51,10 +58,14 @@ def _model(text: str, change: str) -> str:
 def _diagnosed(folder: Path, machine: reality.Machine, change: str) -> Diagnosis:
     files = []
     for seconds, seed in ((9.0, 1), (7.0, 2)):
-        columns = CHANGES[change](reality.simulate(machine, reality.multisine(seconds, RATE, seed), RATE, seed))
+        columns = CHANGES[change](
+            reality.simulate(machine, reality.multisine(seconds, RATE, seed), RATE, seed)
+        )
         files.append(folder / f"run{seed}.npz")
         np.savez(files[-1], **columns)
-    model = Path(reality.model_file(folder / "model.toml", RATE, *GIVEN, resolution=machine.resolution))
+    model = Path(
+        reality.model_file(folder / "model.toml", RATE, *GIVEN, resolution=machine.resolution)
+    )
     model.write_text(_model(model.read_text(), change))
     train = [files[0]] * (2 if change == "twice" else 1)
     return diagnose(train, model, files[1])
@@ -62,12 +73,17 @@ def _diagnosed(folder: Path, machine: reality.Machine, change: str) -> Diagnosis
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Diagnosis]:
-    return {name: _diagnosed(tmp_path_factory.mktemp("plain"), m, "none") for name, m in MACHINES.items()}
+    return {
+        name: _diagnosed(tmp_path_factory.mktemp("plain"), m, "none")
+        for name, m in MACHINES.items()
+    }
 
 
 @pytest.mark.parametrize("change", [c for c in CHANGES if c != "none"])
 @pytest.mark.parametrize("name", MACHINES)
-def test_nothing_that_is_found_changes_with(name: str, change: str, plain: dict[str, Diagnosis], tmp_path: Path) -> None:
+def test_nothing_that_is_found_changes_with(
+    name: str, change: str, plain: dict[str, Diagnosis], tmp_path: Path
+) -> None:
     before, after = plain[name], _diagnosed(tmp_path, MACHINES[name], change)
     assert after.verdict == before.verdict
     assert [f.effect for f in after.findings] == [f.effect for f in before.findings]
@@ -75,7 +91,11 @@ def test_nothing_that_is_found_changes_with(name: str, change: str, plain: dict[
     for one, other in zip(before.findings, after.findings, strict=True):
         for key, value in one.parameters.items():
             of_torque = scale if "N" in value.unit else 1.0
-            assert other.parameters[key].value == pytest.approx(of_torque * value.value, rel=2e-3, abs=2e-3 * of_torque * 0.03)
-    assert after.discrepancy[0].share == pytest.approx(before.discrepancy[0].share, rel=0.05, abs=2e-4)
+            assert other.parameters[key].value == pytest.approx(
+                of_torque * value.value, rel=2e-3, abs=2e-3 * of_torque * 0.03
+            )
+    assert after.discrepancy[0].share == pytest.approx(
+        before.discrepancy[0].share, rel=0.05, abs=2e-4
+    )
     assert after.test is not None and before.test is not None
     assert after.test.improved == pytest.approx(before.test.improved, rel=0.02)

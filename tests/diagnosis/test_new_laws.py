@@ -1,4 +1,6 @@
-"""Laws beyond rigid friction: the screen finds each in a recording of independent code, and the fit finds its numbers."""
+"""Laws beyond rigid friction: the screen finds each in a recording of independent code, and the fit
+finds its numbers.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ COULOMB = {"kind": "coulomb", "joint": 1, "level": 0.03}
 
 @dataclass(frozen=True)
 class Case:
-    """What the machine has and the model has not: parameter -> true value, and how far off it may be found."""
+    """What the machine has and the model has not: parameter -> true value, and how far off it may
+    be found.
+    """
 
     machine: reality.Machine
     true: dict[str, float]
@@ -40,19 +44,38 @@ class Case:
 FAST = {"high": 12.0}
 CASES: dict[str, Case] = {
     "gain_drift": Case(reality.Machine(fade=-0.25), {"ratio": -0.25, "time_constant": 3.0}),
-    "sensor_harmonic": Case(reality.Machine(oval=0.01), {"order": 2.0, "amplitude": 0.01}, reference={"size": 2.0}),
+    "sensor_harmonic": Case(
+        reality.Machine(oval=0.01), {"order": 2.0, "amplitude": 0.01}, reference={"size": 2.0}
+    ),
     "position_filter": Case(reality.Machine(smear=0.006), {"time_constant": 0.006}, reference=FAST),
     "column_shift": Case(reality.Machine(late=2), {"time": 0.004}, reference=FAST),
-    "voltage_limit": Case(reality.Machine(supply=0.7, back=0.08), {"level": 0.7, "slope": 0.08}, reference={"size": 2.0, "high": 3.0}),
+    "voltage_limit": Case(
+        reality.Machine(supply=0.7, back=0.08),
+        {"level": 0.7, "slope": 0.08},
+        reference={"size": 2.0, "high": 3.0},
+    ),
     "stiffening": Case(
-        reality.Machine(soft=15.0, hard=8e3, load=0.006), {"stiffness": 15.0, "stiffness3": 8e3, "load_inertia": 0.006}, 0.1,
-        ({"kind": "elasticity", "joint": 1, "stiffness": 25.0, "damping": 0.02, "load_inertia": 0.005},), FAST,
+        reality.Machine(soft=15.0, hard=8e3, load=0.006),
+        {"stiffness": 15.0, "stiffness3": 8e3, "load_inertia": 0.006},
+        0.1,
+        (
+            {
+                "kind": "elasticity",
+                "joint": 1,
+                "stiffness": 25.0,
+                "damping": 0.02,
+                "load_inertia": 0.005,
+            },
+        ),
+        FAST,
     ),
     "transmission_error": Case(
-        reality.Machine(wobble=0.01, gravity=0.2), {"order": 5.0, "amplitude": 0.01}, reference={"size": 2.0, "high": 6.0}
+        reality.Machine(wobble=0.01, gravity=0.2),
+        {"order": 5.0, "amplitude": 0.01},
+        reference={"size": 2.0, "high": 6.0},
     ),
     "friction_temperature": Case(reality.Machine(thin=0.03), {"coefficient": -0.03}),
-}  # fmt: skip
+}
 
 
 @cache
@@ -62,10 +85,19 @@ def data_of(name: str) -> tuple[Data, Model]:
     columns = reality.simulate(
         case.machine, reality.multisine(SECONDS, RATE, 1, **case.reference), RATE
     )
-    model = parse_model({
-        "sample_time": 1.0 / RATE, "effect": [VISCOUS, COULOMB, *case.given],
-        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.0102}, "gravity": {"value": case.machine.gravity}}},
-    })  # fmt: skip
+    model = parse_model(
+        {
+            "sample_time": 1.0 / RATE,
+            "effect": [VISCOUS, COULOMB, *case.given],
+            "mechanism": {
+                "kind": "rotary",
+                "parameters": {
+                    "inertia": {"value": 0.0102},
+                    "gravity": {"value": case.machine.gravity},
+                },
+            },
+        }
+    )
     extra = {"temperature": columns["warm"][:, None]} if "warm" in columns else {}
     q, u = columns["q"][:, None], columns["u"][:, None]
     signals = Signals(
@@ -106,7 +138,8 @@ def test_an_early_column_is_a_delay_and_a_part_of_a_row_is_no_shifted_column() -
         return [r.effect for r in rivals if base.deviance - r.value > 40]
 
     assert first(reality.Machine(late=-2))[:2] == ["delay", "column_shift"]
-    # the position of reality is half of an integration step, a fortieth of a row, ahead of its torque
+    # the position of reality is half of an integration step, a fortieth of a row, ahead of its
+    # torque
     assert "column_shift" not in first(reality.Machine())
 
 
@@ -119,7 +152,8 @@ def test_an_effect_without_its_column_is_not_considered_and_the_report_says_so()
     (note,) = unused_effects([signals], model)
     assert (
         note
-        == "friction_temperature was not considered: the model's [columns] names no column of temperature"
+        == "friction_temperature was not considered: the model's [columns] names no column of"
+        " temperature"
     )
 
 
@@ -181,5 +215,6 @@ def test_a_simulated_loop_knows_temperature_load_and_what_is_written_of_its_comm
         "damping": 0.2,
         "load_inertia": 0.005,
     }
-    # 3000 N m/rad bend by 0.1 mrad under the torque of the load; the motor has the other half of the inertia
+    # 3000 N m/rad bend by 0.1 mrad under the torque of the load; the motor has the other half of
+    # the inertia
     assert np.max(np.abs(looped(hard, VISCOUS).position - looped(VISCOUS).position)) < 2e-3

@@ -1,4 +1,6 @@
-"""The report folder is the contract of DIAGNOSIS.md, and what it promises works: the model again, the compensation in C, the page offline."""
+"""The report folder is the contract of DIAGNOSIS.md, and what it promises works: the model again,
+the compensation in C, the page offline.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,28 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report")
     machine = reality.Machine(ripple=0.02)
     for name, seed in (("train", 1), ("heldout", 2)):
-        reality.save(folder / f"{name}.csv", reality.simulate(machine, reality.multisine(9.0, RATE, seed), RATE))
+        reality.save(
+            folder / f"{name}.csv",
+            reality.simulate(machine, reality.multisine(9.0, RATE, seed), RATE),
+        )
     reality.model_file(folder / "model.toml", RATE, reality.effect("viscous", coefficient=0.004))
     out = folder / "out"
-    argv, sys.argv = sys.argv, ["zendsp", "diagnose", *map(str, (folder / "train.csv", "--model", folder / "model.toml", "--heldout", folder / "heldout.csv", "--out", out))]
+    argv, sys.argv = sys.argv, [
+        "zendsp",
+        "diagnose",
+        *map(
+            str,
+            (
+                folder / "train.csv",
+                "--model",
+                folder / "model.toml",
+                "--heldout",
+                folder / "heldout.csv",
+                "--out",
+                out,
+            ),
+        ),
+    ]
     try:
         with pytest.raises(SystemExit) as stop:
             main()
@@ -48,16 +68,25 @@ def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, An
     assert {f["effect"] for f in report["findings"]} == {"coulomb", "ripple"}
     for f in report["findings"]:
         assert f["effect"] in library() and f["joint"] == 1
-        assert {n: set(p) for n, p in f["parameters"].items()} == {n: {"value", "std", "unit"} for n in f["parameters"]}
+        assert {n: set(p) for n, p in f["parameters"].items()} == {
+            n: {"value", "std", "unit"} for n in f["parameters"]
+        }
         for p in f["parameters"].values():
             assert isinstance(p["value"], float) and p["std"] >= 0 and isinstance(p["unit"], str)
         assert 0 < f["confidence"] <= 1 and 0 <= f["share"] <= 1
-        assert isinstance(f["indistinguishable"], list) and isinstance(f["replaces"], list) and "{" not in f["sentence"]
+        assert (
+            isinstance(f["indistinguishable"], list)
+            and isinstance(f["replaces"], list)
+            and "{" not in f["sentence"]
+        )
     assert sum(f["share"] for f in report["findings"]) == pytest.approx(1.0, abs=0.35)
     for a, b in report["where"]["time"]:
         assert 0 <= a < b <= 9.0
     for row in report["where"]["state"]:
-        assert set(row) == {"joint", "variable", "interval", "share", "time_share"} and row["interval"][0] <= row["interval"][1]
+        assert (
+            set(row) == {"joint", "variable", "interval", "share", "time_share"}
+            and row["interval"][0] <= row["interval"][1]
+        )
     fit = report["fit"]
     assert (fit["quantity"], fit["unit"]) == ("position", "rad")
     for table in (fit["estimation"], fit["heldout"]):
@@ -65,13 +94,19 @@ def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, An
         assert table["given"] >= table["calibrated"] > table["improved"] > 0
     assert fit["noise_floor"] > 0
     for row in report["rejected"]:
-        assert (set(row) == {"effect", "joint", "why", "score"} and row["why"] and row["score"] <= 0) or row["score"] > 0
-    assert report["next_recording"] is None or {"sentence", "reference"} <= set(report["next_recording"])
+        assert (
+            set(row) == {"effect", "joint", "why", "score"} and row["why"] and row["score"] <= 0
+        ) or row["score"] > 0
+    assert report["next_recording"] is None or {"sentence", "reference"} <= set(
+        report["next_recording"]
+    )
     assert report["seconds"] > 0
 
 
 def test_found_parameters_are_in_the_units_of_the_contract(report: dict[str, Any]) -> None:
-    units = {f["effect"]: {n: p["unit"] for n, p in f["parameters"].items()} for f in report["findings"]}
+    units = {
+        f["effect"]: {n: p["unit"] for n, p in f["parameters"].items()} for f in report["findings"]
+    }
     assert units["coulomb"] == {"level": "N m"}
     assert units["ripple"]["amplitude"] == "N m"
 
@@ -86,7 +121,12 @@ def test_improved_model_given_again_is_complete(folder: Path) -> None:
 
 def test_page_is_self_contained(folder: Path) -> None:
     text = (folder / "out" / "report.html").read_text()
-    assert "http://" not in text and "https://" not in text and "<script src" not in text and "<link" not in text
+    assert (
+        "http://" not in text
+        and "https://" not in text
+        and "<script src" not in text
+        and "<link" not in text
+    )
     assert text.count("data:image/png;base64,") >= 3
     assert "coulomb" in text and "held-out" in text
     assert len(list((folder / "out").glob("*.png"))) >= 3
@@ -104,14 +144,44 @@ def test_compensation_compiles_for_the_isr(folder: Path, tmp_path: Path) -> None
     include = Path(__import__("zendsp_isr").__file__).parent / "include"
     (tmp_path / "compensation.c").write_text(code)
     done = subprocess.run(
-        [compiler, "-std=c11", "-Wall", "-Wextra", "-Werror", "-Wno-unused-function", f"-I{include}", "-c", "compensation.c", "-o", "compensation.o"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            compiler,
+            "-std=c11",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            "-Wno-unused-function",
+            f"-I{include}",
+            "-c",
+            "compensation.c",
+            "-o",
+            "compensation.o",
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
 
 
-def test_json_on_the_terminal_is_the_report(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(folder / "train.csv"), "--model", str(folder / "model.toml"), "--heldout", str(folder / "heldout.csv"), "--json"])
+def test_json_on_the_terminal_is_the_report(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [
+            "zendsp",
+            "diagnose",
+            str(folder / "train.csv"),
+            "--model",
+            str(folder / "model.toml"),
+            "--heldout",
+            str(folder / "heldout.csv"),
+            "--json",
+        ],
+    )
     with pytest.raises(SystemExit) as stop:
         main()
     out, err = capsys.readouterr()

@@ -49,7 +49,7 @@ def broken(recording, parameters):
 
 def short(recording, parameters):
     return [0.0, 1.0]
-"""
+"""  # noqa: E501
 MODEL = """name = "pendulum"
 sample_time = 0.004
 [mechanism]
@@ -70,11 +70,21 @@ reference = "r"
 OWN = "inertia = { value = 0.0102 }\ngravity = { value = 0.206 }\nviscous = { value = 0.0042 }"
 
 
-def files(folder: Path, machine: reality.Machine, function: str = "simulate", parameters: str = OWN) -> tuple[Path, Path, Path]:
+def files(
+    folder: Path, machine: reality.Machine, function: str = "simulate", parameters: str = OWN
+) -> tuple[Path, Path, Path]:
     (folder / "pendulum_sim.py").write_text(SIMULATOR)
     model = folder / "model.toml"
-    model.write_text(MODEL.format(function=function, parameters=parameters, resolution=repr(reality.RESOLUTION)))
-    made = [reality.save(folder / f"{name}.csv", reality.simulate(machine, reality.multisine(6.0, RATE, seed), RATE)) for name, seed in (("a", 1), ("b", 2))]
+    model.write_text(
+        MODEL.format(function=function, parameters=parameters, resolution=repr(reality.RESOLUTION))
+    )
+    made = [
+        reality.save(
+            folder / f"{name}.csv",
+            reality.simulate(machine, reality.multisine(6.0, RATE, seed), RATE),
+        )
+        for name, seed in (("a", 1), ("b", 2))
+    ]
     return made[0], made[1], model
 
 
@@ -85,12 +95,15 @@ def test_coulomb_friction_that_a_python_simulator_lacks_is_named(tmp_path: Path)
     level = d.findings[0].parameters["level"]
     assert level.value == pytest.approx(0.03, rel=0.04) and level.std < 0.002
     mechanism = {k: v[0].value for k, v in d.improved.mechanism.items()}
-    assert mechanism["inertia"] == pytest.approx(0.010, rel=0.01) and mechanism["gravity"] == pytest.approx(0.2, rel=0.02)
+    assert mechanism["inertia"] == pytest.approx(0.010, rel=0.01) and mechanism[
+        "gravity"
+    ] == pytest.approx(0.2, rel=0.02)
     assert d.heldout.improved < 0.2 * d.heldout.calibrated
     assert d.findings[0].confidence <= 0.9  # not calibrated for black boxes: it must not boast
     out = write_report(d, tmp_path / "out")
     assert "data:image/png" in (out / "report.html").read_text()
-    again = diagnose(train, out / "model.toml", test)  # its terms act on the input; the module stands beside the first model
+    # its terms act on the input; the module stands beside the first model
+    again = diagnose(train, out / "model.toml", test)
     assert again.verdict == "complete", again.findings
 
 
@@ -100,14 +113,30 @@ def test_complete_simulator_raises_no_alarm(tmp_path: Path) -> None:
     assert d.verdict == "complete" and d.findings == ()
 
 
-def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_says_so(tmp_path: Path) -> None:
+def test_simulator_that_starts_elsewhere_is_compared_as_a_whole_and_the_report_says_so(
+    tmp_path: Path,
+) -> None:
     train, test, model = files(tmp_path, reality.Machine(), "whole", "stiff = { value = 1.0 }")
     d = diagnose(train, model, test)
     assert any("whole recordings" in n for n in d.notes)
 
 
-@pytest.mark.parametrize(("entry", "words"), [("pendulum_sim:broken", "no licence"), ("pendulum_sim:short", "shape"), ("pendulum_sim:nothing", "no function"), ("pendulum_sim", "module:function")])
-def test_failing_simulators_are_refused_with_their_own_words(entry: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("pendulum_sim:broken", "no licence"),
+        ("pendulum_sim:short", "shape"),
+        ("pendulum_sim:nothing", "no function"),
+        ("pendulum_sim", "module:function"),
+    ],
+)
+def test_failing_simulators_are_refused_with_their_own_words(
+    entry: str,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     train, _, model = files(tmp_path, reality.Machine(gravity=0.2))
     model.write_text(model.read_text().replace("pendulum_sim:simulate", entry))
     monkeypatch.setattr(sys, "argv", ["zendsp", "diagnose", str(train), "--model", str(model)])

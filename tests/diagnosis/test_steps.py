@@ -1,4 +1,6 @@
-"""What a search does with a step: equal directions are one, gaps are begun from the given numbers too, untouched recordings refuse what only the fit wants."""
+"""What a search does with a step: equal directions are one, gaps are begun from the given numbers
+too, untouched recordings refuse what only the fit wants.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,26 @@ RATE = 500.0
 
 
 def data_of(columns: dict[str, np.ndarray], model: Model) -> Data:
-    signals = Signals("run", columns["t"], 1.0 / RATE, columns["q"][:, None], columns["u"][:, None], None, np.array([reality.RESOLUTION]))
+    signals = Signals(
+        "run",
+        columns["t"],
+        1.0 / RATE,
+        columns["q"][:, None],
+        columns["u"][:, None],
+        None,
+        np.array([reality.RESOLUTION]),
+    )
     return prepare([signals], model, 64.0)
 
 
 def model_of(*terms: dict[str, object], inertia: float = 0.010) -> Model:
-    return parse_model({"sample_time": 1.0 / RATE, "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": inertia}}}, "effect": list(terms)})
+    return parse_model(
+        {
+            "sample_time": 1.0 / RATE,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": inertia}}},
+            "effect": list(terms),
+        }
+    )
 
 
 VISCOUS = {"kind": "viscous", "joint": 1, "coefficient": 0.004}
@@ -39,23 +55,32 @@ COULOMB = {"kind": "coulomb", "joint": 1, "level": 0.03}
 
 
 @pytest.mark.parametrize(("offset", "kept"), [(0.0, "coulomb"), (0.01, "coulomb_asymmetry")])
-def test_an_asymmetry_of_equal_directions_is_the_symmetric_effect_and_another_one_stays(offset: float, kept: str) -> None:
+def test_an_asymmetry_of_equal_directions_is_the_symmetric_effect_and_another_one_stays(
+    offset: float, kept: str
+) -> None:
     columns = reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 3), RATE)
-    columns["u"] = columns["u"] + offset  # what the machine was told besides is what one direction had to overcome more
+    # what the machine was told besides is what one direction had to overcome more
+    columns["u"] = columns["u"] + offset
     base = model_of(VISCOUS, COULOMB)
     data = data_of(columns, base)
     calibrated = calibrate_joint(data, base, 1)
-    model = model_of(VISCOUS, {"kind": "coulomb_asymmetry", "joint": 1, "level_pos": 0.03, "level_neg": 0.03})
+    model = model_of(
+        VISCOUS, {"kind": "coulomb_asymmetry", "joint": 1, "level_pos": 0.03, "level_neg": 0.03}
+    )
     scored = fit_scored(calibrated.data, model, joint_handles(data, model, 1), (1,))
     rival = Rival("coulomb_asymmetry", 1, scored, 10.0, model.at(1)[1:], ("coulomb",))
-    best, _ = simplify(JointSearch(1, calibrated, [Step(rival, (), calibrated)], scored), informative(data, 1), 1)
+    best, _ = simplify(
+        JointSearch(1, calibrated, [Step(rival, (), calibrated)], scored), informative(data, 1), 1
+    )
     assert kept in {t.effect for t in best.model.terms}
     assert {t.effect for t in best.model.terms} <= {"viscous", kept}
 
 
 def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> None:
     given = model_of(VISCOUS, COULOMB)
-    columns = reality.simulate(reality.Machine(gap=0.05, load=0.005), reality.multisine(6.0, RATE, 3), RATE)
+    columns = reality.simulate(
+        reality.Machine(gap=0.05, load=0.005), reality.multisine(6.0, RATE, 3), RATE
+    )
     data = data_of(columns, given)
     moved = given.mechanism["inertia"][0]
     calibrated = model_of(VISCOUS, {**COULOMB, "level": 0.05}, inertia=0.007)
@@ -74,15 +99,21 @@ def test_a_gap_is_begun_from_the_given_inertia_where_calibration_moved_it() -> N
 
 def test_a_term_that_only_the_fit_wants_does_not_pass_an_untouched_recording() -> None:
     model = model_of(VISCOUS, COULOMB)
-    data = data_of(reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 5), RATE), model)
-    other = data_of(reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 6), RATE, 6), model)
+    data = data_of(
+        reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 5), RATE), model
+    )
+    other = data_of(
+        reality.simulate(reality.Machine(), reality.multisine(6.0, RATE, 6), RATE, 6), model
+    )
     right = calibrate_joint(data, model, 1)
     without = model_of(VISCOUS)
     worse = fit_scored(right.data, without, joint_handles(data, without, 1), (1,))
     seen = compare(worse, right, other, 1)
     assert seen.gain > 100.0 and seen.z > 4.0
     spoiled = Scored(right.fit, right.data, right.deviance, (1,))
-    spoiled = replace(spoiled, fit=replace(right.fit, model=model_of(VISCOUS, {**COULOMB, "level": 0.05})))
+    spoiled = replace(
+        spoiled, fit=replace(right.fit, model=model_of(VISCOUS, {**COULOMB, "level": 0.05}))
+    )
     assert compare(right, spoiled, other, 1).gain < -100.0
 
 

@@ -53,7 +53,9 @@ def children(pid: int) -> list[int]:
 
 
 def make_certificates(folder: Path) -> None:
-    """Make an authority ``ca`` and two certificates signed by it, ``one`` and ``two``, good for the loopback."""
+    """Make an authority ``ca`` and two certificates signed by it, ``one`` and ``two``, good for the
+    loopback.
+    """
 
     def openssl(*arguments: str) -> None:
         subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
@@ -74,7 +76,9 @@ def make_certificates(folder: Path) -> None:
     )
     (folder / "extensions").write_text("subjectAltName=DNS:localhost,IP:127.0.0.1\n")
     for name in ("one", "two"):
-        openssl("req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
+        openssl(
+            "req", *key, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}"
+        )
         sign = (
             "-CA",
             "ca.pem",

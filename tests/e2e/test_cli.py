@@ -38,7 +38,9 @@ OURS = (
 
 def zendsp_(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from zendsp.cli import main; main()", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=2 * DEADLINE_S, **options)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=2 * DEADLINE_S, **options
+    )
 
 
 def answer(*arguments: str) -> Any:
@@ -121,11 +123,17 @@ def test_what_was_recorded_before_a_crash_is_saved_and_a_wrong_name_is_refused_b
     target.download(crash)
     for wrong in (["-o", "run.xyz"], ["-o", "run.npz", "--plot", "run.xyz"]):
         refused = zendsp_("acquire", "x", "-s", "1", "--start", *wrong, cwd=tmp_path)
-        assert refused.returncode == 2 and "Traceback" not in refused.stderr and ".xyz" in refused.stderr
+        assert (
+            refused.returncode == 2
+            and "Traceback" not in refused.stderr
+            and ".xyz" in refused.stderr
+        )
     assert target.status().tick == 0, "nothing was started for them"
     out = tmp_path / "run.npz"
     done = zendsp_("acquire", "x", "-s", "1", "-o", str(out), "--start", "--json")
-    assert done.returncode == 1 and "SIGSEGV" in done.stderr and "acquire_load" not in done.stderr, done.stderr
+    assert (
+        done.returncode == 1 and "SIGSEGV" in done.stderr and "acquire_load" not in done.stderr
+    ), done.stderr
     assert "crash.c:4" in json.loads(done.stdout)["ended"]
     assert zendsp.Recording.load(out)["x"].tolist() == [float(k) for k in range(1, 701)]
 
@@ -137,7 +145,10 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
         sys.executable,
         "-c",
         # whoever runs the tests in a shell's background has told every child to ignore Ctrl-C
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from zendsp.cli import main; main()",
+        (
+            "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from"
+            " zendsp.cli import main; main()"
+        ),
         "watch",
         "q",
         "--interval",
@@ -164,7 +175,8 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert (
-        process.stdout is not None and "target bench listens on unixsock-stream/" in process.stdout.readline()
+        process.stdout is not None
+        and "target bench listens on unixsock-stream/" in process.stdout.readline()
     )
     with zendsp.connect("bench") as bench:
         assert bench.info.clock == "fast"

@@ -1,4 +1,6 @@
-"""Somebody who was let in floods the target: STOP of another host comes through, and so do its other requests."""
+"""Somebody who was let in floods the target: STOP of another host comes through, and so do its
+other requests.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from zendsp.link import Target
 from zendsp.link.settings import Credentials
 
 SECONDS = 4.0
-# As fast as the link takes them, on every lane, STOP's too, by a client that does not wait for answers.
+# As fast as the link takes them, on every lane, STOP's too, by a client that does not wait for
+# answers.
 FLOOD = f"""
 import sys, time, zenoh
 from zendsp.link.settings import Credentials, zenoh_config
@@ -37,7 +40,7 @@ while time.monotonic() < end:
         sent += 1
 print(sent / {SECONDS}, flush=True)
 sys.stdin.read()
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
@@ -45,7 +48,18 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     users = tmp_path / "users"
     users.write_text("anna:a\nmallory:m\n")
     target = subprocess.Popen(
-        [sys.executable, "-m", "zendsp_target", "--name", "imi", "--listen", "tcp/127.0.0.1:0", "--users", str(users), "--json"],
+        [
+            sys.executable,
+            "-m",
+            "zendsp_target",
+            "--name",
+            "imi",
+            "--listen",
+            "tcp/127.0.0.1:0",
+            "--users",
+            str(users),
+            "--json",
+        ],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -58,7 +72,8 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
 def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Target, "stop_page", lambda self: None)  # as from another computer: over the link alone
+    # as from another computer: over the link alone
+    monkeypatch.setattr(Target, "stop_page", lambda self: None)
     anna = Credentials(user="anna", password="a")
     with zendsp.connect("imi", endpoint, anna) as target:
         target.download("pd.c")
@@ -75,7 +90,8 @@ def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
             kill(flood)
     # More than the target can answer, about 4000 a second, so that its queues overflow.
     assert rate > 6000.0, rate
-    # Measured: 9 ms in the middle, 50 at most, on two processors with four times as much to do. Behind the flood it would be 200.
+    # Measured: 9 ms in the middle, 50 at most, on two processors with four times as much to do.
+    # Behind the flood it would be 200.
     assert sorted(took)[5] < 0.1 and max(took) < 0.7, took
 
 

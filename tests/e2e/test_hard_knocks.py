@@ -24,7 +24,10 @@ from zendsp.link import Target
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec
 
-HEAD = '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\nvoid UserInit(void) { SIGNAL(n, "", ""); }\n'
+HEAD = (
+    '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\nvoid UserInit(void) {'
+    ' SIGNAL(n, "", ""); }\n'
+)
 CRASH = HEAD + "void UserISR_INT2(void) { if (++n == 500) *(volatile int *)8 = 1; }\n"
 HANG = HEAD + "void UserISR_INT2(void) { if (++n == 500) for (;;) ; }\n"
 
@@ -42,7 +45,7 @@ void UserISR_INT2(void) {
     if (set[0] != last) { changes++; last = set[0]; }
 }
 void UserBackground(void) {}
-"""
+"""  # noqa: E501
 
 WRITER = """
 import sys, zendsp
@@ -77,7 +80,8 @@ def test_user_code_that_crashes_or_hangs_takes_down_the_runner_only(
     with pytest.raises(RunnerDied, match=how):
         fast.acquire(["n"], seconds=5.0, start=True)
     status = fast.status()
-    assert status.state == "crashed" and how in status.crash and "49" in status.crash  # sample 498 or 499
+    # sample 498 or 499
+    assert status.state == "crashed" and how in status.crash and "49" in status.crash
     assert how in fast.read(["n"]).ended  # its last values, and said to be that
     rec = fast.acquire_load()
     assert np.array_equal(rec["n"], np.arange(1.0, len(rec) + 1)) and len(rec) == 499
@@ -124,7 +128,9 @@ def test_closing_a_host_in_the_middle_of_a_transfer_leaves_the_target_alive(real
     assert real.status().state == "running"
 
 
-def test_a_killed_target_is_reported_within_the_lease_and_leaves_no_runner_behind(real: Target) -> None:
+def test_a_killed_target_is_reported_within_the_lease_and_leaves_no_runner_behind(
+    real: Target,
+) -> None:
     pid = real.info.pid
     runners = children(pid)
     assert runners
@@ -153,7 +159,10 @@ def test_a_stopped_target_is_an_error_and_never_silence(real: Target) -> None:
 
 
 def test_a_local_target_ends_with_the_host_that_started_it() -> None:
-    code = "import zendsp, time; t = zendsp.local('imi_planar', clock='fast'); print(t.info.pid, flush=True); time.sleep(999)"
+    code = (
+        "import zendsp, time; t = zendsp.local('imi_planar', clock='fast'); print(t.info.pid,"
+        " flush=True); time.sleep(999)"
+    )
     host = python(code)
     assert host.stdout is not None
     pid = int(host.stdout.readline())
@@ -194,7 +203,10 @@ def test_every_acknowledged_write_takes_effect(fast: Target) -> None:
 def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target) -> None:
     fast.download("pd.c")
     whole = fast.acquire(["q", "e", "tau"], seconds=300.0, start=True)
-    with relay_to(fast.link.endpoints[0]) as relay, zendsp.connect(fast.name, connect=relay.endpoint) as far:
+    with (
+        relay_to(fast.link.endpoints[0]) as relay,
+        zendsp.connect(fast.name, connect=relay.endpoint) as far,
+    ):
         relay.cut_after = relay.passed + whole.data.nbytes // 2
         mender = threading.Timer(1.5, relay.mend)
         mender.start()
@@ -244,7 +256,10 @@ def test_connecting_again_and_again_leaves_nothing_open(fast: Target) -> None:
     connect_often()  # what is opened once and kept is no leak
     before = files(os.getpid()), files(fast.info.pid)
     connect_often()
-    until(lambda: files(os.getpid()) <= before[0] + 2 and files(fast.info.pid) <= before[1] + 2, "files are closed again")
+    until(
+        lambda: files(os.getpid()) <= before[0] + 2 and files(fast.info.pid) <= before[1] + 2,
+        "files are closed again",
+    )
 
 
 def test_two_targets_of_one_name_are_refused(start: Callable[..., Target]) -> None:
@@ -265,7 +280,9 @@ def test_listening_beyond_loopback_is_refused_without_tls_and_authentication() -
         assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else(tmp_path: Path) -> None:
+def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else(
+    tmp_path: Path,
+) -> None:
     if shutil.which("openssl") is None:
         pytest.skip("needs the command openssl to make certificates")
     make_certificates(tmp_path)
@@ -310,7 +327,9 @@ def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> Non
     by = "a client without a token"
     for k in range(7):
         request = codec.encode_request("live_open", {"channels": ["q"], "decimation": k + 1}, by)
-        replies = list(fast.link.session.get(f"zendsp/{fast.name}/rpc/quick", payload=request, timeout=10.0))
+        replies = list(
+            fast.link.session.get(f"zendsp/{fast.name}/rpc/quick", payload=request, timeout=10.0)
+        )
         assert replies[0].ok is not None
     with pytest.raises(Refused, match=f"all 7 live streams are in use by {by}"):
         fast.live(["tau"])
@@ -326,8 +345,11 @@ def test_a_stream_whose_viewer_never_said_goodbye_is_closed(fast: Target) -> Non
 
 def test_a_bare_target_loads_nothing_of_the_host() -> None:
     code = (
-        "import sys, zendsp_target.__main__, zendsp_target.monitor, zendsp_target.runtime;"
-        "print([m for m in ('zendsp','scipy','textual','click','matplotlib','pyarrow','h5py') if m in sys.modules])"
+        "import sys, zendsp_target.__main__, zendsp_target.monitor, zendsp_target.runtime;print([m"
+        " for m in ('zendsp','scipy','textual','click','matplotlib','pyarrow','h5py') if m in"
+        " sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=DEADLINE_S)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=DEADLINE_S
+    )
     assert done.stdout.strip() == "[]", done.stderr

@@ -1,4 +1,6 @@
-"""The whole loop: C code sent, compiled, run, tuned, recorded, over Zenoh, in processes of their own."""
+"""The whole loop: C code sent, compiled, run, tuned, recorded, over Zenoh, in processes of their
+own.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,8 @@ def test_on_the_fast_clock_an_experiment_is_quick_and_the_same_each_time(fast: T
         fast.update(at_tick=2000, Kp1=500.0)
         before = time.monotonic()
         records.append(fast.acquire(["q", "e", "tau"], seconds=20.0, start=True))
-        assert time.monotonic() - before < 15.0  # 20 s of machine time take well under 1 s on a quiet machine
+        # 20 s of machine time take well under 1 s on a quiet machine
+        assert time.monotonic() - before < 15.0
     first, second = records
     assert first.start_tick == 0 and len(first) == 20_000
     assert np.array_equal(first.data, second.data)
@@ -77,7 +80,9 @@ def test_decimation_trigger_and_pre_trigger(fast: Target) -> None:
     assert np.array_equal(rec["pair[1]"], -rec["level"])
     rec = fast.acquire(["n"], seconds=1.0, decimation=10, start=True)
     assert (
-        len(rec) == 100 and np.array_equal(np.diff(rec["n"]), np.full(99, 10.0)) and rec.sample_time == 0.01
+        len(rec) == 100
+        and np.array_equal(np.diff(rec["n"]), np.full(99, 10.0))
+        and rec.sample_time == 0.01
     )
 
 
@@ -95,7 +100,9 @@ def test_a_recording_larger_than_the_memory_of_the_target_is_fetched_meanwhile(
 ) -> None:
     configure = type(real).acquire_configure
 
-    def small(self: Target, channels: list[str], seconds: float = 1.0, *rest: Any, **named: Any) -> Any:
+    def small(
+        self: Target, channels: list[str], seconds: float = 1.0, *rest: Any, **named: Any
+    ) -> Any:
         if seconds > 0.6:
             raise TooLarge("6 channels need 999 MB of shared memory, 1 MB are free")
         return configure(self, channels, seconds, *rest, **named)
@@ -104,10 +111,14 @@ def test_a_recording_larger_than_the_memory_of_the_target_is_fetched_meanwhile(
     rec = real.acquire(["tick", "q"], seconds=2.0)
     ticks = rec["tick"]
     assert len(rec) == 2000 and rec.start_tick == ticks[0]
-    # On a machine that stalls for longer than the ring, rows are lost: they are NaN, counted, and all others are in place.
+    # On a machine that stalls for longer than the ring, rows are lost: they are NaN, counted, and
+    # all others are in place.
     there = ~np.isnan(ticks)
     assert rec.lost >= (~there).sum()
-    assert np.array_equal(ticks[there], (rec.start_tick + np.arange(2000))[there]) and there.sum() > 500
+    assert (
+        np.array_equal(ticks[there], (rec.start_tick + np.arange(2000))[there])
+        and there.sum() > 500
+    )
 
 
 def test_errors_say_what_where_and_what_to_do(fast: Target) -> None:
@@ -118,7 +129,11 @@ def test_errors_say_what_where_and_what_to_do(fast: Target) -> None:
     fast.download({"counter.c": COUNTER})
     with pytest.raises(VariableError) as caught:
         fast.update(step=11.0, nope=1.0, level=2.0)
-    assert {line.split(":")[0] for line in str(caught.value).splitlines()} == {"step", "nope", "level"}
+    assert {line.split(":")[0] for line in str(caught.value).splitlines()} == {
+        "step",
+        "nope",
+        "level",
+    }
     with pytest.raises(AcquisitionError, match="nope"):
         fast.acquire(["nope"], 0.1, start=True)
     with pytest.raises(CompileFailed, match=r"missing\.c: cannot be read"):
@@ -147,7 +162,8 @@ def test_live_samples_arrive_in_order_and_survive_a_new_program(real: Target) ->
         real.start()
         seen = view.received
         until(
-            lambda: view.received > seen + 50 and view.latest()["tick"] < ticks[-1] + 1e6, "rows arrive again"
+            lambda: view.received > seen + 50 and view.latest()["tick"] < ticks[-1] + 1e6,
+            "rows arrive again",
         )
 
 

@@ -1,4 +1,6 @@
-"""How rows come home: out of shared memory on the same computer, over the link from anywhere else; the same rows."""
+"""How rows come home: out of shared memory on the same computer, over the link from anywhere else;
+the same rows.
+"""
 
 from __future__ import annotations
 
@@ -43,12 +45,18 @@ def test_rows_are_the_same_from_shared_memory_and_over_the_link(
     monkeypatch.setattr(fast, "_load_streamed", refuse)
     told: list[float] = []
     near = fast.acquire_load(progress=told.append)
-    assert np.array_equal(near.data, over_the_link.data) and near.data.shape[1] == 5 and told[-1] == 1.0
+    assert (
+        np.array_equal(near.data, over_the_link.data)
+        and near.data.shape[1] == 5
+        and told[-1] == 1.0
+    )
     last = 3699 if continuous else 999
     assert np.array_equal(near["tick"], np.arange(last - 999, last + 1))
 
 
-def test_rows_that_the_ring_no_longer_holds_are_refused_on_either_road(fast: Target, far: Target) -> None:
+def test_rows_that_the_ring_no_longer_holds_are_refused_on_either_road(
+    fast: Target, far: Target
+) -> None:
     fast.download("pd.c")
     fast.acquire_configure(["tick"], seconds=0.5, continuous=True)
     fast.acquire_start()
@@ -59,7 +67,9 @@ def test_rows_that_the_ring_no_longer_holds_are_refused_on_either_road(fast: Tar
                 host.load_rows(first, count, 1)
 
 
-def test_rows_that_are_overwritten_while_they_are_read_are_refused(fast: Target, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_are_overwritten_while_they_are_read_are_refused(
+    fast: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fast.download("pd.c")
     fast.acquire_configure(["tick"], seconds=0.5, continuous=True)
     fast.acquire_start()
@@ -80,7 +90,13 @@ def test_a_file_that_is_not_the_recorders_is_not_read(fast: Target) -> None:
     with pytest.raises(OSError):
         os.write(file, b"x")
     os.close(file)
-    for wrong in ({"kernel": "another"}, {"inode": held.inode + 1}, {"device": 0}, {"path": "/dev/null"}, {"path": ""}):
+    for wrong in (
+        {"kernel": "another"},
+        {"inode": held.inode + 1},
+        {"device": 0},
+        {"path": "/dev/null"},
+        {"path": ""},
+    ):
         assert open_held(msgspec.structs.replace(held, **wrong)) == -1
 
 
@@ -91,10 +107,12 @@ void UserInit(void) {
 }
 void UserISR_INT2(void) { seen = gain + 100.0 * list[1]; }
 void UserBackground(void) {}
-"""
+"""  # noqa: E501
 
 
-def test_a_recording_holds_the_parameters_of_its_last_sample_not_those_of_its_loading(fast: Target) -> None:
+def test_a_recording_holds_the_parameters_of_its_last_sample_not_those_of_its_loading(
+    fast: Target,
+) -> None:
     fast.download({"list.c": LIST})
     fast.update(gain=2.0, list=[0.0, 3.0, 0.0])
     fast.acquire_configure(["seen", "gain"], seconds=0.1)

@@ -55,17 +55,23 @@ def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target:
     assert sample == _latched(target)
 
 
-def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(target: Target, runtime: Runtime) -> None:
+def test_a_loop_that_hangs_is_not_stopped_and_stops_once_it_goes_on(
+    target: Target, runtime: Runtime
+) -> None:
     os.kill(runtime.runner_pid(), signal.SIGSTOP)
     try:
-        with pytest.raises(NotStopped, match=r"NOT STOPPED: use the machine's emergency stop.*goes on or hangs"):
+        with pytest.raises(
+            NotStopped, match=r"NOT STOPPED: use the machine's emergency stop.*goes on or hangs"
+        ):
             target.stop()
     finally:
         os.kill(runtime.runner_pid(), signal.SIGCONT)
     _latched(target)
 
 
-def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(target: Target, runtime: Runtime) -> None:
+def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(
+    target: Target, runtime: Runtime
+) -> None:
     found = find("paged")
     assert found is not None
     os.kill(runtime.runner_pid(), signal.SIGKILL)
@@ -82,7 +88,9 @@ def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(target: Ta
     assert target.status().trip is None
 
 
-def test_only_the_page_of_this_run_and_version_is_used(target: Target, runtime: Runtime, tmp_path: Path) -> None:
+def test_only_the_page_of_this_run_and_version_is_used(
+    target: Target, runtime: Runtime, tmp_path: Path
+) -> None:
     assert find("another") is None
     assert find("paged", b"12345678") is None, "another run of the target"
     old = tmp_path / "old"
@@ -93,4 +101,6 @@ def test_only_the_page_of_this_run_and_version_is_used(target: Target, runtime: 
     link.symlink_to(runtime.stop_page())
     with pytest.raises(OSError, match=r"[Ll]ink"):
         StopPage(str(link))
-    assert Path(runtime.stop_page()).stat().st_mode & 0o077 == 0, "nobody else may stop it past the target"
+    assert (
+        Path(runtime.stop_page()).stat().st_mode & 0o077 == 0
+    ), "nobody else may stop it past the target"

@@ -1,4 +1,6 @@
-"""The proof over the link: a target conceals physics, the host diagnoses it over Zenoh, and only then asks for the truth."""
+"""The proof over the link: a target conceals physics, the host diagnoses it over Zenoh, and only
+then asks for the truth.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ from zendsp.physics.model import Quantity, Term
 from zendsp.reference import Reference
 
 SEEDS = range(1, 11)  # the first ten: fixed before the first run, none was left out
-# Everything that a target draws by name, but for what the given model has itself (calibration finds it, nothing is missing), and what
-# saturates the drive so that the machine trips.
+# Everything that a target draws by name, but for what the given model has itself (calibration finds
+# it, nothing is missing), and what saturates the drive so that the machine trips.
 POOL = (
     "viscous_asymmetry/coulomb_asymmetry/stribeck/presliding/quadratic_drag/load_friction/position_friction/friction_drift/stiffness/"
     "elasticity/backlash/hysteresis/ripple/torque_gain/torque_offset/dead_zone/lag/delay/encoder_eccentricity"
@@ -43,7 +45,9 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Answer]:
 
 @pytest.mark.timeout(300)  # some seconds of CPU, on machines that may be busy with everything else
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_concealed_effect_is_diagnosed_over_the_link_and_revealed_after(seed: int, answer: Callable[[int], Answer]) -> None:
+def test_a_concealed_effect_is_diagnosed_over_the_link_and_revealed_after(
+    seed: int, answer: Callable[[int], Answer]
+) -> None:
     came = answer(seed)
     assert came.sealed_before and len(came.truth.effects) == 1
     held = came.diagnosis.heldout
@@ -54,12 +58,15 @@ def test_a_concealed_effect_is_diagnosed_over_the_link_and_revealed_after(seed: 
 
 
 @pytest.mark.timeout(900)  # where it is run alone, it makes all ten
-def test_most_seeds_are_named_right_and_wrong_answers_are_not_confident(answer: Callable[[int], Answer]) -> None:
+def test_most_seeds_are_named_right_and_wrong_answers_are_not_confident(
+    answer: Callable[[int], Answer],
+) -> None:
     answers = [answer(seed) for seed in SEEDS]
     lines = "\n".join(a.line() for a in answers)
     right = sum(a.named for a in answers)
     confident_and_wrong = [a for a in answers if not a.named and a.confident > 0.9]
-    # Measured: seven; two drifts of friction are called unexplained, one backlash within the noise of the encoder is not seen.
+    # Measured: seven; two drifts of friction are called unexplained, one backlash within the noise
+    # of the encoder is not seen.
     assert right >= 7, lines
     assert len(confident_and_wrong) <= 1, lines
 
@@ -68,7 +75,7 @@ def test_the_host_cannot_know_what_the_target_draws(tmp_path: Path) -> None:
     spec = concealment(get_stage("imi_planar").pool, None, None)
     assert spec.startswith("seed:random,") and spec.count("/") >= 5
     with zendsp.local("imi_planar", clock="fast", options=["--concealed", spec]) as one, \
-         zendsp.local("imi_planar", clock="fast", options=["--concealed", spec]) as two:  # fmt: skip
+         zendsp.local("imi_planar", clock="fast", options=["--concealed", spec]) as two:
         assert one.seal() != two.seal()
         assert one.reveal().source != two.reveal().source  # 2^31 seeds: equal once in a lifetime
 
@@ -81,7 +88,9 @@ def test_the_control_program_with_every_effect_at_zero_changes_no_command() -> N
         target.load(machine.key)
         names = target.variables()
         recording = machine.run(motion, "nothing found")
-    assert all(any(name.startswith(f"comp_{t.effect}{t.joint}") for name in names) for t in slots(2))
+    assert all(
+        any(name.startswith(f"comp_{t.effect}{t.joint}") for name in names) for t in slots(2)
+    )
     assert not recording["tau_comp"].any() and np.isfinite(recording["tau"]).all()
     assert np.abs(recording["e"][1000:2000]).max() < 0.02
 
@@ -93,7 +102,9 @@ def test_an_update_carries_the_improved_model_into_the_running_program() -> None
     found = Term("quadratic_drag", 1, {"coefficient": Quantity(0.004)})
     lagging = Term("lag", 1, {"time_constant": Quantity(0.01)})
     improved = given.with_terms((*kept, found, lagging))
-    names = [f"model_{key}" for key in ("viscous1_coefficient", "coulomb1_level", "inertia1", "gravity1")]
+    names = [
+        f"model_{key}" for key in ("viscous1_coefficient", "coulomb1_level", "inertia1", "gravity1")
+    ]
     names += ["comp_quadratic_drag1_coefficient", "comp_lag1_time_constant"]
     update = plan_update(given, improved, names)
     assert update.values["comp_quadratic_drag1_coefficient"] == 0.004 and update.joints == (1,)
@@ -107,7 +118,11 @@ def test_a_synchronous_update_of_the_true_physics_lowers_the_tracking_error() ->
     from zendsp.demo.evidence import compare_tracking
 
     stage = get_stage("imi_planar")
-    with zendsp.local("imi_planar", clock="fast", options=["--concealed", "seed:3,effect=stiffness,joint=2,friction=plain"]) as target:
+    with zendsp.local(
+        "imi_planar",
+        clock="fast",
+        options=["--concealed", "seed:3,effect=stiffness,joint=2,friction=plain"],
+    ) as target:
         machine, _ = prepare_machine(target, stage)
         truth = target.reveal().effects[0]  # here the diagnosis is taken as perfect
         machine.target.load(machine.key)
@@ -118,7 +133,8 @@ def test_a_synchronous_update_of_the_true_physics_lowers_the_tracking_error() ->
     ticks = {change.tick for change in work.log if change.tick > 0}
     assert ticks == {7000}
     tracking = compare_tracking(work, 7000, 2.0, 12.5)
-    # A spring of some N m/rad against a gain of 300 N m/rad leaves mrad; what remains without it is the lag of the loop.
+    # A spring of some N m/rad against a gain of 300 N m/rad leaves mrad; what remains without it is
+    # the lag of the loop.
     assert tracking.after[1] < 0.3 * tracking.before[1] and tracking.fell([2])
 
 
@@ -128,8 +144,21 @@ def test_the_demo_tells_a_true_story_in_one_command(tmp_path: Path) -> None:
 
     out = tmp_path / "demo"
     command = [sys.executable, "-c", "from zendsp.cli import main; main()"]
-    arguments = ["demo", "--machine", "pendulum", "--effect", "torque_offset", "--seed", "4", "--out", str(out), "--json"]
-    done = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=280, env=environment())
+    arguments = [
+        "demo",
+        "--machine",
+        "pendulum",
+        "--effect",
+        "torque_offset",
+        "--seed",
+        "4",
+        "--out",
+        str(out),
+        "--json",
+    ]
+    done = subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, timeout=280, env=environment()
+    )
     assert done.returncode in (0, 1), done.stderr
     told = json.loads(done.stdout)
     assert (done.returncode == 0) == told["true"] == (not told["why"])
@@ -152,9 +181,17 @@ def test_an_asymmetry_is_compared_as_the_sum_that_the_machine_has() -> None:
     improved = given.with_terms(tuple(t for t in given.terms if t.effect != "viscous"))
     numbers = {"coefficient_pos": Estimate(0.011, 1e-5, "N m s/rad")}
     finding = Finding("viscous_asymmetry", 1, numbers, 0.9, 0.8, (), ("viscous",), "")
-    diagnosis = cast(Diagnosis, SimpleNamespace(findings=(finding,), given=given, improved=improved))
-    truth = {"effect": "viscous_asymmetry", "joint": 1, "parameters": {"coefficient_pos": {"value": 0.006, "unit": "N m s/rad"}}}
-    assert judge(diagnosis, [truth]).parameters == (("coefficient_pos", 0.011, 1e-5, pytest.approx(0.011), "N m s/rad"),)
+    diagnosis = cast(
+        Diagnosis, SimpleNamespace(findings=(finding,), given=given, improved=improved)
+    )
+    truth = {
+        "effect": "viscous_asymmetry",
+        "joint": 1,
+        "parameters": {"coefficient_pos": {"value": 0.006, "unit": "N m s/rad"}},
+    }
+    assert judge(diagnosis, [truth]).parameters == (
+        ("coefficient_pos", 0.011, 1e-5, pytest.approx(0.011), "N m s/rad"),
+    )
 
 
 def test_a_machine_without_a_story_is_named() -> None:
@@ -173,19 +210,26 @@ def test_a_narrator_that_is_quiet_keeps_what_was_said(capsys: pytest.CaptureFixt
 
 def _swing(joints: int, size: float) -> Reference:
     t = np.linspace(0.0, 1.0, 1001)
-    return Reference(np.outer(size * np.sin(np.pi * t) ** 2, np.ones(joints)), 0.001, kind="separating")
+    return Reference(
+        np.outer(size * np.sin(np.pi * t) ** 2, np.ones(joints)), 0.001, kind="separating"
+    )
 
 
-def test_a_proposed_reference_is_played_and_recorded_under_the_names_of_the_model(fast: Target) -> None:
+def test_a_proposed_reference_is_played_and_recorded_under_the_names_of_the_model(
+    fast: Target,
+) -> None:
     model = nominal_model(get_stage("imi_planar"), (24446.2, 24446.2), 0.001)
     fast.download("pd.c")
     made = run_reference(fast, _swing(2, 0.4), model)
-    assert made.names == ("q", "tau") and made.lost == 0  # pd.c has no vector r: the reference is optional
+    # pd.c has no vector r: the reference is optional
+    assert made.names == ("q", "tau") and made.lost == 0
     assert abs(made["q"].max() - 0.4) < 0.02
     assert fast["use_table"] == 0  # as before
 
 
-def test_an_empty_target_gets_the_program_of_the_first_recording(start: Callable[..., Target]) -> None:
+def test_an_empty_target_gets_the_program_of_the_first_recording(
+    start: Callable[..., Target],
+) -> None:
     stage = get_stage("imi_planar")
     first = start(clock="fast")
     machine, _ = prepare_machine(first, stage)
@@ -207,6 +251,16 @@ def test_a_reference_is_refused_with_the_reason_where_it_cannot_be_played(fast: 
 def test_run_needs_a_folder_for_the_new_recording() -> None:
     import subprocess
 
-    command = [sys.executable, "-c", "from zendsp.cli import main; main()", "diagnose", "a.csv", "--model", "m.toml", "--run", "imi"]
+    command = [
+        sys.executable,
+        "-c",
+        "from zendsp.cli import main; main()",
+        "diagnose",
+        "a.csv",
+        "--model",
+        "m.toml",
+        "--run",
+        "imi",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
     assert done.returncode == 2 and "--run needs --out" in done.stderr

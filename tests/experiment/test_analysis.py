@@ -29,11 +29,20 @@ def test_the_breakaway_torque_is_the_one_at_which_the_joint_runs_away() -> None:
     torque = 0.05 * np.floor(t / 0.02)
     level = 6.0
     gone = torque > level
-    q = np.where(gone, 0.5 * 4.0 * np.clip(t - t[gone][0], 0, None) ** 2, -level / 5000 * np.log(1 - np.minimum(torque, 0.99 * level) / level))
-    rec = Recording.from_columns({"q": np.stack([q, 0 * q], axis=1), "torque": torque, "phase": np.full(4000, 2.0)}, sample_time=0.001)
+    q = np.where(
+        gone,
+        0.5 * 4.0 * np.clip(t - t[gone][0], 0, None) ** 2,
+        -level / 5000 * np.log(1 - np.minimum(torque, 0.99 * level) / level),
+    )
+    rec = Recording.from_columns(
+        {"q": np.stack([q, 0 * q], axis=1), "torque": torque, "phase": np.full(4000, 2.0)},
+        sample_time=0.001,
+    )
     assert breakaway_torque(rec, 1) == pytest.approx(level, rel=0.02)
     assert bristle_stiffness(rec, 1, level) == pytest.approx(5000, rel=0.02)
-    still = Recording.from_columns({"q": np.zeros((4000, 2)), "torque": torque, "phase": np.full(4000, 2.0)}, sample_time=0.001)
+    still = Recording.from_columns(
+        {"q": np.zeros((4000, 2)), "torque": torque, "phase": np.full(4000, 2.0)}, sample_time=0.001
+    )
     with pytest.raises(RecordingError, match="did not break away"):
         breakaway_torque(still, 1)
 
@@ -42,7 +51,13 @@ def test_the_joined_polynomials_are_recovered_with_their_split() -> None:
     v = np.r_[np.linspace(-4, -0.03, 600), np.linspace(0.03, 4, 600)]
     s, w = 0.4, np.maximum(np.abs(v) - 0.4, 0)
     low = np.minimum(np.abs(v), s)
-    size = np.where(v > 0, 9.0, 8.0) + -6.0 * np.abs(v) + 30.0 * (low**2 + 2 * s * w) - 10.0 * (low**3 / s + 3 * s * w) + 0.05 * w**2
+    size = (
+        np.where(v > 0, 9.0, 8.0)
+        + -6.0 * np.abs(v)
+        + 30.0 * (low**2 + 2 * s * w)
+        - 10.0 * (low**3 / s + 3 * s * w)
+        + 0.05 * w**2
+    )
     curve = fit_curve(v, np.sign(v) * size, np.ones(len(v)))
     assert curve.split == pytest.approx(0.4) and curve.rms < 1e-9
     assert curve.coefficients == pytest.approx([9.0, 8.0, -6.0, 30.0, -10.0, 0.05], abs=1e-6)
@@ -58,9 +73,13 @@ def test_intervals_of_a_line_cover_the_truth_and_narrow_speeds_are_noticed() -> 
     wide, narrow = np.linspace(0.05, 1.0, 8), np.linspace(0.08, 0.12, 8)
     hits, blind = 0, 0
     for _ in range(200):
-        (_, viscous), (_, half), _ = line_fit(wide, 2.0 + 0.6 * wide + 0.02 * rng.standard_normal(8))
+        (_, viscous), (_, half), _ = line_fit(
+            wide, 2.0 + 0.6 * wide + 0.02 * rng.standard_normal(8)
+        )
         hits += abs(viscous - 0.6) < half
-        (_, v), (_, h), correlation = line_fit(narrow, 2.0 + 0.6 * narrow + 0.02 * rng.standard_normal(8))
+        (_, v), (_, h), correlation = line_fit(
+            narrow, 2.0 + 0.6 * narrow + 0.02 * rng.standard_normal(8)
+        )
         blind += cannot_separate(v, h)
         assert correlation < -0.98
     assert 180 <= hits <= 198, "95 % intervals: 190 of 200, give or take three standard deviations"
@@ -70,11 +89,19 @@ def test_intervals_of_a_line_cover_the_truth_and_narrow_speeds_are_noticed() -> 
 def test_steady_means_are_taken_over_whole_turns() -> None:
     t = 0.001 * np.arange(4000)
     q = 20.0 * t + 0.2 * np.sin(20.0 * t)
-    rec = Recording.from_columns({"q": q, "i": 0.5 + 0.1 * np.sin(20.0 * t), "v": np.full(4000, 9.0)}, sample_time=0.001)
+    rec = Recording.from_columns(
+        {"q": q, "i": 0.5 + 0.1 * np.sin(20.0 * t), "v": np.full(4000, 9.0)}, sample_time=0.001
+    )
     speed, current, voltage = steady_means(rec)
-    assert speed == pytest.approx(20.0, rel=2e-3) and current == pytest.approx(0.5, rel=2e-3) and voltage == 9.0
+    assert (
+        speed == pytest.approx(20.0, rel=2e-3)
+        and current == pytest.approx(0.5, rel=2e-3)
+        and voltage == 9.0
+    )
     with pytest.raises(RecordingError, match="does not turn"):
-        steady_means(Recording.from_columns({"q": 0.1 * np.sin(t), "i": t, "v": t}, sample_time=0.001))
+        steady_means(
+            Recording.from_columns({"q": 0.1 * np.sin(t), "i": t, "v": t}, sample_time=0.001)
+        )
 
 
 def test_pendulum_parameters_come_back_from_a_simulation_of_them() -> None:
@@ -90,14 +117,22 @@ def test_pendulum_parameters_come_back_from_a_simulation_of_them() -> None:
 def test_inertia_torque_is_that_of_the_published_model() -> None:
     tau = inertia_torque(np.array([[0.3, 0.0]]), np.zeros((1, 2)), np.array([[1.0, 0.0]]))
     assert tau[0] == pytest.approx([3.473 + 2 * 0.242, 0.196 + 0.242])
-    spinning = inertia_torque(np.array([[0.0, math.pi / 2]]), np.array([[2.0, 1.0]]), np.zeros((1, 2)))
+    spinning = inertia_torque(
+        np.array([[0.0, math.pi / 2]]), np.array([[2.0, 1.0]]), np.zeros((1, 2))
+    )
     assert spinning[0] == pytest.approx([-0.242 * 1.0 * (4.0 + 1.0), 0.242 * 4.0])
 
 
 def result() -> Result:
     r = Result("imi-fit", "Friction", "imi_planar", target="imi_planar (simulated, fast clock)")
     r.values["level"] = Estimate(8.4, 0.1, "N m")
-    r.effects = [{"kind": "coulomb", "joint": 1, "level": {"value": np.float64(8.4), "std": 0.1, "unit": "N m"}}]
+    r.effects = [
+        {
+            "kind": "coulomb",
+            "joint": 1,
+            "level": {"value": np.float64(8.4), "std": 0.1, "unit": "N m"},
+        }
+    ]
     r.mechanism = {"p1": Estimate(3.5, 0.01, "kg m^2")}
     r.tables = {"points": [{"joint": 1, "speed": np.float64(0.5)}]}
     r.warnings = ["take care"]
@@ -107,9 +142,16 @@ def result() -> Result:
 def test_a_result_file_says_all_and_reads_back(tmp_path: Path) -> None:
     file = result().save(tmp_path / "result.toml")
     data = tomllib.loads(file.read_text())
-    assert data["values"]["level"] == {"value": 8.4, "std": 0.1, "unit": "N m"} and data["effect"][0]["kind"] == "coulomb"
+    assert (
+        data["values"]["level"] == {"value": 8.4, "std": 0.1, "unit": "N m"}
+        and data["effect"][0]["kind"] == "coulomb"
+    )
     again = Result.load(file)
-    assert again.values == result().values and again.warnings == ["take care"] and again.tables["points"][0]["speed"] == 0.5
+    assert (
+        again.values == result().values
+        and again.warnings == ["take care"]
+        and again.tables["points"][0]["speed"] == 0.5
+    )
     (tmp_path / "other.toml").write_text("a = 1")
     with pytest.raises(RecordingError, match="not the result"):
         Result.load(tmp_path / "other.toml")
@@ -120,16 +162,27 @@ def test_a_model_file_takes_the_result_in_and_keeps_what_was_not_measured(tmp_pa
     model.write_text((MODELS / "imi_planar.toml").read_text())
     changes = put_into(result(), model)
     after = load_model(model)
-    assert [(t.effect, t.joint) for t in after.terms] == [("viscous", 2), ("coulomb", 2), ("coulomb", 1)]
+    assert [(t.effect, t.joint) for t in after.terms] == [
+        ("viscous", 2),
+        ("coulomb", 2),
+        ("coulomb", 1),
+    ]
     assert after.terms[-1].value("level") == 8.4 and after.terms[-1].parameters["level"].std == 0.1
-    assert after.mechanism["p1"][0].value == 3.5 and after.actuator.delay == 0.001 and after.controller["kp"] == [2000.0, 300.0]
+    assert (
+        after.mechanism["p1"][0].value == 3.5
+        and after.actuator.delay == 0.001
+        and after.controller["kp"] == [2000.0, 300.0]
+    )
     assert any("joint 1 replaced (2 terms by 1)" in text for text in changes)
 
 
 def test_a_urdf_stays_beside_its_model_file(tmp_path: Path) -> None:
     for name in ("wam7.toml", "wam7.urdf"):
         (tmp_path / name).write_text((MODELS / name).read_text())
-    put_into(Result("x", "x", "wam7", effects=[{"kind": "coulomb", "joint": 7, "level": 0.1}]), tmp_path / "wam7.toml")
+    put_into(
+        Result("x", "x", "wam7", effects=[{"kind": "coulomb", "joint": 7, "level": 0.1}]),
+        tmp_path / "wam7.toml",
+    )
     assert 'file = "wam7.urdf"' in (tmp_path / "wam7.toml").read_text()
     assert load_model(tmp_path / "wam7.toml").terms[-1].joint == 7
 
@@ -141,15 +194,23 @@ def test_what_cannot_go_into_a_model_is_refused(tmp_path: Path) -> None:
         put_into(Result("imi-circle", "Circle", "imi_planar"), model)
     before = model.read_text()
     for machine, joints in (("wam7", 7), ("pendulum", 1)):
-        with pytest.raises(ModelError, match=rf"has 2 joints and {machine}, which was measured, {joints}"):
-            put_into(Result("x", "x", machine, effects=[{"kind": "coulomb", "joint": 1, "level": 1.0}]), model)
+        with pytest.raises(
+            ModelError, match=rf"has 2 joints and {machine}, which was measured, {joints}"
+        ):
+            put_into(
+                Result("x", "x", machine, effects=[{"kind": "coulomb", "joint": 1, "level": 1.0}]),
+                model,
+            )
     assert model.read_text() == before and not list(tmp_path.glob("*.new"))
 
 
 def test_what_goes_into_a_model_is_known_before_a_machine_moves() -> None:
     assert fit_model(list(EXPERIMENTS), MODELS / "imi_planar.toml") == ["imi-fit"]
     assert fit_model(list(EXPERIMENTS), MODELS / "wam7.toml") == ["wam-friction"]
-    with pytest.raises(ModelError, match=r"imi-circle finds nothing .* imi-fit, pendulum-mechanical, wam-friction do"):
+    with pytest.raises(
+        ModelError,
+        match=r"imi-circle finds nothing .* imi-fit, pendulum-mechanical, wam-friction do",
+    ):
         fit_model(["imi-circle"], MODELS / "imi_planar.toml")
     with pytest.raises(ModelError, match="has 2 joints and pendulum, which was measured, 1"):
         fit_model(["pendulum-mechanical"], MODELS / "imi_planar.toml")

@@ -39,7 +39,8 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
     found = keep(lab, static(lab, positions=(0.3, -0.6)))
     assert found.values["breakaway1_ccw"].value == pytest.approx(11.4 * 1.05, rel=0.05)
     assert found.values["breakaway2_cw"].value == pytest.approx(3.1 * 1.04, rel=0.05)
-    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.1)  # 0.3 mrad: seven counts of the encoder
+    # 0.3 mrad: seven counts of the encoder
+    assert found.values["stiffness1"].value == pytest.approx(12000, rel=0.1)
     assert found.values["stiffness2"].value == pytest.approx(1500, rel=0.03)
     fast = keep(lab, viscous(lab, speeds=(2.2, 3.5, 5.0)))
     assert fast.values["viscous1_ccw"].value == pytest.approx(5.3 * 1.02, rel=0.01)
@@ -54,11 +55,17 @@ def test_the_planar_arms_friction_is_found_and_compensated(folder: Path) -> None
     curve = keep(lab, fit(lab))
     assert curve.values["joint1_rms"].value < 0.3
     program = compensation_values(curve)
-    assert program["high1"][1] == pytest.approx(5.3, rel=0.05) and program["high2"][0] == pytest.approx(2.35, rel=0.1)
+    assert program["high1"][1] == pytest.approx(5.3, rel=0.05) and program["high2"][
+        0
+    ] == pytest.approx(2.35, rel=0.1)
     done = keep(lab, circle(lab, slower=()))
     for joint in (1, 2):
-        assert done.values[f"machine_improvement_joint{joint}"].value > 70.0, "the paper: about 75 %"
-        assert done.values[f"simulation_differs_without_joint{joint}"].value < 6.0, "simulation agrees with experiment"
+        assert (
+            done.values[f"machine_improvement_joint{joint}"].value > 70.0
+        ), "the paper: about 75 %"
+        assert (
+            done.values[f"simulation_differs_without_joint{joint}"].value < 6.0
+        ), "simulation agrees with experiment"
 
 
 def test_the_motors_figures_are_found_by_the_straight_line(folder: Path) -> None:
@@ -89,11 +96,16 @@ def test_machine_and_simulation_have_the_same_joint_error(tmp_path: Path) -> Non
     lab = Lab(tmp_path)
     (tmp_path / "wam-friction").mkdir()
     effects = tomllib.loads((MODELS / "wam7.toml").read_text())["effect"]
-    Result("wam-friction", "the published friction", "wam7", effects=effects).save(tmp_path / "wam-friction" / "result.toml")
+    Result("wam-friction", "the published friction", "wam7", effects=effects).save(
+        tmp_path / "wam-friction" / "result.toml"
+    )
     found = keep(lab, tracking(lab, joints=(4, 6), duration=4.0))
     for joint in (4, 6):
         for moving in ("alone", "all"):
-            machine, simulation = (found.values[f"joint{joint}_{moving}_{where}"].value for where in ("machine", "simulation"))
+            machine, simulation = (
+                found.values[f"joint{joint}_{moving}_{where}"].value
+                for where in ("machine", "simulation")
+            )
             assert 1e-3 < machine < 0.05 and simulation == pytest.approx(machine, rel=0.15)
 
 
@@ -107,7 +119,10 @@ def test_a_recording_that_is_interrupted_is_kept_and_the_machine_stopped(tmp_pat
     with zendsp.local("pendulum", clock="real") as target:
         real = target.acquire
         target.acquire = lambda *args, **keys: real(*args, progress=interrupt, **keys)  # type: ignore[method-assign]
-        with pytest.raises(KeyboardInterrupt), Lab(tmp_path, target).bench("pendulum", "any") as bench:
+        with (
+            pytest.raises(KeyboardInterrupt),
+            Lab(tmp_path, target).bench("pendulum", "any") as bench,
+        ):
             bench.record("long", "pendulum_torque.c", ["q", "tau"], seconds=2.0)
         assert target.status().state == "stopped"
     part = Recording.load(tmp_path / "any" / "long_ended.npz")
@@ -119,7 +134,10 @@ def test_an_experiment_refuses_a_drive_that_takes_another_command(tmp_path: Path
     import zendsp
     from zendsp.errors import Refused
 
-    with zendsp.local("pendulum", clock="fast") as target, pytest.raises(Refused, match="command is a voltage, here it is a torque"):
+    with (
+        zendsp.local("pendulum", clock="fast") as target,
+        pytest.raises(Refused, match="command is a voltage, here it is a torque"),
+    ):
         run_experiment("pendulum-electrical", Lab(tmp_path, target))
 
 
@@ -139,7 +157,10 @@ def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Pat
     import zendsp
     from zendsp.errors import Refused
 
-    with zendsp.local("pendulum", clock="fast") as target, pytest.raises(Refused, match="for the machine imi_planar"):
+    with (
+        zendsp.local("pendulum", clock="fast") as target,
+        pytest.raises(Refused, match="for the machine imi_planar"),
+    ):
         run_experiment("imi-static", Lab(tmp_path, target))
     with pytest.raises(Refused, match="there are imi-static"):
         run_experiment("nope", Lab(tmp_path))

@@ -1,4 +1,6 @@
-"""A server over a runtime without C, in this process, and hosts connected to it by real Zenoh sessions."""
+"""A server over a runtime without C, in this process, and hosts connected to it by real Zenoh
+sessions.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from fake_runtime import FakeRuntime
 
 
 @pytest.fixture(autouse=True)
-def _own_registry(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_registry(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Tests neither see nor disturb targets that really run here."""
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
     monkeypatch.delenv("ZENDSP_CONNECT", raising=False)

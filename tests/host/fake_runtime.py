@@ -1,7 +1,7 @@
 """A runtime without C, for tests of the server and the link alone: a thread that counts samples.
 
-It keeps the promises of ``zendsp_target.api`` (all or nothing, next sample, one sample per read); the real one is tested in
-tests/e2e and tests/target.
+It keeps the promises of ``zendsp_target.api`` (all or nothing, next sample, one sample per read);
+the real one is tested in tests/e2e and tests/target.
 """
 
 from __future__ import annotations
@@ -33,11 +33,17 @@ from zendsp_target.api import (
 
 INF = float("inf")
 INFOS = (
-    VariableInfo("Kp1", "double", 1, "parameter", "N m/rad", 0.0, 1000.0, 100.0, "proportional gain", 0),
-    VariableInfo("Kd1", "double", 1, "parameter", "N m s/rad", 0.0, 1000.0, 10.0, "derivative gain", 8),
+    VariableInfo(
+        "Kp1", "double", 1, "parameter", "N m/rad", 0.0, 1000.0, 100.0, "proportional gain", 0
+    ),
+    VariableInfo(
+        "Kd1", "double", 1, "parameter", "N m s/rad", 0.0, 1000.0, 10.0, "derivative gain", 8
+    ),
     VariableInfo("on", "bool", 1, "parameter", "", 0.0, 1.0, False, "a switch", 16),
     VariableInfo("q", "double", 2, "signal", "rad", -INF, INF, np.zeros(2), "positions", 24),
-    VariableInfo("ref", "double", 200_000, "table", "rad", -INF, INF, np.zeros(200_000), "a reference", 40),
+    VariableInfo(
+        "ref", "double", 200_000, "table", "rad", -INF, INF, np.zeros(200_000), "a reference", 40
+    ),
 )
 
 
@@ -73,7 +79,9 @@ class FakeRuntime:
     def _sample(self) -> None:
         for sequence, values, author in self.pending:
             for name, value in values.items():
-                self.changes.append(Change(self.tick, time.time(), name, self.values[name], value, author))
+                self.changes.append(
+                    Change(self.tick, time.time(), name, self.values[name], value, author)
+                )
             self.values |= values
             self.applied, self.applied_tick = sequence, self.tick
         self.pending.clear()
@@ -136,9 +144,21 @@ class FakeRuntime:
         with self.lock:
             trip = Trip("stop", 0, self.tick, 0.0, 0.0, "STOP") if self.state == "stopped" else None
             return Status(
-                self.state, self.tick, self.tick / 1000, 1000.0, "real", "fake", "fake_machine", 2, self.key,
-                timing, "off", trip, self.crash, {"enc": np.zeros(2)},
-            )  # fmt: skip
+                self.state,
+                self.tick,
+                self.tick / 1000,
+                1000.0,
+                "real",
+                "fake",
+                "fake_machine",
+                2,
+                self.key,
+                timing,
+                "off",
+                trip,
+                self.crash,
+                {"enc": np.zeros(2)},
+            )
 
     def variables(self) -> tuple[VariableInfo, ...]:
         return INFOS if self.state != "empty" else ()
@@ -205,8 +225,13 @@ class FakeRuntime:
         wanted = round(config.seconds * 1000 / config.decimation)
         with self.lock:
             self.streams[stream] = {
-                "config": config, "columns": tuple(columns), "rows": [], "state": "idle", "wanted": wanted, "start": 0,
-            }  # fmt: skip
+                "config": config,
+                "columns": tuple(columns),
+                "rows": [],
+                "state": "idle",
+                "wanted": wanted,
+                "start": 0,
+            }
         return self.acquire_status(stream)
 
     def acquire_start(self, stream: int, force: bool = False) -> None:

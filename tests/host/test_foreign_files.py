@@ -23,11 +23,23 @@ U = RNG.normal(size=N)
 @pytest.mark.parametrize(
     ("written", "factor", "si"),
     [
-        ("deg", np.pi / 180, "rad"), ("deg/s", np.pi / 180, "rad/s"), ("°/s²", np.pi / 180, "rad/s^2"), ("rpm", np.pi / 30, "rad/s"),
-        ("ms", 1e-3, "s"), ("µs", 1e-6, "s"), ("mN m", 1e-3, "N m"), ("mNm", 1e-3, "N m"), ("N·mm", 1e-3, "N m"), ("mA", 1e-3, "A"),
-        ("mm/s", 1e-3, "m/s"), ("kN", 1e3, "N"), ("rad/s", 1.0, "rad/s"), ("Nm", 1.0, "Nm"), ("counts", 1.0, "counts"),
+        ("deg", np.pi / 180, "rad"),
+        ("deg/s", np.pi / 180, "rad/s"),
+        ("°/s²", np.pi / 180, "rad/s^2"),
+        ("rpm", np.pi / 30, "rad/s"),
+        ("ms", 1e-3, "s"),
+        ("µs", 1e-6, "s"),
+        ("mN m", 1e-3, "N m"),
+        ("mNm", 1e-3, "N m"),
+        ("N·mm", 1e-3, "N m"),
+        ("mA", 1e-3, "A"),
+        ("mm/s", 1e-3, "m/s"),
+        ("kN", 1e3, "N"),
+        ("rad/s", 1.0, "rad/s"),
+        ("Nm", 1.0, "Nm"),
+        ("counts", 1.0, "counts"),
     ],
-)  # fmt: skip
+)
 def test_units_are_converted_by_their_factor(written: str, factor: float, si: str) -> None:
     found = to_si(written)
     assert found is not None and found[0] == pytest.approx(factor, rel=1e-12) and found[1] == si
@@ -40,11 +52,21 @@ def test_a_unit_that_is_not_known_is_not_guessed(unknown: str) -> None:
 
 def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:
     (tmp_path / "header.csv").write_text("t [ms],q [deg],u [mN m]\n0,180,1000\n1,90,500\n")
-    (tmp_path / "row.tsv").write_text("t\tq\tu\tnote\nms\tdeg\tmNm\t-\n0\t180\t1000\t1\n1\t90\t500\t2\n")
+    (tmp_path / "row.tsv").write_text(
+        "t\tq\tu\tnote\nms\tdeg\tmNm\t-\n0\t180\t1000\t1\n1\t90\t500\t2\n"
+    )
     (tmp_path / "name.csv").write_text("time_ms,q_deg,u_mNm\n0,180,1000\n1,90,500\n")
-    for name, t, q, u in (("header.csv", "t", "q", "u"), ("row.tsv", "t", "q", "u"), ("name.csv", "time_ms", "q_deg", "u_mNm")):
+    for name, t, q, u in (
+        ("header.csv", "t", "q", "u"),
+        ("row.tsv", "t", "q", "u"),
+        ("name.csv", "time_ms", "q_deg", "u_mNm"),
+    ):
         table = read_table(tmp_path / name)
-        assert np.allclose(table[t], [0, 0.001]) and np.allclose(table[q], [np.pi, np.pi / 2]) and np.allclose(table[u], [1, 0.5])
+        assert (
+            np.allclose(table[t], [0, 0.001])
+            and np.allclose(table[q], [np.pi, np.pi / 2])
+            and np.allclose(table[u], [1, 0.5])
+        )
         assert table.units[q] == "rad" and any("converted" in note for note in table.notes)
         assert Recording.load(tmp_path / name).sample_time == pytest.approx(0.001)
     (tmp_path / "words.csv").write_text("t,q\neast,west\n0,1\n")
@@ -53,10 +75,15 @@ def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:
 
 
 def test_own_recordings_keep_their_units_and_tables_of_them_are_si(tmp_path: Path) -> None:
-    own = Recording.from_columns({"q": np.degrees(Q), "u": U}, sample_time=0.002, units={"q": "deg"})
+    own = Recording.from_columns(
+        {"q": np.degrees(Q), "u": U}, sample_time=0.002, units={"q": "deg"}
+    )
     for suffix in (".csv", ".mcap", ".mf4"):
         path = own.save(tmp_path / f"own{suffix}")
-        assert np.array_equal(Recording.load(path)["q"], own["q"]) and Recording.load(path).units["q"] == "deg"
+        assert (
+            np.array_equal(Recording.load(path)["q"], own["q"])
+            and Recording.load(path).units["q"] == "deg"
+        )
         assert np.allclose(read_table(path)["q"], Q)
 
 
@@ -90,7 +117,12 @@ def tdms_with_a_time_channel(path: Path) -> Path:
     columns = {"Time (ms)": T * 1e3, "q1": Q[:, 0], "q2": Q[:, 1], "u": U}
     units = {"Time (ms)": "ms"}
     with TdmsWriter(path) as writer:
-        writer.write_segment([ChannelObject("g", n, v, {"unit_string": units.get(n, "")}) for n, v in columns.items()])
+        writer.write_segment(
+            [
+                ChannelObject("g", n, v, {"unit_string": units.get(n, "")})
+                for n, v in columns.items()
+            ]
+        )
     return path
 
 
@@ -98,7 +130,10 @@ def mdf(path: Path) -> Path:
     from asammdf import MDF, Signal
 
     with MDF(version="4.10") as file:
-        file.append([Signal(np.degrees(Q[:, k]), T, unit="deg", name=f"q{k + 1}") for k in (0, 1)], comment="fast")
+        file.append(
+            [Signal(np.degrees(Q[:, k]), T, unit="deg", name=f"q{k + 1}") for k in (0, 1)],
+            comment="fast",
+        )
         file.append([Signal(U[::2], T[::2], unit="V", name="u")], comment="slow")
         file.save(path)
     return path
@@ -126,7 +161,10 @@ def bag(path: Path, plugin: str, *, command_every: int = 1, command_from: int = 
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     state, header = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"]
-    stamp, array = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Float64MultiArray"]
+    stamp, array = (
+        store.types["builtin_interfaces/msg/Time"],
+        store.types["std_msgs/msg/Float64MultiArray"],
+    )
     layout, words = store.types["std_msgs/msg/MultiArrayLayout"], store.types["std_msgs/msg/String"]
     with Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
         joints = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
@@ -139,13 +177,24 @@ def bag(path: Path, plugin: str, *, command_every: int = 1, command_from: int = 
             late = ns + 300_000 + 200_000 * (k % 3)  # received later than measured, and with jitter
             writer.write(joints, late, store.serialize_cdr(both, state.__msgtype__))
             if k >= command_from and k % command_every == 0:
-                writer.write(commands, ns - 1000, store.serialize_cdr(array(layout([], 0), U[k : k + 1]), array.__msgtype__))
-        writer.write(log, 1_700_000_000_000_000_000, store.serialize_cdr(words("started"), words.__msgtype__))
+                writer.write(
+                    commands,
+                    ns - 1000,
+                    store.serialize_cdr(array(layout([], 0), U[k : k + 1]), array.__msgtype__),
+                )
+        writer.write(
+            log, 1_700_000_000_000_000_000, store.serialize_cdr(words("started"), words.__msgtype__)
+        )
     return path
 
 
 def positions(table: Any) -> Any:
-    for names in (["q"], ["q1", "q2"], ["motor.position"], ["joint_states.elbow.position", "joint_states.wrist.position"]):
+    for names in (
+        ["q"],
+        ["q1", "q2"],
+        ["motor.position"],
+        ["joint_states.elbow.position", "joint_states.wrist.position"],
+    ):
         if names[0] in table:
             return np.column_stack([table[name] for name in names])
     raise AssertionError(list(table.columns))
@@ -153,9 +202,17 @@ def positions(table: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("make", "name"),
-    [(hdf5, "run.h5"), (tdms, "run.tdms"), (tdms_with_a_time_channel, "lv.tdms"), (mdf, "run.mf4"), (json_mcap, "run.mcap")],
+    [
+        (hdf5, "run.h5"),
+        (tdms, "run.tdms"),
+        (tdms_with_a_time_channel, "lv.tdms"),
+        (mdf, "run.mf4"),
+        (json_mcap, "run.mcap"),
+    ],
 )
-def test_each_kind_gives_positions_in_radians_on_a_clock_in_seconds(make: Any, name: str, tmp_path: Path) -> None:
+def test_each_kind_gives_positions_in_radians_on_a_clock_in_seconds(
+    make: Any, name: str, tmp_path: Path
+) -> None:
     path = make(tmp_path / name)
     table = read_table(path)
     assert np.allclose(positions(table), Q, atol=1e-12)
@@ -165,7 +222,9 @@ def test_each_kind_gives_positions_in_radians_on_a_clock_in_seconds(make: Any, n
 
 
 @pytest.mark.parametrize("plugin", ["SQLITE3", "MCAP"])
-def test_a_bag_of_ros_has_joints_by_name_and_the_command_held_beside_them(plugin: str, tmp_path: Path) -> None:
+def test_a_bag_of_ros_has_joints_by_name_and_the_command_held_beside_them(
+    plugin: str, tmp_path: Path
+) -> None:
     folder = bag(tmp_path / "bag", plugin, command_every=2, command_from=10)
     (single,) = (p for p in folder.iterdir() if p.suffix in (".db3", ".mcap"))
     for path in (folder, single):
@@ -173,15 +232,22 @@ def test_a_bag_of_ros_has_joints_by_name_and_the_command_held_beside_them(plugin
         rows = len(table)
         assert rows == N - 10  # nothing was commanded before
         assert np.allclose(positions(table), Q[10:])
-        assert np.array_equal(table["effort/commands.data"], np.repeat(U[10::2], 2))  # held from message to message
-        assert np.allclose(table["t"], T[: N - 10], atol=1e-9)  # of the headers, not of their arrival
+        # held from message to message
+        assert np.array_equal(table["effort/commands.data"], np.repeat(U[10::2], 2))
+        # of the headers, not of their arrival
+        assert np.allclose(table["t"], T[: N - 10], atol=1e-9)
         assert any("newest value is held" in note for note in table.notes)
         assert any("10 rows left out" in note for note in table.notes)
 
 
 def test_groups_of_other_rates_are_held_on_the_clock_of_the_positions(tmp_path: Path) -> None:
     table = read_table(mdf(tmp_path / "run.mf4"))
-    assert np.array_equal(table["u"], np.repeat(U[::2], 2)) and table.units == {"t": "s", "q1": "rad", "q2": "rad", "u": "V"}
+    assert np.array_equal(table["u"], np.repeat(U[::2], 2)) and table.units == {
+        "t": "s",
+        "q1": "rad",
+        "q2": "rad",
+        "u": "V",
+    }
 
 
 MAKERS = {"run.h5": hdf5, "run.tdms": tdms, "run.mf4": mdf, "run.mcap": json_mcap}
@@ -212,19 +278,27 @@ def test_a_flipped_byte_never_crashes_the_reader(name: str, tmp_path: Path) -> N
         damaged[place] ^= 0x5A
         path.write_bytes(damaged)
         try:
-            read_table(path)  # where no checksum covers the byte, other numbers are what the file says
+            # where no checksum covers the byte, other numbers are what the file says
+            read_table(path)
         except RecordingError as error:
             assert path.name in str(error)
 
 
 def test_what_is_not_read_names_the_command_that_converts_it(tmp_path: Path) -> None:
-    for name, command in (("run.xlsx", "libreoffice --headless --convert-to csv"), ("run.ulg", "ulog2csv"), ("a.pkl", "pandas.read_pickle")):
+    for name, command in (
+        ("run.xlsx", "libreoffice --headless --convert-to csv"),
+        ("run.ulg", "ulog2csv"),
+        ("a.pkl", "pandas.read_pickle"),
+    ):
         (tmp_path / name).write_bytes(b"x" * 99)
         with pytest.raises(RecordingError, match=f"convert it: .*{command}"):
             read_table(tmp_path / name)
 
 
-@pytest.mark.parametrize(("name", "module"), [("a.mcap", "mcap"), ("a.mf4", "asammdf"), ("a.tdms", "nptdms"), ("a.bag", "rosbags")])
+@pytest.mark.parametrize(
+    ("name", "module"),
+    [("a.mcap", "mcap"), ("a.mf4", "asammdf"), ("a.tdms", "nptdms"), ("a.bag", "rosbags")],
+)
 def test_a_library_that_is_missing_is_named_with_its_extra(
     name: str, module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

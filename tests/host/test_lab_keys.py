@@ -34,8 +34,16 @@ def start(runtime: FakeRuntime) -> Iterator[Open]:
     running: list[Monitor] = []
 
     def begin(lab: Lab, holder: Holder, roles: bool = True) -> Monitor:
-        files = Security(str(holder.certificate), str(holder.key), str(lab.authority), "", str(lab.roles_file) if roles else "")
-        running.append(Monitor(runtime, Options("fake", "fake_machine", ["tls/127.0.0.1:0"], (), files)))
+        files = Security(
+            str(holder.certificate),
+            str(holder.key),
+            str(lab.authority),
+            "",
+            str(lab.roles_file) if roles else "",
+        )
+        running.append(
+            Monitor(runtime, Options("fake", "fake_machine", ["tls/127.0.0.1:0"], (), files))
+        )
         return running[-1]
 
     yield begin
@@ -67,7 +75,9 @@ def test_a_person_may_do_what_the_list_says_now(lab: Lab, start: Open) -> None:
         assert host.status().state != "running"
 
 
-def test_a_damaged_list_gives_nobody_a_role(lab: Lab, start: Open, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_list_gives_nobody_a_role(
+    lab: Lab, start: Open, caplog: pytest.LogCaptureFixture
+) -> None:
     target, anna = lab.add_target("imi"), lab.add_user("anna", "download")
     with enter(start(lab, target), lab, anna) as host:
         lab.roles_file.write_text("[rol")
@@ -80,8 +90,14 @@ def test_a_damaged_list_gives_nobody_a_role(lab: Lab, start: Open, caplog: pytes
 
 
 def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start: Open) -> None:
-    """Asked under another's name, nothing answers: not with her key expression, and not with her name in the message."""
-    target, anna, bo = lab.add_target("imi"), lab.add_user("anna", "observe"), lab.add_user("bo", "download")
+    """Asked under another's name, nothing answers: not with her key expression, and not with her
+    name in the message.
+    """
+    target, anna, bo = (
+        lab.add_target("imi"),
+        lab.add_user("anna", "observe"),
+        lab.add_user("bo", "download"),
+    )
     monitor = start(lab, target)
     with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
         good.download({"a.c": "int a;"})
@@ -104,14 +120,22 @@ def test_a_person_s_name_in_a_request_is_that_of_the_certificate(lab: Lab, start
 
 
 def test_nobody_is_made_present_or_absent_by_another(lab: Lab, start: Open) -> None:
-    target, anna, bo = lab.add_target("imi"), lab.add_user("anna", "observe"), lab.add_user("bo", "download")
+    target, anna, bo = (
+        lab.add_target("imi"),
+        lab.add_user("anna", "observe"),
+        lab.add_user("bo", "download"),
+    )
     monitor = start(lab, target)
     with enter(monitor, lab, bo) as good, enter(monitor, lab, anna) as bad:
         from zendsp_protocol import keys
 
         liveliness = bad.link.session.liveliness()
-        false = [liveliness.declare_token(keys.host("fake", name)) for name in (good.link.author, "bo@ghost:1")]
-        assert bad.status().hosts == good.status().hosts  # what was declared before has been seen by then
+        false = [
+            liveliness.declare_token(keys.host("fake", name))
+            for name in (good.link.author, "bo@ghost:1")
+        ]
+        # what was declared before has been seen by then
+        assert bad.status().hosts == good.status().hosts
         assert "bo@ghost:1" not in good.status().hosts
         for token in false:
             token.undeclare()  # type: ignore[no-untyped-call]
@@ -120,7 +144,9 @@ def test_nobody_is_made_present_or_absent_by_another(lab: Lab, start: Open) -> N
 
 
 @pytest.mark.parametrize("what", ["another authority", "over", "a target's"])
-def test_a_certificate_that_does_not_fit_opens_nothing(lab: Lab, start: Open, tmp_path: Path, what: str) -> None:
+def test_a_certificate_that_does_not_fit_opens_nothing(
+    lab: Lab, start: Open, tmp_path: Path, what: str
+) -> None:
     target, anna = lab.add_target("imi"), lab.add_user("anna", "download")
     monitor = start(lab, target)
     with enter(monitor, lab, anna):
@@ -145,12 +171,19 @@ def _end(lab: Lab, holder: Holder) -> None:
     signer = serialization.load_pem_private_key((lab.folder / "ca.key").read_bytes(), None)
     now = datetime.now(UTC)
     builder = (
-        x509.CertificateBuilder().subject_name(old.subject).issuer_name(old.issuer).public_key(old.public_key())
-        .serial_number(old.serial_number).not_valid_before(now - timedelta(days=2)).not_valid_after(now - timedelta(hours=1))
-    )  # fmt: skip
+        x509.CertificateBuilder()
+        .subject_name(old.subject)
+        .issuer_name(old.issuer)
+        .public_key(old.public_key())
+        .serial_number(old.serial_number)
+        .not_valid_before(now - timedelta(days=2))
+        .not_valid_after(now - timedelta(hours=1))
+    )
     for extension in old.extensions:
         builder = builder.add_extension(extension.value, extension.critical)
-    holder.certificate.write_bytes(builder.sign(signer, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    holder.certificate.write_bytes(
+        builder.sign(signer, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    )
 
 
 def test_a_person_s_key_makes_no_target(lab: Lab, start: Open) -> None:
@@ -161,12 +194,20 @@ def test_a_person_s_key_makes_no_target(lab: Lab, start: Open) -> None:
         enter(rogue, lab, bo, 1.5)
 
 
-@pytest.mark.parametrize("broken", ["certificate", "key", "authority", "another's key", "an empty authority"])
-def test_a_target_does_not_start_with_files_that_do_not_fit(lab: Lab, runtime: FakeRuntime, broken: str) -> None:
+@pytest.mark.parametrize(
+    "broken", ["certificate", "key", "authority", "another's key", "an empty authority"]
+)
+def test_a_target_does_not_start_with_files_that_do_not_fit(
+    lab: Lab, runtime: FakeRuntime, broken: str
+) -> None:
     imi, other = lab.add_target("imi"), lab.add_target("other")
     empty = lab.folder / "empty.pem"
     empty.touch()
-    files = {"certificate": str(imi.certificate), "key": str(imi.key), "authority": str(lab.authority)}
+    files = {
+        "certificate": str(imi.certificate),
+        "key": str(imi.key),
+        "authority": str(lab.authority),
+    }
     if broken in files:
         files[broken] = str(lab.folder / "none.pem")
     elif broken == "another's key":
@@ -183,7 +224,9 @@ def test_a_target_does_not_start_with_files_that_do_not_fit(lab: Lab, runtime: F
 def test_a_router_is_never_taken_for_a_host(lab: Lab) -> None:
     imi = lab.add_target("imi")
     lab.add_user("anna", "observe")
-    files = Security(str(imi.certificate), str(imi.key), str(lab.authority), "", str(lab.roles_file))
+    files = Security(
+        str(imi.certificate), str(imi.key), str(lab.authority), "", str(lab.roles_file)
+    )
     for listen in ("tls/127.0.0.1:0", "here"):
         with pytest.raises(Refused, match="roles do not hold behind a router"):
             settle("imi", [listen], ["tls/127.0.0.1:7447"], files)
@@ -204,7 +247,10 @@ def test_what_is_private_is_so_and_names_are_given_once(lab: Lab) -> None:
     names = x509.load_pem_x509_certificate(imi.certificate.read_bytes()).extensions
     reached = names.get_extension_for_class(x509.SubjectAlternativeName).value
     assert reached.get_values_for_type(x509.DNSName) == ["robot.lab", "localhost"]
-    assert [str(ip) for ip in reached.get_values_for_type(x509.IPAddress)] == ["192.168.1.5", "127.0.0.1"]
+    assert [str(ip) for ip in reached.get_values_for_type(x509.IPAddress)] == [
+        "192.168.1.5",
+        "127.0.0.1",
+    ]
     for name in ("imi", "owner", "an/na", ""):
         with pytest.raises(Refused):
             lab.add_user(name, "tune")
@@ -213,7 +259,10 @@ def test_what_is_private_is_so_and_names_are_given_once(lab: Lab) -> None:
     lab.revoke("anna")
     with pytest.raises(Refused, match="was revoked on"):
         lab.add_user("anna", "tune")
-    assert [(h.name, h.kind, h.role) for h in lab.holders()] == [("imi", "target", ""), ("anna", "user", "revoked")]
+    assert [(h.name, h.kind, h.role) for h in lab.holders()] == [
+        ("imi", "target", ""),
+        ("anna", "user", "revoked"),
+    ]
 
 
 def test_an_authority_is_not_overwritten_nor_shared(lab: Lab, tmp_path: Path) -> None:

@@ -46,14 +46,19 @@ def test_a_target_is_found_by_name_alone(target: Target) -> None:
     assert discover("x*") == []
     with connect() as again:  # only one runs here
         assert again.name == "fake"
-    with pytest.raises(LinkError, match="no target named 'other' runs on this machine \\(there runs fake\\)"):
+    with pytest.raises(
+        LinkError, match="no target named 'other' runs on this machine \\(there runs fake\\)"
+    ):
         connect("other")
-    with pytest.raises(LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"):
+    with pytest.raises(
+        LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"
+    ):
         connect("other", connect=target.link.endpoints[0])
 
 
 def test_silent_places_are_waited_for_together(monitor: Monitor) -> None:
-    """Each place that takes a connection and says nothing costs its timeout, once for all of them."""
+    """Each place that takes a connection and says nothing costs its timeout, once for all of them.
+    """
     silent = [socket.create_server(("127.0.0.1", 0)) for _ in range(6)]
     places = [f"tcp/127.0.0.1:{s.getsockname()[1]}" for s in silent]
     try:
@@ -124,7 +129,9 @@ def test_compile_errors_name_file_line_and_column(target: Target) -> None:
     assert caught.value.result.diagnostics[0].line == 3  # type: ignore[attr-defined]
 
 
-def test_a_slow_compile_holds_up_neither_stop_nor_reads(running: Target, runtime: FakeRuntime) -> None:
+def test_a_slow_compile_holds_up_neither_stop_nor_reads(
+    running: Target, runtime: FakeRuntime
+) -> None:
     runtime.compile_gate.clear()
     compiles = [threading.Thread(target=running.compile, args=({"a.c": "x"},)) for _ in range(3)]
     for thread in compiles:
@@ -143,11 +150,15 @@ def test_a_slow_compile_holds_up_neither_stop_nor_reads(running: Target, runtime
 def test_acquire_returns_every_sample_with_its_circumstances(running: Target) -> None:
     running.update(Kp1=5.0)
     done: list[float] = []
-    rec = running.acquire(["q", "Kp1"], seconds=0.2, decimation=2, note="hello", progress=done.append)
+    rec = running.acquire(
+        ["q", "Kp1"], seconds=0.2, decimation=2, note="hello", progress=done.append
+    )
     assert rec.columns == ("q[0]", "q[1]", "Kp1") and len(rec) == 100 and rec.lost == 0
     assert np.array_equal(rec["q"][:, 0], rec.start_tick + 2 * np.arange(100))
     assert np.allclose(rec.t, rec["q[0]"] / 1000.0)
-    assert rec.sources == {"a.c": "int a;"} and rec.machine == "fake_machine" and rec.note == "hello"
+    assert (
+        rec.sources == {"a.c": "int a;"} and rec.machine == "fake_machine" and rec.note == "hello"
+    )
     assert any(change.name == "Kp1" and change.new == 5.0 for change in rec.log)
     assert rec.parameters["Kp1"] == 5.0 and rec.timing["exec_max_ns"] == 2
     assert done[-1] == 1.0
@@ -232,7 +243,8 @@ def test_a_closed_live_view_is_freed_while_the_link_lasts(running: Target) -> No
     del view
     views.clear()
     gc.collect()
-    assert [view() for view in held] == [None] * 3  # else each change of the curves would grow the memory
+    # else each change of the curves would grow the memory
+    assert [view() for view in held] == [None] * 3
 
 
 def raw_session(target: Target) -> zenoh.Session:
@@ -248,7 +260,9 @@ def ask(session: zenoh.Session, key: str, payload: bytes | None) -> bytes:
 
 
 @pytest.mark.parametrize("lane", keys.LANES)
-def test_malformed_messages_get_an_error_reply_and_nothing_else_happens(running: Target, lane: str) -> None:
+def test_malformed_messages_get_an_error_reply_and_nothing_else_happens(
+    running: Target, lane: str
+) -> None:
     rng = np.random.default_rng(7)
     good = codec.encode_request("write", {"values": {"Kp1": 4.0}}, "me")
     bad: list[bytes | None] = [
@@ -283,7 +297,10 @@ def test_an_old_host_meeting_a_new_target_gets_a_clear_sentence(running: Target)
         reply = ask(session, keys.rpc("fake", "quick"), request)
         with pytest.raises(
             VersionMismatch,
-            match="the host speaks protocol 0, the target speaks protocol 1: upgrade zendsp on the host",
+            match=(
+                "the host speaks protocol 0, the target speaks protocol 1: upgrade zendsp on the"
+                " host"
+            ),
         ):
             codec.decode_reply(reply, m.Status)
         newer = codec.encode({"v": 99, "completely": "different"})
@@ -295,7 +312,10 @@ def test_any_zenoh_client_reads_a_variable_and_follows_the_state(running: Target
     with raw_session(running) as session:
         value = codec.decode(ask(session, "zendsp/fake/var/Kp1", None), dict)
         assert (
-            value["value"] == 100.0 and value["unit"] == "N m/rad" and value["v"] == 1 and value["tick"] >= 0
+            value["value"] == 100.0
+            and value["unit"] == "N m/rad"
+            and value["v"] == 1
+            and value["tick"] >= 0
         )
         found = {str(r.ok.key_expr) for r in session.get("zendsp/*/var/K$*") if r.ok is not None}
         assert found == {"zendsp/fake/var/Kp1", "zendsp/fake/var/Kd1"}
@@ -325,15 +345,23 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
 
     monitor.close()
     until(lambda: not target.alive, "the end is noticed")
-    with pytest.raises(LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"):
+    with pytest.raises(
+        LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"
+    ):
         target.status()
     begin = time.monotonic()
-    with pytest.raises(LinkError, match=r"is gone: 'write' was not answered.*Whether it was applied cannot be known"):
+    with pytest.raises(
+        LinkError,
+        match=r"is gone: 'write' was not answered.*Whether it was applied cannot be known",
+    ):
         target.write(Kp1=1.0)
-    assert time.monotonic() < begin + 2.0  # nobody is left to send it to: of five seconds that it may take
+    # nobody is left to send it to: of five seconds that it may take
+    assert time.monotonic() < begin + 2.0
     with pytest.raises(LinkError, match="no target named 'fake' runs on this machine"):
         connect("fake")
-    with pytest.raises(LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"):
+    with pytest.raises(
+        LinkError, match=r"no target runs on this machine\. Start one with 'zendsp target'"
+    ):
         connect()
     again = Monitor(runtime, Options("fake", "fake_machine"))
     again.close()
@@ -371,7 +399,9 @@ def test_an_endpoint_in_the_environment_is_meant_though_a_target_of_that_name_ru
         (Credentials(certificate=__file__), "certificate needs its key"),
     ],
 )
-def test_credentials_that_cannot_work_are_named_before_anything_is_sent(credentials: Credentials, said: str) -> None:
+def test_credentials_that_cannot_work_are_named_before_anything_is_sent(
+    credentials: Credentials, said: str
+) -> None:
     with pytest.raises(LinkError, match=said):
         zenoh_config(["tls/localhost:1"], credentials, 1.0)
 
@@ -384,7 +414,9 @@ def test_a_second_link_of_the_same_program_need_not_stand_among_the_hosts(runnin
         assert running.status().state == "stopped"
 
 
-def ask_on(other: Target, said: list[BaseException], verb: str, arguments: dict[str, object]) -> None:
+def ask_on(
+    other: Target, said: list[BaseException], verb: str, arguments: dict[str, object]
+) -> None:
     try:
         while True:
             other.request(verb, **arguments)

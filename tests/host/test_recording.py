@@ -16,7 +16,11 @@ from zendsp.recording import ParameterChange, Recording, read_table
 def recording() -> Recording:
     rng = np.random.default_rng(1)
     return Recording.from_columns(
-        {"q": rng.normal(size=(200, 2)), "u": rng.normal(size=200) * 1e-9, "w": np.arange(200) / 3.0},
+        {
+            "q": rng.normal(size=(200, 2)),
+            "u": rng.normal(size=200) * 1e-9,
+            "w": np.arange(200) / 3.0,
+        },
         sample_time=0.002,
         units={"q": "rad", "u": "N m"},
         start_tick=17,
@@ -70,7 +74,9 @@ def test_every_format_gives_back_the_same_recording_bit_for_bit(
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
-def test_a_recording_also_reads_as_a_plain_table(recording: Recording, tmp_path: Path, suffix: str) -> None:
+def test_a_recording_also_reads_as_a_plain_table(
+    recording: Recording, tmp_path: Path, suffix: str
+) -> None:
     table = read_table(recording.save(tmp_path / f"run{suffix}"))
     assert table["q"].shape == (200, 2)
     assert np.array_equal(table["q[1]"], recording["q"][:, 1])
@@ -142,12 +148,20 @@ def test_importing_the_recording_loads_nothing_heavy() -> None:
     import subprocess
     import sys
 
-    code = "import sys, zendsp.recording; print([m for m in ('scipy','h5py','pyarrow','matplotlib','pandas') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+    code = (
+        "import sys, zendsp.recording; print([m for m in"
+        " ('scipy','h5py','pyarrow','matplotlib','pandas') if m in sys.modules])"
+    )
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
+        == "[]"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4"])
-def test_a_flipped_byte_is_never_a_wrong_number(recording: Recording, tmp_path: Path, suffix: str) -> None:
+def test_a_flipped_byte_is_never_a_wrong_number(
+    recording: Recording, tmp_path: Path, suffix: str
+) -> None:
     path = recording.save(tmp_path / f"whole{suffix}")
     whole = path.read_bytes()
     hurt = tmp_path / f"hurt{suffix}"
@@ -166,7 +180,9 @@ def test_a_flipped_byte_is_never_a_wrong_number(recording: Recording, tmp_path: 
     assert told > places / 2, "most places matter"
 
 
-def test_a_number_changed_by_hand_is_told_and_an_older_file_loads(recording: Recording, tmp_path: Path) -> None:
+def test_a_number_changed_by_hand_is_told_and_an_older_file_loads(
+    recording: Recording, tmp_path: Path
+) -> None:
     path = tmp_path / "r.npz"
     recording.save(path)
     with np.load(path) as archive:

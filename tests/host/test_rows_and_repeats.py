@@ -1,4 +1,6 @@
-"""Rows that arrive damaged are never taken for rows, and a request that arrives twice is carried out once."""
+"""Rows that arrive damaged are never taken for rows, and a request that arrives twice is carried
+out once.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from zendsp_protocol.version import PROTOCOL
 def chunk(rows: np.ndarray, first: int = 0) -> tuple[bytes, bytes]:
     """Header and payload of one chunk, as the target sends them."""
     payload = rows.astype("<f8").tobytes()
-    header = m.ChunkHeader(v=PROTOCOL, first=first, rows=len(rows), columns=rows.shape[1], crc=folded_crc(payload))
+    header = m.ChunkHeader(
+        v=PROTOCOL, first=first, rows=len(rows), columns=rows.shape[1], crc=folded_crc(payload)
+    )
     return codec.encode(header), payload
 
 
@@ -37,12 +41,16 @@ def test_a_chunk_with_a_flipped_bit_is_refused_and_what_came_before_is_kept(plac
 
 def test_a_chunk_that_was_cut_short_is_refused() -> None:
     _, payload = chunk(np.ones((10, 1)))
-    short = codec.encode(m.ChunkHeader(v=PROTOCOL, first=0, rows=10, columns=1, crc=folded_crc(payload[:40])))
+    short = codec.encode(
+        m.ChunkHeader(v=PROTOCOL, first=0, rows=10, columns=1, crc=folded_crc(payload[:40]))
+    )
     with pytest.raises(AcquisitionError, match="damaged"):
         Rows(1, 10).take(short, payload[:40])
 
 
-def test_rows_that_are_damaged_on_the_way_are_never_a_recording(running: Target, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_are_damaged_on_the_way_are_never_a_recording(
+    running: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
     take = Rows.take
 
     def hurt(self: Rows, attachment: bytes, payload: bytes) -> None:
@@ -67,7 +75,9 @@ def test_a_request_that_arrives_twice_is_carried_out_once(running: Target) -> No
     def send(number: int, attempt: int) -> bytes:
         data = codec.encode_request("update", {"values": {"Kp1": 7.0}}, link.author)
         attachment = stamp(b"a-link-7", number, bytes.fromhex(running.info.instance), attempt)
-        (reply,) = link.session.get(keys.rpc("fake", "sync"), payload=data, attachment=attachment, timeout=5.0)
+        (reply,) = link.session.get(
+            keys.rpc("fake", "sync"), payload=data, attachment=attachment, timeout=5.0
+        )
         assert reply.ok is not None
         return reply.ok.payload.to_bytes()
 

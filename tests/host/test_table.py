@@ -18,7 +18,9 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_csv_with_units_gaps_semicolons_and_decimal_commas(tmp_path: Path) -> None:
-    table = read_table(write(tmp_path / "a.csv", "\ufefft [s],Position (rad),u\r\n0,1,2\r\n0.5,,4\r\n"))
+    table = read_table(
+        write(tmp_path / "a.csv", "\ufefft [s],Position (rad),u\r\n0,1,2\r\n0.5,,4\r\n")
+    )
     assert table.units == {"t": "s", "Position": "rad", "u": ""}
     assert np.isnan(table["Position"][1]) and table["Position (rad)"][0] == 1.0
     table = read_table(write(tmp_path / "b.csv", "t;q\n0,5;1\n1,5;-2,25\n"))
@@ -49,10 +51,15 @@ def test_malformed_csv_names_file_line_and_column(tmp_path: Path, text: str, mes
 
 
 def test_binary_rubbish_and_truncated_files_are_refused(tmp_path: Path) -> None:
-    good = Recording.from_columns({"q": np.random.default_rng(0).normal(size=5000)}, sample_time=0.001)
+    good = Recording.from_columns(
+        {"q": np.random.default_rng(0).normal(size=5000)}, sample_time=0.001
+    )
     for suffix in (".mat", ".npz", ".parquet"):
         whole = good.save(tmp_path / f"whole{suffix}").read_bytes()
-        for name, content in {"cut": whole[: len(whole) * 2 // 3], "rubbish": b"\xff\x00\x17" * 999}.items():
+        for name, content in {
+            "cut": whole[: len(whole) * 2 // 3],
+            "rubbish": b"\xff\x00\x17" * 999,
+        }.items():
             path = tmp_path / f"{name}{suffix}"
             path.write_bytes(content)
             with pytest.raises(RecordingError, match=rf"{name}\{suffix}"):
@@ -90,7 +97,9 @@ def test_mat_vectors_scalars_structures_and_cells(tmp_path: Path) -> None:
     assert table["qm"].shape == (9,) and table["Theta.signals.values"].shape == (9, 2)
     assert table.constants == {"kp": 160.18}
     scipy.io.savemat(tmp_path / "b.mat", contents | {"Y": cells})
-    with pytest.raises(RecordingError, match=r"columns differ in length: 't' has 9 rows, 'Y\{1\}' has 5"):
+    with pytest.raises(
+        RecordingError, match=r"columns differ in length: 't' has 9 rows, 'Y\{1\}' has 5"
+    ):
         read_table(tmp_path / "b.mat")
     assert len(read_table(tmp_path / "b.mat", columns=["t", "qm"])) == 9
     assert len(read_table(tmp_path / "b.mat", columns=["Y{2}"])) == 7
@@ -100,8 +109,10 @@ def test_mat_v73_is_read_in_the_orientation_that_matlab_wrote(tmp_path: Path) ->
     import h5py
 
     path = tmp_path / "v73.mat"
-    with h5py.File(path, "w", userblock_size=512) as file:  # MATLAB writes its text header into a user block
-        file["q"] = np.arange(10.0).reshape(2, 5)  # the transpose of a 5 x 2 matrix, as MATLAB stores it
+    # MATLAB writes its text header into a user block
+    with h5py.File(path, "w", userblock_size=512) as file:
+        # the transpose of a 5 x 2 matrix, as MATLAB stores it
+        file["q"] = np.arange(10.0).reshape(2, 5)
         file["t"] = np.arange(5.0).reshape(1, 5)
         file["name"] = np.array([[104], [105]], dtype=np.uint16)
         file["name"].attrs["MATLAB_class"] = np.bytes_("char")
@@ -116,7 +127,10 @@ def test_npz_refuses_pickles_and_names_ragged_and_non_numeric_arrays(tmp_path: P
     with pytest.raises(RecordingError, match="'t' has 4 rows, 'q' has 3"):
         read_table(tmp_path / "a.npz")
     np.savez(
-        tmp_path / "b.npz", t=np.arange(4.0), who=np.array([{"a": 1}], dtype=object), s=np.array(["x"] * 4)
+        tmp_path / "b.npz",
+        t=np.arange(4.0),
+        who=np.array([{"a": 1}], dtype=object),
+        s=np.array(["x"] * 4),
     )
     assert list(read_table(tmp_path / "b.npz").columns) == ["t"]
     with pytest.raises(RecordingError, match=r"column 'who' is not a plain numeric array"):

@@ -1,7 +1,8 @@
-"""Journeys: what users do, from an empty folder, with the installed wheel and real processes; nothing is mocked.
+"""Journeys: what users do, from an empty folder, with the installed wheel and real processes;
+nothing is mocked.
 
-A journey is named after the promise that the user relies on. It starts `zendsp` and scripts through the fixture
-`installed`, never by importing zendsp in the test's own process.
+A journey is named after the promise that the user relies on. It starts `zendsp` and scripts through
+the fixture `installed`, never by importing zendsp in the test's own process.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="session")
 def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A virtual environment with the built wheel; the libraries are those of the tests' own environment."""
+    """A virtual environment with the built wheel; the libraries are those of the tests' own
+    environment.
+    """
     folder = tmp_path_factory.mktemp("journeys")
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder / "dist")]
     _checked(build, ROOT)
@@ -36,8 +39,22 @@ def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shared = [path for path in sys.path if path.endswith("site-packages")] or site.getsitepackages()
     (packages,) = home.glob("lib/python*/site-packages")
     (packages / "shared.pth").write_text("\n".join(shared) + "\n")
-    _checked([sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps", "--no-index",
-              "--ignore-installed", str(wheel)], folder)  # fmt: skip
+    _checked(
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "--python",
+            str(python),
+            "install",
+            "-q",
+            "--no-deps",
+            "--no-index",
+            "--ignore-installed",
+            str(wheel),
+        ],
+        folder,
+    )
     return home
 
 
@@ -53,7 +70,11 @@ def installed(environment_of_the_wheel: Path, tmp_path: Path) -> Iterator[Instal
     folder, runtime = tmp_path / "home", tmp_path / "run"
     folder.mkdir()
     runtime.mkdir(mode=0o700)
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("ZENDSP_", "PYTHON", "VIRTUAL"))}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("ZENDSP_", "PYTHON", "VIRTUAL"))
+    }
     env = {
         **kept,
         "PATH": f"{home / 'bin'}:{os.environ['PATH']}",

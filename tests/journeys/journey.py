@@ -1,4 +1,5 @@
-"""The user of a journey: an installed wheel, an empty folder, and the processes that were started."""
+"""The user of a journey: an installed wheel, an empty folder, and the processes that were started.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +38,11 @@ class Installed:
     processes: list[subprocess.Popen[str]] = field(default_factory=list)
 
     def run(
-        self, *command: str | Path, timeout: float = LIMIT_S, env: Mapping[str, str] | None = None, **options: object
+        self,
+        *command: str | Path,
+        timeout: float = LIMIT_S,
+        env: Mapping[str, str] | None = None,
+        **options: object,
     ) -> subprocess.CompletedProcess[str]:
         """Run `zendsp …` to its end; output as text."""
         return subprocess.run(
@@ -51,7 +56,9 @@ class Installed:
             **options,  # type: ignore[call-overload]
         )
 
-    def script(self, text: str, *arguments: str, timeout: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
+    def script(
+        self, text: str, *arguments: str, timeout: float = LIMIT_S
+    ) -> subprocess.CompletedProcess[str]:
         """Run a Python script of the user's to its end."""
         path = self.write("script.py", text)
         return subprocess.run(
@@ -71,9 +78,13 @@ class Installed:
         return path
 
     def start(
-        self, *command: str | Path, env: Mapping[str, str] | None = None, stdin: int = subprocess.DEVNULL
+        self,
+        *command: str | Path,
+        env: Mapping[str, str] | None = None,
+        stdin: int = subprocess.DEVNULL,
     ) -> subprocess.Popen[str]:
-        """Start a program beside the test, in a process group of its own; it is ended with the test.
+        """Start a program beside the test, in a process group of its own; it is ended with the
+        test.
 
         The first word is `zendsp`, `python`, or a path.
         """
@@ -91,11 +102,14 @@ class Installed:
         self.processes.append(process)
         return process
 
-    def target(self, name: str = "imi", machine: str = "imi_planar", *options: str) -> subprocess.Popen[str]:
+    def target(
+        self, name: str = "imi", machine: str = "imi_planar", *options: str
+    ) -> subprocess.Popen[str]:
         """Start `zendsp target` and wait until `zendsp ls` finds it."""
         process = self.start("zendsp", "target", "--machine", machine, "--name", name, *options)
         entry = Path(self.env["ZENDSP_RUNTIME_DIR"]) / f"{name}.json"
-        until(entry.exists, f"target {name} registered", alive=process)  # each look of the command costs half a second
+        # each look of the command costs half a second
+        until(entry.exists, f"target {name} registered", alive=process)
         until(lambda: name in self.run("ls").stdout, f"target {name} listed", alive=process)
         return process
 
@@ -112,16 +126,21 @@ class Installed:
                     process.wait(10)
             if process.stdout is not None:
                 process.stdout.close()
-        for pid in filter(str.isdigit, os.listdir("/proc")):  # a loop that a journey froze cannot end itself
+        # a loop that a journey froze cannot end itself
+        for pid in filter(str.isdigit, os.listdir("/proc")):
             with contextlib.suppress(OSError):
                 if os.readlink(f"/proc/{pid}/exe").startswith(str(self.folder)):
                     os.kill(int(pid), signal.SIGKILL)
 
 
 def until(
-    done: Callable[[], object], what: str, timeout: float = LIMIT_S, alive: subprocess.Popen[str] | None = None
+    done: Callable[[], object],
+    what: str,
+    timeout: float = LIMIT_S,
+    alive: subprocess.Popen[str] | None = None,
 ) -> None:
-    """Wait until `done`; fail by name when it takes longer than `timeout` s or `alive` has ended."""
+    """Wait until `done`; fail by name when it takes longer than `timeout` s or `alive` has ended.
+    """
     deadline = time.monotonic() + timeout
     while not done():
         if alive is not None and alive.poll() is not None:

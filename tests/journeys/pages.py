@@ -25,7 +25,8 @@ class Block:
     line : int
         Of its first line.
     kind : str
-        ``"command"``: one command of a shell. ``"python"``. Otherwise the language of its fence, or ``"text"``.
+        ``"command"``: one command of a shell. ``"python"``. Otherwise the language of its fence, or
+        ``"text"``.
     text : str
     """
 
@@ -43,7 +44,8 @@ class Block:
 def blocks(page: Path) -> list[Block]:
     """Return commands and blocks of a page in its order; a chain of `&&` is several commands.
 
-    A command in running text counts when it says more than a subcommand's name, which is a mention (tests/whole/test_readme.py).
+    A command in running text counts when it says more than a subcommand's name, which is a mention
+    (tests/whole/test_readme.py).
     """
     name = str(page.relative_to(ROOT))
     found: list[Block] = []
@@ -51,19 +53,30 @@ def blocks(page: Path) -> list[Block]:
         if kind == "prose":
             for match in _INLINE.finditer(text):
                 words = match[1].split()
-                if _COMMAND.match(match[1]) and len([w for w in words if "=" not in w or not w[0].isupper()]) > 2:
+                if (
+                    _COMMAND.match(match[1])
+                    and len([w for w in words if "=" not in w or not w[0].isupper()]) > 2
+                ):
                     found.append(Block(name, line, "command", match[1]))
-        elif kind in ("text", "sh", "console") and all(_COMMAND.match(row) for row in text.splitlines()):
+        elif kind in ("text", "sh", "console") and all(
+            _COMMAND.match(row) for row in text.splitlines()
+        ):
             for number, row in enumerate(text.splitlines()):
                 for part in re.split(r" && ", re.sub(r"\s+#.*", "", row)):
                     found.append(Block(name, line + number, "command", part.strip()))
         else:
-            found.append(Block(name, line, "python" if kind == "text" and _PYTHON.match(text) else kind, text))
+            found.append(
+                Block(
+                    name, line, "python" if kind == "text" and _PYTHON.match(text) else kind, text
+                )
+            )
     return found
 
 
 def _pieces(lines: list[str]) -> Iterator[tuple[int, str, str]]:
-    """Line number, kind and text: ``prose`` line by line, fenced blocks by their language, indented ones as ``text``."""
+    """Line number, kind and text: ``prose`` line by line, fenced blocks by their language, indented
+    ones as ``text``.
+    """
     at = 0
     while at < len(lines):
         line = lines[at]

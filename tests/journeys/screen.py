@@ -1,4 +1,5 @@
-"""The terminal as a user sees it: `zendsp tui` behind a pseudo-terminal, its screen read by pyte."""
+"""The terminal as a user sees it: `zendsp tui` behind a pseudo-terminal, its screen read by pyte.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ class Screen:
         def read() -> None:
             try:
                 while data := os.read(self.fd, 1 << 16):
-                    stream.feed(data.replace(b"\x1b[>", b"\x1b["))  # pyte knows no private queries of this kind
+                    # pyte knows no private queries of this kind
+                    stream.feed(data.replace(b"\x1b[>", b"\x1b["))
             except OSError:
                 return
 
@@ -54,7 +56,9 @@ class Screen:
         return "\n".join(self.shown.display)
 
     def clock(self) -> str:
-        """The time of day in the status bar, empty before it is there: it goes on while the screen lives."""
+        """The time of day in the status bar, empty before it is there: it goes on while the screen
+        lives.
+        """
         found = re.search(r"\d\d:\d\d:\d\d", self.text())
         return found.group() if found else ""
 

@@ -1,4 +1,6 @@
-"""Any robot that somebody has described is run within a minute: an MJCF file, two commands, a recording."""
+"""Any robot that somebody has described is run within a minute: an MJCF file, two commands, a
+recording.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ LEG = """<mujoco model="leg">
   </worldbody>
   <actuator><motor joint="hip" gear="20" ctrlrange="-3 3"/><position joint="knee" kp="80" forcerange="-25 25"/></actuator>
 </mujoco>
-"""
+"""  # noqa: E501
 
 
 def test_a_model_file_is_run_moved_recorded_and_stopped(installed: Installed) -> None:
@@ -37,22 +39,28 @@ def test_a_model_file_is_run_moved_recorded_and_stopped(installed: Installed) ->
 import numpy as np, zendsp
 rec = zendsp.Recording.load("leg.npz")
 print(rec["q"].shape[1], np.ptp(rec["q"], axis=0).min() > 0.4, np.abs(rec["q"] - rec["r"]).max() < 0.15)
-""")
+""")  # noqa: E501
     assert looked.stdout.split() == ["2", "True", "True"], looked.stdout + looked.stderr
     stopped = installed.run("stop")
     assert stopped.returncode == 0, stopped.stderr
     assert target.poll() is None
 
 
-def test_a_model_that_does_not_parse_ends_the_target_with_the_line_of_the_file(installed: Installed) -> None:
+def test_a_model_that_does_not_parse_ends_the_target_with_the_line_of_the_file(
+    installed: Installed,
+) -> None:
     installed.write("leg.xml", LEG.replace("<worldbody>", "<worldbdy>"))
     said = installed.run("target", "--machine", "leg.xml")
     assert said.returncode == 2
     assert "leg.xml" in said.stderr and "line" in said.stderr.lower()
 
 
-def test_a_payload_that_the_model_does_not_know_is_concealed_and_revealed(installed: Installed) -> None:
+def test_a_payload_that_the_model_does_not_know_is_concealed_and_revealed(
+    installed: Installed,
+) -> None:
     installed.write("leg.xml", LEG)
     installed.write("hidden.toml", '[[effect]]\nkind = "coulomb"\njoint = 2\nlevel = 1.5\n')
-    installed.target("leg", "leg.xml", "--clock", "fast", "--speed", "3", "--concealed", "hidden.toml")
+    installed.target(
+        "leg", "leg.xml", "--clock", "fast", "--speed", "3", "--concealed", "hidden.toml"
+    )
     assert "coulomb" in installed.run("reveal").stdout

@@ -61,7 +61,9 @@ def _children(pid: int) -> list[int]:
         return []
 
 
-def test_nothing_that_a_program_tries_to_start_is_there_after_a_reload_or_a_killed_target(installed: Installed) -> None:
+def test_nothing_that_a_program_tries_to_start_is_there_after_a_reload_or_a_killed_target(
+    installed: Installed,
+) -> None:
     mark = f"{400 + time.time_ns() % 1_000_000_000 / 1e9:.9f}"
     target = installed.target("imi")
     path = installed.write("escape.c", ESCAPE % {"mark": mark})
@@ -73,7 +75,11 @@ def test_nothing_that_a_program_tries_to_start_is_there_after_a_reload_or_a_kill
     runners = _children(target.pid)
     assert runners
     os.kill(target.pid, signal.SIGKILL)
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in runners), "the runner has ended with its target", 10.0)
+    until(
+        lambda: not any(Path(f"/proc/{pid}").exists() for pid in runners),
+        "the runner has ended with its target",
+        10.0,
+    )
     assert _with(mark) == []
 
 

@@ -1,7 +1,9 @@
-"""Every command and every Python block of the pages is run as it stands, page by page, in an empty folder.
+"""Every command and every Python block of the pages is run as it stands, page by page, in an empty
+folder.
 
-What a page takes for granted (a recording, a model, a target) is prepared by its `Plan`. What cannot run here stands in `NOT_RUN`
-with its reason. A block that is neither run, nor a file that the page's commands use, nor listed, fails.
+What a page takes for granted (a recording, a model, a target) is prepared by its `Plan`. What
+cannot run here stands in `NOT_RUN` with its reason. A block that is neither run, nor a file that
+the page's commands use, nor listed, fails.
 """
 
 from __future__ import annotations
@@ -23,7 +25,10 @@ from pages import PAGES, ROOT, Block, blocks
 NETWORK = "fetches packages: tests/whole/test_wheel.py builds and installs the wheel"
 TERMINAL = "is an application in a terminal: test_stop_banner.py and test_slim_install.py open it"
 BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
-HOURS = "takes minutes to hours: `.ci/run` has `zendsp prove --quick`, tests/journeys/test_prove.py the others in small"
+HOURS = (
+    "takes minutes to hours: `.ci/run` has `zendsp prove --quick`, tests/journeys/test_prove.py the"
+    " others in small"
+)
 DRAWING = "is a drawing"
 CLONE = "takes half an hour, of a clone: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
@@ -36,24 +41,51 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("README.md", ".venv/bin/pip install ."): NETWORK,
     ("README.md", ".venv/bin/pip install '.[test]'"): NETWORK,
     ("README.md", ".venv/bin/pytest"): "is what runs this",
-    ("README.md", ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools"): NETWORK,
+    (
+        "README.md",
+        ".venv/bin/pip install eclipse-zenoh numpy msgpack msgspec cffi pyelftools",
+    ): NETWORK,
     ("README.md", ".venv/bin/pip install --no-deps ."): NETWORK,
-    ("README.md", "zendsp demo --effect ripple --seed 1"): "test_slim_install.py runs it; `zendsp demo` of this page runs here",
+    (
+        "README.md",
+        "zendsp demo --effect ripple --seed 1",
+    ): "test_slim_install.py runs it; `zendsp demo` of this page runs here",
     ("README.md", "pip install 'zendsp[zig]'"): NETWORK,
     ("README.md", "pip install ."): NETWORK,
-    ("docs/code_overview.md", "protocol/zendsp_protocol/   the wire contract: keys, messages, verbs, codec, errors. "
-     "No I/O, no Zenoh session."): DRAWING,
-    ("docs/code_overview.md", "host process                target: monitor process (Python)        "
-     "runner process (native, no interpreter)"): DRAWING,
+    (
+        "docs/code_overview.md",
+        (
+            "protocol/zendsp_protocol/   the wire contract: keys, messages, verbs, codec, errors. "
+            "No I/O, no Zenoh session."
+        ),
+    ): DRAWING,
+    (
+        "docs/code_overview.md",
+        (
+            "host process                target: monitor process (Python)        "
+            "runner process (native, no interpreter)"
+        ),
+    ): DRAWING,
     ("docs/code_overview.md", "python -m tests.mutations"): CLONE,
     ("docs/diagnosis.md", "pip install 'zendsp[fleet]'"): NETWORK,
-    ("docs/experiments.md", "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447"): EXPERIMENT,
+    (
+        "docs/experiments.md",
+        "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
+    ): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
     ("docs/experiments.md", "[[effect]]"): SYNTAX,
-    ("docs/experiments.md", "ModelTorque(q, qd, a, tau);      /* inverse dynamics: the torque for accelerations a, "
-     "friction and all */"): "names the functions that model2c writes: tests/physics/test_codegen.py compiles them",
-    ("docs/machines.md", "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }"): SYNTAX,
+    (
+        "docs/experiments.md",
+        (
+            "ModelTorque(q, qd, a, tau);      /* inverse dynamics: the torque for accelerations a, "
+            "friction and all */"
+        ),
+    ): "names the functions that model2c writes: tests/physics/test_codegen.py compiles them",
+    (
+        "docs/machines.md",
+        "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }",
+    ): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
     ("docs/measurements/second_design.md", "zendsp prove --quick --no-peers --jobs 2"): HOURS,
@@ -63,35 +95,78 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/proof.md", "zendsp prove --implant --jobs 2"): REAL,
     ("docs/proof.md", "emps: missing in 31.6 s"): "is an output",
     ("docs/proof.md", "NO   stiffness x1: said unexplained"): "is an output",
-    **{("docs/prove.md", f"zendsp prove {what}"): HOURS for what in (
-        "--quick", "--seed 7 --sample 200", "--reality mujoco --seed 7", "--make cases --seed 7 --sample 100",
-        "--judge cases", "--seed 7 --scheduler tcp://host:8786")},
+    **{
+        ("docs/prove.md", f"zendsp prove {what}"): HOURS
+        for what in (
+            "--quick",
+            "--seed 7 --sample 200",
+            "--reality mujoco --seed 7",
+            "--make cases --seed 7 --sample 100",
+            "--judge cases",
+            "--seed 7 --scheduler tcp://host:8786",
+        )
+    },
     ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     ("docs/prove.md", "zendsp prove --real ; zendsp prove --implant"): REAL,
-    ("docs/troubleshooting/recording.md", "zendsp salvage -t imi -o run.mat"): "needs a killed target: test_salvage.py",
+    (
+        "docs/troubleshooting/recording.md",
+        "zendsp salvage -t imi -o run.mat",
+    ): "needs a killed target: test_salvage.py",
     ("docs/protocol.md", '{"v": 1, "ok": true,  "result": …}'): SYNTAX,
-    ("docs/realtime.md", "target/zendsp_target/          monitor side, Python                c_isr/zendsp_isr/runtime/      "
-     "runner side, C"): DRAWING,
+    (
+        "docs/realtime.md",
+        (
+            "target/zendsp_target/          monitor side, Python               "
+            " c_isr/zendsp_isr/runtime/      runner side, C"
+        ),
+    ): DRAWING,
     ("docs/security.md", "pip install 'zendsp[keys]'"): NETWORK,
     ("docs/tour.md", "zendsp tui --web"): BROWSER,
-    ("docs/tour.md", "zendsp tui --screenshots docs/screens"): "draws every screen for a minute: tests/tui/test_coverage.py",
+    (
+        "docs/tour.md",
+        "zendsp tui --screenshots docs/screens",
+    ): "draws every screen for a minute: tests/tui/test_coverage.py",
     ("docs/troubleshooting/installing.md", "pip install 'zendsp[zig]'"): NETWORK,
     ("docs/troubleshooting/installing.md", "python3 -m venv"): "names what fails, not what to type",
-    ("docs/troubleshooting/link.md", "zendsp info -t imi --connect tls/robot.lab:7447"): "needs a target elsewhere: "
-    "docs/security.md and README.md connect to one over TLS",
-    ("docs/tui.md", "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv"): "takes an hour, of a clone",
+    (
+        "docs/troubleshooting/link.md",
+        "zendsp info -t imi --connect tls/robot.lab:7447",
+    ): "needs a target elsewhere: docs/security.md and README.md connect to one over TLS",
+    (
+        "docs/tui.md",
+        "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
+    ): "takes an hour, of a clone",
     ("docs/tui.md", "zendsp tui"): TERMINAL,
     ("docs/tui.md", "zendsp tui imi"): TERMINAL,
     ("docs/tui.md", "zendsp tui --local imi_planar --source pd.c"): TERMINAL,
     ("docs/tui.md", "zendsp tui --web --port 8000 imi"): BROWSER,
     ("docs/tui.md", "zendsp tui --frames 10 imi"): TERMINAL,
-    ("docs/tui.md", "zendsp tui --screenshots docs/screens"): "draws every screen for a minute: tests/tui/test_coverage.py",
+    (
+        "docs/tui.md",
+        "zendsp tui --screenshots docs/screens",
+    ): "draws every screen for a minute: tests/tui/test_coverage.py",
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
-    ("docs/tui.md", "app.py            the three screens over one session     actions.py     the table"): DRAWING,
-    **{("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT for name in (
-        "all --report docs/results.md", "imi-static", "imi-viscous", "imi-low-speed", "imi-fit", "imi-circle",
-        "pendulum-electrical", "pendulum-mechanical", "pendulum-swing", "wam-friction", "wam-tracking")},
-}  # fmt: skip
+    (
+        "docs/tui.md",
+        "app.py            the three screens over one session     actions.py     the table",
+    ): DRAWING,
+    **{
+        ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
+        for name in (
+            "all --report docs/results.md",
+            "imi-static",
+            "imi-viscous",
+            "imi-low-speed",
+            "imi-fit",
+            "imi-circle",
+            "pendulum-electrical",
+            "pendulum-mechanical",
+            "pendulum-swing",
+            "wam-friction",
+            "wam-tracking",
+        )
+    },
+}
 FOREVER = ("watch",)  # subcommands that run until Ctrl-C
 SERVERS = ("zendsp target", "-m zendsp_target")
 LIMIT_S = 100.0  # of one command
@@ -112,7 +187,8 @@ class Plan:
     files : mapping of str to str
         First line of a block to the name of the file that the page means by it.
     stands_for : mapping of str to str
-        What is written on the page in place of the reader's own, to what it is here; ``PORT`` is a free one.
+        What is written on the page in place of the reader's own, to what it is here; ``PORT`` is a
+        free one.
     prelude : str
         Before the page's Python, which is one script.
     arguments : callable
@@ -126,18 +202,28 @@ class Plan:
     arguments: Callable[[Installed], list[str]] = lambda _: []
 
 
-# -- what is prepared -------------------------------------------------------------------------------------------------------
+# -- what is prepared
+# --------------------------------------------------------------------------------------------------
 
 
 def bench(user: Installed) -> None:
-    """The model file of docs/models.md, and recordings of that machine with a dry friction that the model lacks."""
-    (model,) = (b for b in blocks(ROOT / "docs" / "models.md") if b.kind == "toml" and b.first == 'name = "bench"')
+    """The model file of docs/models.md, and recordings of that machine with a dry friction that the
+    model lacks.
+    """
+    (model,) = (
+        b
+        for b in blocks(ROOT / "docs" / "models.md")
+        if b.kind == "toml" and b.first == 'name = "bench"'
+    )
     user.write("bench.toml", model.text)
     for seed, name in enumerate(("run", "run1", "run2", "test")):
         rng, dt, n = np.random.default_rng(seed), 0.001, 6000
         t = dt * np.arange(n)
         phases = rng.uniform(0.0, 2.0 * np.pi, 4)
-        wanted = sum(0.5 * np.sin(2.0 * np.pi * f * t + p) for f, p in zip((0.3, 0.7, 1.3, 2.1), phases, strict=True))
+        wanted = sum(
+            0.5 * np.sin(2.0 * np.pi * f * t + p)
+            for f, p in zip((0.3, 0.7, 1.3, 2.1), phases, strict=True)
+        )
         q = qd = command = 0.0
         rows = []
         for k in range(n):
@@ -167,7 +253,7 @@ for name, amplitude in (("run1", 0.1), ("run2", 0.08), ("test", 0.09)):
     recording = zendsp.Recording.from_columns(columns, t=rec.t, units={"q": "rad", "tau": "N m"})
     recording.save(f"{name}.mat")
 recording.save("run.csv")
-"""
+"""  # noqa: E501
 
 
 def recorded(user: Installed) -> None:
@@ -185,13 +271,18 @@ def benches(user: Installed) -> None:
     """For docs/diagnosis.md: recordings of the bench, and a fleet of two like it."""
     bench(user)
     (user.folder / "fleet").mkdir()
-    motion = user.script("import zendsp\nfor name in ('run1', 'run2'): zendsp.Recording.load(f'{name}.csv').save(f'fleet/{name}.mat')")
+    motion = user.script(
+        "import zendsp\nfor name in ('run1', 'run2'):"
+        " zendsp.Recording.load(f'{name}.csv').save(f'fleet/{name}.mat')"
+    )
     assert motion.returncode == 0, motion.stderr
     (user.folder / "arm.toml").write_text((user.folder / "bench.toml").read_text())
 
 
 def tour(user: Installed) -> None:
-    """For the tour: recordings of the arm; the circle is planned on the page, after it is simulated."""
+    """For the tour: recordings of the arm; the circle is planned on the page, after it is
+    simulated.
+    """
     examples(user)
     made = user.script(ARM)
     assert made.returncode == 0, made.stderr
@@ -230,9 +321,17 @@ def lab(user: Installed) -> None:
         said = user.run("keys", *line.split())
         assert said.returncode == 0, said.stderr
     made = user.folder / "lab"
-    names = {"imi.pem": "targets/imi.pem", "imi.key": "targets/imi.key", "anna.pem": "users/anna.pem", "anna.key": "users/anna.key",
-             "me.pem": "users/anna.pem", "me.key": "users/anna.key", "lab.pem": "ca.pem", "ca.pem": "ca.pem",
-             "roles.toml": "roles.toml"}  # fmt: skip
+    names = {
+        "imi.pem": "targets/imi.pem",
+        "imi.key": "targets/imi.key",
+        "anna.pem": "users/anna.pem",
+        "anna.key": "users/anna.key",
+        "me.pem": "users/anna.pem",
+        "me.key": "users/anna.key",
+        "lab.pem": "ca.pem",
+        "ca.pem": "ca.pem",
+        "roles.toml": "roles.toml",
+    }
     for name, source in names.items():
         (user.folder / name).write_bytes((made / source).read_bytes())
     for path in user.folder.glob("*.key"):
@@ -246,7 +345,9 @@ def lab_and_arm(user: Installed) -> None:
 
 
 def lab_of_the_page(user: Installed) -> None:
-    """For docs/security.md, whose commands make the lab: its files are taken from a lab made before, which is then gone."""
+    """For docs/security.md, whose commands make the lab: its files are taken from a lab made
+    before, which is then gone.
+    """
     lab(user)
     for path in sorted((user.folder / "lab").rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
@@ -264,9 +365,14 @@ PLANS: dict[str, Plan] = {
     "README.md": Plan(lab_and_arm, stands_for=ROBOT),
     "docs/diagnosis.md": Plan(
         benches,
-        files={"def simulate(recording, parameters):": "pendulum_sim.py", "[mechanism]": "pendulum.toml"},
+        files={
+            "def simulate(recording, parameters):": "pendulum_sim.py",
+            "[mechanism]": "pendulum.toml",
+        },
     ),
-    "docs/effects.md": Plan(bench, files={"from zendsp.physics.effects import Effect, Parameter": "film.py"}),
+    "docs/effects.md": Plan(
+        bench, files={"from zendsp.physics.effects import Effect, Parameter": "film.py"}
+    ),
     "docs/experiments.md": Plan(beside_a_target),
     "docs/isr.md": Plan(running, files={'#include "isr.h"': "control.c"}),
     "docs/machines.md": Plan(files={"#include <math.h>": "my_axis.c"}),
@@ -276,7 +382,9 @@ PLANS: dict[str, Plan] = {
     "docs/protocol.md": Plan(running, arguments=first_target),
     "docs/references.md": Plan(running, prelude="import zendsp\ntarget = zendsp.connect()\n"),
     "docs/security.md": Plan(
-        lab_of_the_page, files={"[roles]": "roles.toml"}, stands_for={**ROBOT, "--host robot.lab": "--host localhost"}
+        lab_of_the_page,
+        files={"[roles]": "roles.toml"},
+        stands_for={**ROBOT, "--host robot.lab": "--host localhost"},
     ),
     "docs/tour.md": Plan(tour),
     "docs/troubleshooting/loop.md": Plan(saved_parameters, stands_for={"FILE": "kept.json"}),
@@ -284,7 +392,8 @@ PLANS: dict[str, Plan] = {
 }
 
 
-# -- run them ------------------------------------------------------------------------------------------------------------------
+# -- run them
+# --------------------------------------------------------------------------------------------------
 
 
 def kept(page: Path) -> list[Block]:
@@ -320,10 +429,20 @@ class Reader:
         if meant.split()[1] in FOREVER:
             return self._watch(meant)
         done = subprocess.run(
-            ["bash", "-c", meant], cwd=self._user.folder, env=self._user.env, capture_output=True, text=True, timeout=LIMIT_S,
-            check=False, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
-        return "" if done.returncode == 0 else f"exit status {done.returncode}: {(done.stdout + done.stderr)[-800:]}"
+            ["bash", "-c", meant],
+            cwd=self._user.folder,
+            env=self._user.env,
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
+        return (
+            ""
+            if done.returncode == 0
+            else f"exit status {done.returncode}: {(done.stdout + done.stderr)[-800:]}"
+        )
 
     def _serve(self, meant: str) -> str:
         if self._server is not None:  # the page goes on with another
@@ -346,7 +465,9 @@ class Reader:
 
     def python(self, text: str) -> str:
         """Run the page's Python as one script."""
-        done = self._user.script(self._plan.prelude + text, *self._plan.arguments(self._user), timeout=LIMIT_S)
+        done = self._user.script(
+            self._plan.prelude + text, *self._plan.arguments(self._user), timeout=LIMIT_S
+        )
         return "" if done.returncode == 0 else (done.stdout + done.stderr)[-1500:]
 
 
@@ -357,8 +478,14 @@ def test_what_a_page_says_to_type_works(installed: Installed, page: Path) -> Non
     plan = PLANS.get(name, Plan())
     found = kept(page)
     files = {b.first: b for b in found if b.first in plan.files}
-    unknown = [f"{name}:{b.line}: {b.first}" for b in found if b.kind not in ("command", "python") and b.first not in files]
-    assert unknown == [], "neither run, nor a file that the page's commands use, nor listed in NOT_RUN with a reason"
+    unknown = [
+        f"{name}:{b.line}: {b.first}"
+        for b in found
+        if b.kind not in ("command", "python") and b.first not in files
+    ]
+    assert (
+        unknown == []
+    ), "neither run, nor a file that the page's commands use, nor listed in NOT_RUN with a reason"
     assert set(files) == set(plan.files), "the page has no such blocks any more"
     plan.prepare(installed)
     for first, block in files.items():
@@ -377,14 +504,22 @@ def test_what_a_page_says_to_type_works(installed: Installed, page: Path) -> Non
 def test_what_is_not_run_is_still_on_the_pages() -> None:
     there = {(b.page, b.first) for page in PAGES for b in blocks(page)}
     assert [key for key in NOT_RUN if key not in there] == []
-    assert [name for name in PLANS if not any(b.page == name for page in PAGES_TO_RUN for b in kept(page))] == []
+    assert [
+        name
+        for name in PLANS
+        if not any(b.page == name for page in PAGES_TO_RUN for b in kept(page))
+    ] == []
 
 
 def test_the_pages_are_read_as_they_stand(tmp_path: Path) -> None:
-    """The extraction itself: a command in a block, in running text, in a chain, with a comment, with variables."""
+    """The extraction itself: a command in a block, in running text, in a chain, with a comment,
+    with variables.
+    """
     page = ROOT / "docs" / "tour.md"
     assert any(b.text == "zendsp ls" or b.text.startswith("zendsp run pd.c") for b in blocks(page))
     readme = [b.text for b in blocks(ROOT / "README.md") if b.kind == "command"]
-    assert ".venv/bin/zendsp demo" in readme and any(c.startswith("ZENDSP_CONNECT=") for c in readme)
+    assert ".venv/bin/zendsp demo" in readme and any(
+        c.startswith("ZENDSP_CONNECT=") for c in readme
+    )
     assert not any("#" in c or "&&" in c for c in readme)
     assert sum(len(blocks(page)) for page in PAGES) > 80

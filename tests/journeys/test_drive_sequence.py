@@ -1,4 +1,5 @@
-"""The drive sequence in every order, with every shipped program on every machine: no trip without a reason.
+"""The drive sequence in every order, with every shipped program on every machine: no trip without a
+reason.
 
 Fast clock by default; ``ZENDSP_JOURNEYS=all`` runs the whole matrix on the real clock too.
 """
@@ -12,14 +13,31 @@ import pytest
 from journey import Installed
 
 PROGRAMS = {
-    "imi_planar": ("pd.c", "inverse_dynamics.c", "torque_steps.c", "constant_torque.c", "template.c"),
-    "pendulum": ("pendulum_track.c", "pendulum_compensation.c", "pendulum_torque.c", "pendulum_current.c",
-                 "constant_torque.c", "template.c"),
+    "imi_planar": (
+        "pd.c",
+        "inverse_dynamics.c",
+        "torque_steps.c",
+        "constant_torque.c",
+        "template.c",
+    ),
+    "pendulum": (
+        "pendulum_track.c",
+        "pendulum_compensation.c",
+        "pendulum_torque.c",
+        "pendulum_current.c",
+        "constant_torque.c",
+        "template.c",
+    ),
     "wam7": ("wam_pd_gravity.c",),
-}  # fmt: skip
+}
 MATRIX = [(machine, program) for machine, programs in PROGRAMS.items() for program in programs]
-# On the real clock each order takes seconds of real time: one program a machine, unless all are asked for.
-REAL = MATRIX if os.environ.get("ZENDSP_JOURNEYS") == "all" else [(m, p[0]) for m, p in PROGRAMS.items()]
+# On the real clock each order takes seconds of real time: one program a machine, unless all are
+# asked for.
+REAL = (
+    MATRIX
+    if os.environ.get("ZENDSP_JOURNEYS") == "all"
+    else [(m, p[0]) for m, p in PROGRAMS.items()]
+)
 
 SCRIPT = r"""
 import itertools, sys, time
@@ -125,7 +143,7 @@ print(f"{len(orders)} orders, {len(bad)} bad")
 print("\n".join(bad))
 target.close()
 sys.exit(bool(bad))
-"""
+"""  # noqa: E501
 
 
 def journey(installed: Installed, machine: str, program: str, clock: str, ms: int) -> None:
@@ -134,7 +152,9 @@ def journey(installed: Installed, machine: str, program: str, clock: str, ms: in
 
 
 @pytest.mark.parametrize(("machine", "program"), MATRIX)
-def test_no_order_of_the_sequence_trips_a_shipped_program(installed: Installed, machine: str, program: str) -> None:
+def test_no_order_of_the_sequence_trips_a_shipped_program(
+    installed: Installed, machine: str, program: str
+) -> None:
     journey(installed, machine, program, "fast", 700)
 
 
@@ -146,5 +166,7 @@ def test_nor_on_the_real_clock(installed: Installed, machine: str, program: str)
 def test_every_shipped_program_is_in_a_journey() -> None:
     here = Path(__file__).parent
     journeys = "".join(path.read_text() for path in here.glob("test_*.py"))
-    programs = {path.name for path in (here.parents[1] / "c_isr" / "zendsp_isr" / "programs").glob("*.c")}
+    programs = {
+        path.name for path in (here.parents[1] / "c_isr" / "zendsp_isr" / "programs").glob("*.c")
+    }
     assert len(programs) >= 10 and [name for name in programs if name not in journeys] == []

@@ -22,14 +22,22 @@ ENDINGS = {
     "terminate": "time.sleep(60)",
     "kill": "time.sleep(60)",
     "a forked child first": "import os; os.fork() or sys.exit(0); os.wait()",
-    "workers": "import multiprocessing; multiprocessing.get_context('fork').Pool(2).map(abs, [1, -2])",
+    "workers": (
+        "import multiprocessing; multiprocessing.get_context('fork').Pool(2).map(abs, [1, -2])"
+    ),
 }
 SIGNALS = {"ctrl-c": signal.SIGINT, "terminate": signal.SIGTERM, "kill": signal.SIGKILL}
 OPENINGS = {
     "connect": "t = zendsp.connect('imi')",
     "local": "t = zendsp.local('imi_planar')",
-    "view": "t = zendsp.connect('imi'); v = t.live(['tick'], callback=lambda block: None); w = t.live(['tick'])",
-    "matdsp": "from zendsp.matdsp import MatDSPconnect, MatDSPvariable; t = MatDSPconnect('imi'); MatDSPvariable('Kp1')",
+    "view": (
+        "t = zendsp.connect('imi'); v = t.live(['tick'], callback=lambda block: None); w ="
+        " t.live(['tick'])"
+    ),
+    "matdsp": (
+        "from zendsp.matdsp import MatDSPconnect, MatDSPvariable; t = MatDSPconnect('imi');"
+        " MatDSPvariable('Kp1')"
+    ),
 }
 COMMANDING = """
 import sys, time, zendsp
@@ -70,7 +78,9 @@ def test_a_script_ends_however_it_ends(installed: Installed, opening: str) -> No
     assert installed.script(PREPARE).returncode == 0
     running = {}
     for number, (name, ending) in enumerate(ENDINGS.items()):
-        text = f"import sys, time, zendsp\n{OPENINGS[opening]}\nprint('ready', flush=True)\n{ending}\n"
+        text = (
+            f"import sys, time, zendsp\n{OPENINGS[opening]}\nprint('ready', flush=True)\n{ending}\n"
+        )
         running[name] = installed.start("python", installed.write(f"s{number}.py", text))
     for name, process in running.items():
         assert process.stdout is not None
@@ -78,14 +88,20 @@ def test_a_script_ends_however_it_ends(installed: Installed, opening: str) -> No
     for name, process in running.items():
         _finish(process, name)
     if opening == "local":
-        until(lambda: installed.run("ls").stdout.count("imi_planar-") == 0, "all that were started here have ended", 5.0)
+        until(
+            lambda: installed.run("ls").stdout.count("imi_planar-") == 0,
+            "all that were started here have ended",
+            5.0,
+        )
 
 
 def test_the_policy_acts_however_the_commanding_script_ends(installed: Installed) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     for number, (name, ending) in enumerate(ENDINGS.items()):
-        process = installed.start("python", installed.write(f"c{number}.py", COMMANDING + ending + "\n"))
+        process = installed.start(
+            "python", installed.write(f"c{number}.py", COMMANDING + ending + "\n")
+        )
         assert process.stdout is not None
         assert "moves" in process.stdout.readline(), name
         _finish(process, name)
@@ -99,9 +115,16 @@ def test_the_policy_acts_however_the_commanding_script_ends(installed: Installed
 
 
 def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
-    text = "import zendsp\ndef test_one():\n    t = zendsp.local('imi_planar')\n    t.download('pd.c')\n    t.live(['tick'])\n"
-    installed.write("test_mine.py", text + "def test_two():\n    zendsp.local('imi_planar'); assert False\n")
-    process = installed.start("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py")
+    text = (
+        "import zendsp\ndef test_one():\n    t = zendsp.local('imi_planar')\n   "
+        " t.download('pd.c')\n    t.live(['tick'])\n"
+    )
+    installed.write(
+        "test_mine.py", text + "def test_two():\n    zendsp.local('imi_planar'); assert False\n"
+    )
+    process = installed.start(
+        "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py"
+    )
     said, _ = process.communicate(timeout=40)
     assert "1 failed, 1 passed" in said
 
@@ -113,7 +136,9 @@ def kernels(installed: Installed) -> Installed:
     spec = installed.folder / ".local/share/jupyter/kernels/python3"
     spec.mkdir(parents=True)
     command = [str(installed.python), "-m", "ipykernel_launcher", "-f", "{connection_file}"]
-    (spec / "kernel.json").write_text(json.dumps({"argv": command, "display_name": "p", "language": "python"}))
+    (spec / "kernel.json").write_text(
+        json.dumps({"argv": command, "display_name": "p", "language": "python"})
+    )
     return installed
 
 
@@ -128,10 +153,12 @@ with client.setup_kernel():
     for number, cell in enumerate(notebook.cells):
         client.execute_cell(cell, number)
 print(notebook.cells[1].outputs[0]["data"]["text/plain"])
-"""
+"""  # noqa: E501
     done = kernels.script(text)
     assert "'loaded'" in done.stdout, done.stdout + done.stderr
-    until(lambda: "imi_planar-" not in kernels.run("ls").stdout, "the kernel's target has ended", 5.0)
+    until(
+        lambda: "imi_planar-" not in kernels.run("ls").stdout, "the kernel's target has ended", 5.0
+    )
 
 
 NOTEBOOK = """
@@ -164,7 +191,7 @@ else:
 print("done", flush=True)
 sys.stdin.readline()
 manager.shutdown_kernel(now=True)
-"""
+"""  # noqa: E501
 
 
 def test_the_policy_acts_however_the_commanding_kernel_ends(kernels: Installed) -> None:
@@ -173,9 +200,13 @@ def test_the_policy_acts_however_the_commanding_kernel_ends(kernels: Installed) 
     path = kernels.write("notebook.py", f"COMMANDING = {COMMANDING!r}\n{NOTEBOOK}")
     for ending in ("interrupt", "restart", "kill", "shutdown"):
         process = subprocess.Popen(
-            [str(kernels.python), str(path), ending], cwd=kernels.folder, env=kernels.env, text=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            [str(kernels.python), str(path), ending],
+            cwd=kernels.folder,
+            env=kernels.env,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
         assert process.stdout is not None
         assert process.stdout.readline().strip() == "moves", ending
         if ending == "interrupt":
@@ -184,7 +215,8 @@ def test_the_policy_acts_however_the_commanding_kernel_ends(kernels: Installed) 
         expected = ["running", ""] if ending == "interrupt" else ["stopped", "host lost"]
         seen: list[object] = []
 
-        def acted(seen: list[object] = seen, expected: list[object] = expected) -> bool:  # type: ignore[assignment]
+        def acted(seen: list[object] = seen,
+            expected: list[object] = expected) -> bool:  # type: ignore[assignment]
             seen[:] = json.loads(kernels.script(LOOK).stdout)
             return seen == expected
 
@@ -197,7 +229,7 @@ import sys, threading, zendsp
 threading.Thread(target=lambda: [None for _ in iter(int, 1)], daemon=True).start()  # wants the GIL all the time
 with zendsp.connect('imi') as t:
     view = t.live(['tick'])
-"""
+"""  # noqa: E501
 
 
 def test_the_end_of_a_host_is_quiet(installed: Installed) -> None:

@@ -32,7 +32,9 @@ sys.exit(endurance.main(["--rounds", "2", "--json", "found.json"], {{"untrue": U
 
 @pytest.mark.parametrize("part", ROUNDS)
 def test_it_holds(installed: Installed, part: str) -> None:
-    process = installed.start("python", ENDURANCE, "--only", part, "--rounds", str(ROUNDS[part]), "--json", "found.json")
+    process = installed.start(
+        "python", ENDURANCE, "--only", part, "--rounds", str(ROUNDS[part]), "--json", "found.json"
+    )
     said, _ = process.communicate(timeout=100)
     assert process.returncode == 0, said
     (found,) = json.loads((installed.folder / "found.json").read_text())["parts"]
@@ -45,7 +47,9 @@ def test_each_part_is_here(installed: Installed) -> None:
 
 
 @pytest.mark.parametrize(("holds", "status"), [("1 + 1 == 2", 0), ("1 + 1 == 3", 1), ("1 / 0", 1)])
-def test_a_violated_promise_is_told_and_counted(installed: Installed, holds: str, status: int) -> None:
+def test_a_violated_promise_is_told_and_counted(
+    installed: Installed, holds: str, status: int
+) -> None:
     done = installed.script(BROKEN.format(folder=str(ENDURANCE.parent), holds=holds))
     assert done.returncode == status, done.stdout + done.stderr
     (part,) = json.loads((installed.folder / "found.json").read_text())["parts"]

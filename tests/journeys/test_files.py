@@ -11,7 +11,7 @@ t = np.arange(4000) * 0.001
 q = np.round(np.sin(5 * t) * 651.9) / 651.9
 u = -0.02 * 25 * np.sin(5 * t) + 0.1 * np.sign(np.cos(5 * t))
 Recording.from_columns({"q": np.degrees(q), "u": 1e3 * u}, t=t, units={"q": "deg", "u": "mN m"}).save("run.mcap")
-"""
+"""  # noqa: E501
 
 
 def test_a_model_is_begun_from_a_recording_and_checked_against_it(installed: Installed) -> None:

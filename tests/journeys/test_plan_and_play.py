@@ -1,4 +1,6 @@
-"""Plan with the defaults, play with the default program, look: no trip; and what would trip is said before it moves."""
+"""Plan with the defaults, play with the default program, look: no trip; and what would trip is said
+before it moves.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +43,13 @@ with zendsp.local(machine, clock="fast") as target:
 print(*played)
 print("\n".join(bad), file=sys.stderr)
 sys.exit(bool(bad))
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.parametrize("machine", DEFAULT)
-def test_default_motions_do_not_trip_the_default_program(installed: Installed, machine: str) -> None:
+def test_default_motions_do_not_trip_the_default_program(
+    installed: Installed, machine: str
+) -> None:
     if machine == "wam7":
         pytest.importorskip("pinocchio")
     said = installed.script(SCRIPT, machine, DEFAULT[machine], timeout=110.0)

@@ -1,4 +1,6 @@
-"""The proof as a lab runs it: cases are made, judged where they lie, and nothing goes on when it is ended."""
+"""The proof as a lab runs it: cases are made, judged where they lie, and nothing goes on when it is
+ended.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,10 @@ def test_what_is_not_there_is_said_with_what_to_do(installed: Installed) -> None
     absent = installed.run("prove", "--judge", "nowhere")
     assert absent.returncode != 0 and "make them with zendsp prove --make nowhere" in absent.stderr
     other = installed.run("prove", "--reality", "gazebo")
-    assert other.returncode == 2 and "no reality 'gazebo'; known are own, machines, mujoco" in other.stderr
+    assert (
+        other.returncode == 2
+        and "no reality 'gazebo'; known are own, machines, mujoco" in other.stderr
+    )
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])

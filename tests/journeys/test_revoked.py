@@ -1,4 +1,6 @@
-"""A role that is taken away ends reading too; what certificates without roles mean is asked for before the start."""
+"""A role that is taken away ends reading too; what certificates without roles mean is asked for
+before the start.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
 
 from helpers import make_certificates
 
-# Everything that a client of her own could try to go on reading with: all keys, and a live view that was open before.
+# Everything that a client of her own could try to go on reading with: all keys, and a live view
+# that was open before.
 SPY = r"""
 import sys, time, zendsp, zenoh
 from zendsp.errors import Refused
@@ -45,27 +48,43 @@ with zendsp.connect("imi") as target:
             refused += "two has none" in str(error)
     print("refused", refused, "variables", variables())
     print(target.stop().trip.reason)
-"""
+"""  # noqa: E501
 
 
 def start(user: Installed, folder: Path, *options: str | Path) -> dict[str, str]:
     """Start a target that asks for certificates; returns what lets `two` in."""
     make_certificates(folder)
     process = user.start(
-        "zendsp", "target", "--machine", "imi_planar", "--name", "imi", "--listen", "here", "--listen",
-        "tls/127.0.0.1:0", "--tls-cert", folder / "one.pem", "--tls-key", folder / "one.key", "--tls-ca",
-        folder / "ca.pem", *options,
-    )  # fmt: skip
+        "zendsp",
+        "target",
+        "--machine",
+        "imi_planar",
+        "--name",
+        "imi",
+        "--listen",
+        "here",
+        "--listen",
+        "tls/127.0.0.1:0",
+        "--tls-cert",
+        folder / "one.pem",
+        "--tls-key",
+        folder / "one.key",
+        "--tls-ca",
+        folder / "ca.pem",
+        *options,
+    )
     until(lambda: "imi" in user.run("ls").stdout, "target listed", alive=process)
     (path,) = Path(user.env["ZENDSP_RUNTIME_DIR"]).glob("*.json")
     endpoint = next(e for e in json.loads(path.read_text())["endpoints"] if e.startswith("tls/"))
     return {
         "ZENDSP_CONNECT": endpoint, "ZENDSP_TLS_CA": str(folder / "ca.pem"),
         "ZENDSP_TLS_CERT": str(folder / "two.pem"), "ZENDSP_TLS_KEY": str(folder / "two.key"),
-    }  # fmt: skip
+    }
 
 
-def test_who_is_revoked_reads_nothing_any_more_and_can_still_stop(installed: Installed, tmp_path: Path) -> None:
+def test_who_is_revoked_reads_nothing_any_more_and_can_still_stop(
+    installed: Installed, tmp_path: Path
+) -> None:
     roles = installed.write("roles.toml", '[roles]\ntwo = "observe"\none = "tune"\n')
     env = start(installed, tmp_path, "--roles", roles)
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
@@ -79,17 +98,41 @@ def test_who_is_revoked_reads_nothing_any_more_and_can_still_stop(installed: Ins
     assert said.splitlines() == ["live False status True", "refused 4 variables 0", "stop"], said
 
 
-def test_certificates_without_roles_are_refused_and_who_is_let_in_is_said(installed: Installed, tmp_path: Path) -> None:
+def test_certificates_without_roles_are_refused_and_who_is_let_in_is_said(
+    installed: Installed, tmp_path: Path
+) -> None:
     make_certificates(tmp_path)
-    listen = ("--name", "imi", "--listen", "tls/127.0.0.1:0", "--tls-cert", tmp_path / "one.pem", "--tls-key",
-              tmp_path / "one.key")  # fmt: skip
+    listen = (
+        "--name",
+        "imi",
+        "--listen",
+        "tls/127.0.0.1:0",
+        "--tls-cert",
+        tmp_path / "one.pem",
+        "--tls-key",
+        tmp_path / "one.key",
+    )
     said = installed.run("target", *listen, "--tls-ca", tmp_path / "ca.pem")
-    assert said.returncode == 2 and "--roles" in said.stderr and "whoever has a certificate" in said.stderr
+    assert (
+        said.returncode == 2
+        and "--roles" in said.stderr
+        and "whoever has a certificate" in said.stderr
+    )
     roles = installed.write("roles.toml", '[roles]\ntwo = "download"\none = "tune"\n')
-    said = installed.run("target", *listen, "--tls-ca", tmp_path / "ca.pem", "--roles", roles, "--connect",
-                         "unixsock-stream//tmp/nobody")  # fmt: skip
+    said = installed.run(
+        "target",
+        *listen,
+        "--tls-ca",
+        tmp_path / "ca.pem",
+        "--roles",
+        roles,
+        "--connect",
+        "unixsock-stream//tmp/nobody",
+    )
     assert said.returncode == 2 and "roles do not hold behind a router" in said.stderr, said.stderr
-    target = installed.start("zendsp", "target", *listen, "--tls-ca", tmp_path / "ca.pem", "--roles", roles)
+    target = installed.start(
+        "zendsp", "target", *listen, "--tls-ca", tmp_path / "ca.pem", "--roles", roles
+    )
     assert target.stdout is not None
     lines = [target.stdout.readline() for _ in range(3)]
     assert any("lets in: two (download), one (tune)" in line for line in lines), lines
@@ -100,15 +143,26 @@ def test_the_log_names_who_the_password_or_the_certificate_says(
     installed: Installed, tmp_path: Path, roles: bool
 ) -> None:
     if roles:
-        env = start(installed, tmp_path, "--roles", installed.write("roles.toml", '[roles]\ntwo = "download"\n'))
+        env = start(
+            installed,
+            tmp_path,
+            "--roles",
+            installed.write("roles.toml", '[roles]\ntwo = "download"\n'),
+        )
         name = "two"
     else:
         make_certificates(tmp_path)
         installed.write("users", "anna:secret\n")
-        process = installed.start("zendsp", "target", "--name", "imi", "--listen", "tcp/127.0.0.1:0", "--users", "users")
+        process = installed.start(
+            "zendsp", "target", "--name", "imi", "--listen", "tcp/127.0.0.1:0", "--users", "users"
+        )
         until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=process)
         (path,) = Path(installed.env["ZENDSP_RUNTIME_DIR"]).glob("*.json")
-        env = {"ZENDSP_CONNECT": json.loads(path.read_text())["endpoints"][0], "ZENDSP_USER": "anna", "ZENDSP_PASSWORD": "secret"}
+        env = {
+            "ZENDSP_CONNECT": json.loads(path.read_text())["endpoints"][0],
+            "ZENDSP_USER": "anna",
+            "ZENDSP_PASSWORD": "secret",
+        }
         name = "anna"
     installed.env |= env
     said = installed.script(

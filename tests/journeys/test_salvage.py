@@ -29,7 +29,7 @@ assert np.allclose(rec.t, rec['tick'] / 1000.0) and rec.lost == 0
 assert rec.columns == ('tick', 'q[0]', 'q[1]', 'tau[0]', 'tau[1]'), rec.columns
 assert rec.parameters['Kp1'] == 321.0 and 'UserISR_INT2' in rec.sources['pd.c'] and rec.target == 'killed'
 assert 'not known' in rec.extra['salvaged']
-"""
+"""  # noqa: E501
 
 
 def _killed(installed: Installed, seconds: float, ring: bool) -> int:
@@ -42,7 +42,9 @@ def _killed(installed: Installed, seconds: float, ring: bool) -> int:
     return int(done.stdout)
 
 
-def test_rows_of_a_killed_target_are_saved_before_and_after_its_next_start(installed: Installed) -> None:
+def test_rows_of_a_killed_target_are_saved_before_and_after_its_next_start(
+    installed: Installed,
+) -> None:
     seen = _killed(installed, 60.0, False)
     assert "killed" in installed.run("salvage").stdout
     done = installed.run("salvage", "-t", "killed", "-o", "shot.mat", "--json")
@@ -51,7 +53,9 @@ def test_rows_of_a_killed_target_are_saved_before_and_after_its_next_start(insta
     looked = installed.script(LOOK, "shot.mat", str(seen))
     assert looked.returncode == 0, looked.stderr
     done = installed.run("salvage", "-t", "killed")
-    assert done.returncode == 1 and "no recording of a killed target" in done.stdout, "saved, and freed"
+    assert (
+        done.returncode == 1 and "no recording of a killed target" in done.stdout
+    ), "saved, and freed"
 
     _killed(installed, 0.3, True)
     again = installed.target("killed")

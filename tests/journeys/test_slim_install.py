@@ -104,7 +104,12 @@ def test_the_terminal_starts_a_machine_shows_its_screens_and_ends(slim: Installe
         screen.until("○ empty")
         screen.keys(b"b")
         screen.until("Kp1")
-        for key, shown in ((b"\x1bOR", "acquire    q"), (b"\x1bOS", "headroom"), (b"\x1bOQ", "Kp1")):  # F3, F4, F2
+        # F3, F4, F2
+        for key, shown in (
+            (b"\x1bOR", "acquire    q"),
+            (b"\x1bOS", "headroom"),
+            (b"\x1bOQ", "Kp1"),
+        ):
             screen.keys(key)
             screen.until(shown)
         screen.keys(b"\x11")  # Ctrl+Q

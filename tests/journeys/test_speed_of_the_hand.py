@@ -6,13 +6,29 @@ import json
 
 from journey import Installed
 
-HEAVY = ("numpy", "scipy", "matplotlib", "rich", "textual", "h5py", "zendsp_isr.build", "subprocess", "ctypes")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "rich",
+    "textual",
+    "h5py",
+    "zendsp_isr.build",
+    "subprocess",
+    "ctypes",
+)
 
 
 def test_the_commands_of_all_day_load_nothing_heavy(installed: Installed) -> None:
     target = installed.target("imi", "imi_planar", "--clock", "fast")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
-    commands = (["ls"], ["get", "-t", "imi"], ["set", "-t", "imi", "Kp1=450"], ["info", "-t", "imi"], ["stop", "-t", "imi"])
+    commands = (
+        ["ls"],
+        ["get", "-t", "imi"],
+        ["set", "-t", "imi", "Kp1=450"],
+        ["info", "-t", "imi"],
+        ["stop", "-t", "imi"],
+    )
     for command in commands:
         code = (
             "import sys, json\n"

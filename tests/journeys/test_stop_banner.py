@@ -72,7 +72,9 @@ def runner_of(target: int) -> int:
     pytest.fail("the target has no runner")
 
 
-def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Installed, screens: list[Screen]) -> None:
+def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(
+    installed: Installed, screens: list[Screen]
+) -> None:
     process = installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     screen = Screen(installed, (80, 24), "imi", "--screen", "console")
@@ -86,7 +88,9 @@ def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(installed: Ins
     assert "stop" in installed.script(NOT_STOPPED).stdout
 
 
-def test_a_key_that_is_pressed_before_the_screen_is_there_stops(installed: Installed, screens: list[Screen]) -> None:
+def test_a_key_that_is_pressed_before_the_screen_is_there_stops(
+    installed: Installed, screens: list[Screen]
+) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     screen = Screen(installed, (80, 24), "imi", "--screen", "console")
@@ -95,7 +99,9 @@ def test_a_key_that_is_pressed_before_the_screen_is_there_stops(installed: Insta
     screen.until("stopped, at sample")
 
 
-def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Installed, screens: list[Screen]) -> None:
+def test_a_click_on_the_red_field_stops_while_the_screen_hangs(
+    installed: Installed, screens: list[Screen]
+) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     screen = Screen(installed, (80, 24), "imi", "--screen", "console")
@@ -105,12 +111,16 @@ def test_a_click_on_the_red_field_stops_while_the_screen_hangs(installed: Instal
     until(lambda: screen.clock() != first, "a picture more: where the field is was told before it")
     os.kill(screen.pid, signal.SIGSTOP)
     screen.keys(b"\x1b[<0;74;2M\x1b[<0;74;2m")
-    until(lambda: "stop" in installed.script(NOT_STOPPED).stdout, "stopped, though the screen hangs")
+    until(
+        lambda: "stop" in installed.script(NOT_STOPPED).stdout, "stopped, though the screen hangs"
+    )
     os.kill(screen.pid, signal.SIGCONT)
     screen.until("stopped, at sample")
 
 
-def test_f9_works_where_the_process_of_the_keys_was_killed(installed: Installed, screens: list[Screen]) -> None:
+def test_f9_works_where_the_process_of_the_keys_was_killed(
+    installed: Installed, screens: list[Screen]
+) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
     screen = Screen(installed, (80, 24), "imi", "--screen", "console")
@@ -118,7 +128,10 @@ def test_f9_works_where_the_process_of_the_keys_was_killed(installed: Installed,
     screen.until("● running")
     stopper = stopper_of(screen.pid)
     os.kill(stopper, signal.SIGKILL)
-    until(lambda: not Path(f"/proc/{stopper}").exists(), "the process of the keys is gone, and was waited for")
+    until(
+        lambda: not Path(f"/proc/{stopper}").exists(),
+        "the process of the keys is gone, and was waited for",
+    )
     screen.keys(F9)
     screen.until("stopped, at sample", 8.0)
     screen.keys(b"\x1bOR")

@@ -52,11 +52,22 @@ def test_who_commands_moves_and_the_other_looks(installed: Installed, anna: Anna
     anna.types("t.take_command()")
     name = anna.types("t.drive_status().commander").strip("'")
     assert name
-    for command in (("set", "Kp1=90"), ("pause",), ("run", "pd.c"), ("drive", "off"), ("drive", "take")):
+    for command in (
+        ("set", "Kp1=90"),
+        ("pause",),
+        ("run", "pd.c"),
+        ("drive", "off"),
+        ("drive", "take"),
+    ):
         said = installed.run(*command)
         assert said.returncode != 0 and name in said.stderr, (command, said.stdout, said.stderr)
     assert anna.types("t['Kp1']") != "90.0" and anna.types("t.status().state") == "'running'"
-    looked = (("get", "Kp1"), ("info",), ("drive",), ("acquire", "q", "--seconds", "0.1", "--out", "b.csv"))
+    looked = (
+        ("get", "Kp1"),
+        ("info",),
+        ("drive",),
+        ("acquire", "q", "--seconds", "0.1", "--out", "b.csv"),
+    )
     for command in looked:
         said = installed.run(*command)
         assert said.returncode == 0, (command, said.stderr)
@@ -78,7 +89,9 @@ def test_both_may_stop_and_both_are_told(installed: Installed, anna: Anna) -> No
     anna.leaves()
 
 
-def test_the_log_tells_them_apart_and_a_recorder_in_use_is_refused(installed: Installed, anna: Anna) -> None:
+def test_the_log_tells_them_apart_and_a_recorder_in_use_is_refused(
+    installed: Installed, anna: Anna
+) -> None:
     anna.types("t.update(Kp1=91.0)")
     assert installed.run("set", "Kp1=92").returncode == 0
     changes = anna.types("[(c.new, c.author) for c in t.log() if c.name == 'Kp1']")
@@ -92,7 +105,9 @@ def test_the_log_tells_them_apart_and_a_recorder_in_use_is_refused(installed: In
     anna.leaves()
 
 
-def test_a_user_who_leaves_while_commanding_leaves_a_machine_that_stands(installed: Installed, anna: Anna) -> None:
+def test_a_user_who_leaves_while_commanding_leaves_a_machine_that_stands(
+    installed: Installed, anna: Anna
+) -> None:
     anna.types("t.take_command()")
     anna.leaves()
     said = installed.run("get", "Kp1")

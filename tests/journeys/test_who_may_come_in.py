@@ -36,7 +36,7 @@ while time.monotonic() < end:
         session.put(key, b"lie")
     session.delete("zendsp/imi/alive")
     time.sleep(0.001)
-"""
+"""  # noqa: E501
 
 HOST = r"""
 import zendsp
@@ -61,13 +61,17 @@ def entry(user: Installed) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("listen", ["here", "tcp/127.0.0.1:0"])
-def test_a_rogue_client_answers_nothing_and_is_believed_nothing(installed: Installed, listen: str) -> None:
+def test_a_rogue_client_answers_nothing_and_is_believed_nothing(
+    installed: Installed, listen: str
+) -> None:
     installed.target("imi", "imi_planar", "--listen", listen)
     found = entry(installed)
     rogue = installed.write("rogue.py", ROGUE)
     (endpoint,) = found["endpoints"]  # type: ignore[misc]
     liar = installed.start("python", rogue, endpoint, str(found["user"]), str(found["password"]))
-    assert liar.stdout is not None and liar.stdout.readline() == "here\n", "a rogue of the same user gets in"
+    assert (
+        liar.stdout is not None and liar.stdout.readline() == "here\n"
+    ), "a rogue of the same user gets in"
     said = installed.script(HOST)
     assert said.returncode == 0 and said.stdout.startswith("true 1"), said.stdout + said.stderr
     assert "ghost" not in installed.run("ls").stdout
@@ -94,7 +98,7 @@ except zenoh.ZError:
     replies = []
 print(len(replies))
 os._exit(0)
-"""
+"""  # noqa: E501
     said = installed.script(code)
     assert said.stdout == "0\n", said.stdout + said.stderr
     assert installed.run("info", "-t", "imi").returncode == 0, "its own user is let in all the same"
@@ -121,33 +125,62 @@ try:
 except zendsp.errors.LinkError as error:
     print("out:", error)
 """
-ASKED = ("target['Kp1']", "target.update(Kp1=410.0)", "target.pause()", "target.download('pd.c')", "target.stop()")
+ASKED = (
+    "target['Kp1']",
+    "target.update(Kp1=410.0)",
+    "target.pause()",
+    "target.download('pd.c')",
+    "target.stop()",
+)
 
 
-@pytest.mark.parametrize(("role", "may"), [("observe", 1), ("tune", 2), ("command", 3), ("download", 4), (None, 0)])
+@pytest.mark.parametrize(
+    ("role", "may"), [("observe", 1), ("tune", 2), ("command", 3), ("download", 4), (None, 0)]
+)
 def test_a_role_allows_what_it_says_and_stop_is_for_everyone(
     installed: Installed, tmp_path: Path, role: str | None, may: int
 ) -> None:
     make_certificates(tmp_path)
-    installed.write("roles.toml", f'[roles]\n{"two" if role else "else"} = "{role or "download"}"\n')
+    installed.write(
+        "roles.toml", f'[roles]\n{"two" if role else "else"} = "{role or "download"}"\n'
+    )
     process = installed.start(
-        "zendsp", "target", "--machine", "imi_planar", "--name", "imi", "--clock", "fast", "--listen", "here", "--listen",
-        "tls/127.0.0.1:0", "--tls-cert", tmp_path / "one.pem", "--tls-key", tmp_path / "one.key", "--tls-ca",
-        tmp_path / "ca.pem", "--roles", "roles.toml",
-    )  # fmt: skip
+        "zendsp",
+        "target",
+        "--machine",
+        "imi_planar",
+        "--name",
+        "imi",
+        "--clock",
+        "fast",
+        "--listen",
+        "here",
+        "--listen",
+        "tls/127.0.0.1:0",
+        "--tls-cert",
+        tmp_path / "one.pem",
+        "--tls-key",
+        tmp_path / "one.key",
+        "--tls-ca",
+        tmp_path / "ca.pem",
+        "--roles",
+        "roles.toml",
+    )
     until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=process)
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     endpoint = next(e for e in entry(installed)["endpoints"] if e.startswith("tls/"))  # type: ignore[attr-defined]
     installed.env |= {
         "ZENDSP_CONNECT": endpoint, "ZENDSP_TLS_CA": str(tmp_path / "ca.pem"),
         "ZENDSP_TLS_CERT": str(tmp_path / "two.pem"), "ZENDSP_TLS_KEY": str(tmp_path / "two.key"),
-    }  # fmt: skip
+    }
     said = installed.script(TLS, *ASKED)
     if role is None:
         assert "out:" in said.stdout, said.stdout + said.stderr
         return
     answers = said.stdout.splitlines()
-    assert [a == "yes" for a in answers[:5]] == [*(k < may for k in range(4)), True], said.stdout + said.stderr
+    assert [a == "yes" for a in answers[:5]] == [*(k < may for k in range(4)), True], (
+        said.stdout + said.stderr
+    )
     refused = [a for a in answers if a.startswith("no:")]
     assert all(f"two has the role '{role}'" in a for a in refused)
     assert answers[5].startswith("two@") == (may >= 2), answers
@@ -159,19 +192,41 @@ def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) 
         said = installed.run("keys", *line.split())
         assert said.returncode == 0, said.stderr
     target = installed.start(
-        "zendsp", "target", "--machine", "imi_planar", "--name", "imi", "--clock", "fast", "--listen", "here", "--listen",
-        "tls/127.0.0.1:0", "--tls-cert", "lab/targets/imi.pem", "--tls-key", "lab/targets/imi.key", "--tls-ca", "lab/ca.pem",
-        "--roles", "lab/roles.toml",
-    )  # fmt: skip
+        "zendsp",
+        "target",
+        "--machine",
+        "imi_planar",
+        "--name",
+        "imi",
+        "--clock",
+        "fast",
+        "--listen",
+        "here",
+        "--listen",
+        "tls/127.0.0.1:0",
+        "--tls-cert",
+        "lab/targets/imi.pem",
+        "--tls-key",
+        "lab/targets/imi.key",
+        "--tls-ca",
+        "lab/ca.pem",
+        "--roles",
+        "lab/roles.toml",
+    )
     until(lambda: "imi" in installed.run("ls").stdout, "target listed", alive=target)
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     anna = {
         "ZENDSP_CONNECT": next(e for e in entry(installed)["endpoints"] if e.startswith("tls/")),  # type: ignore[attr-defined]
-        "ZENDSP_TLS_CA": "lab/ca.pem", "ZENDSP_TLS_CERT": "lab/users/anna.pem", "ZENDSP_TLS_KEY": "lab/users/anna.key",
-    }  # fmt: skip
+        "ZENDSP_TLS_CA": "lab/ca.pem",
+        "ZENDSP_TLS_CERT": "lab/users/anna.pem",
+        "ZENDSP_TLS_KEY": "lab/users/anna.key",
+    }
     assert installed.run("get", "Kp1", "-t", "imi", env=anna).returncode == 0
     refused = installed.run("set", "Kp1=410", "-t", "imi", env=anna)
-    assert refused.returncode == 2 and "needs the role 'tune'; anna has the role 'observe'" in refused.stderr
+    assert (
+        refused.returncode == 2
+        and "needs the role 'tune'; anna has the role 'observe'" in refused.stderr
+    )
     assert installed.run("keys", "user", "anna", "--role", "tune").returncode == 0
     assert installed.run("set", "Kp1=410", "-t", "imi", env=anna).returncode == 0
     assert installed.run("keys", "revoke", "anna").returncode == 0

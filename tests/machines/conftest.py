@@ -1,4 +1,5 @@
-"""Lets the tests of this folder import their helpers (importlib mode adds no folder to the path)."""
+"""Lets the tests of this folder import their helpers (importlib mode adds no folder to the path).
+"""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""A simulated machine in this process: its shared object opened through cffi, stepped as the runtime steps it."""
+"""A simulated machine in this process: its shared object opened through cffi, stepped as the
+runtime steps it.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,21 @@ import numpy as np
 from zendsp_isr.build import build_machine, source_root
 
 # The first members of `plant` (plant.h), which is the first member of every simulated machine.
-TRUTH = "typedef struct { int joints; double substep, t, q[8], qd[8], z[8], integral[8], command[8]; int mode; double current[8]; } truth;"
+TRUTH = (
+    "typedef struct { int joints; double substep, t, q[8], qd[8], z[8], integral[8], command[8];"
+    " int mode; double current[8]; } truth;"
+)
 OFF, TORQUE, VELOCITY = 0, 1, 2
 
 
 def declarations() -> str:
     """machine.h without what only a preprocessor reads."""
     text = (source_root() / "include" / "machine.h").read_text()
-    return re.sub(r"^#.*$", "", text, flags=re.MULTILINE) + "extern machine_ops zendsp_machine;" + TRUTH
+    return (
+        re.sub(r"^#.*$", "", text, flags=re.MULTILINE)
+        + "extern machine_ops zendsp_machine;"
+        + TRUTH
+    )
 
 
 class Plant:
@@ -47,7 +56,12 @@ class Plant:
     def __enter__(self) -> Plant:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.ops.close(self.handle)
 
     @property
@@ -79,15 +93,22 @@ class Plant:
         return self.sample(np.asarray(tau, dtype=float) * self.scale)
 
 
-def follow(plant: Plant, q_ref: Callable[[float], Any], kp: Any, kd: Any, seconds: float, feed: Callable[[np.ndarray], Any] | None = None) -> Any:  # type: ignore[type-arg]
+def follow(plant: Plant, q_ref: Callable[[float], Any], kp: Any, kd: Any, seconds: float,
+    feed: Callable[[np.ndarray], Any] | None = None) -> Any:  # type: ignore[type-arg]
     """PD on the true state (a test of the machine, not of quantisation); rows of t, q, qd, tau."""
     rows = []
     h = 1e-5
     for k in range(round(seconds / plant.period)):
         t = k * plant.period
-        r, rd = np.asarray(q_ref(t)), (np.asarray(q_ref(t + h)) - np.asarray(q_ref(t - h))) / (2 * h)
+        r, rd = np.asarray(q_ref(t)), (np.asarray(q_ref(t + h)) - np.asarray(q_ref(t - h))) / (
+            2 * h
+        )
         q, qd = plant.q, plant.qd
-        tau = np.asarray(kp) * (r - q) + np.asarray(kd) * (rd - qd) + (0.0 if feed is None else feed(q))
+        tau = (
+            np.asarray(kp) * (r - q)
+            + np.asarray(kd) * (rd - qd)
+            + (0.0 if feed is None else feed(q))
+        )
         rows.append(np.concatenate([[t], q, qd, np.broadcast_to(tau, (plant.joints,))]))
         plant.torque(tau)
     return np.array(rows)

@@ -27,10 +27,18 @@ def work(machine: str, config: dict[str, str]) -> tuple[Array, Array]:
     """A few seconds of PD along sines on every joint: positions and commands."""
     kp, kd, amplitude = GAINS[machine]
     centre, n = CENTRE[machine], len(CENTRE[machine])
-    text = "".join(f"{k} = {v}\n" for k, v in config.items()) + "".join(f"q{j + 1} = {x}\n" for j, x in enumerate(centre))
+    text = "".join(f"{k} = {v}\n" for k, v in config.items()) + "".join(
+        f"q{j + 1} = {x}\n" for j, x in enumerate(centre)
+    )
     frequency = SPEED[machine] * (1 + 0.15 * np.arange(n))
     with Plant(machine, text) as plant:
-        rows = follow(plant, lambda t: centre + np.array(amplitude) * np.sin(2 * np.pi * frequency * t), kp, kd, SECONDS[machine])
+        rows = follow(
+            plant,
+            lambda t: centre + np.array(amplitude) * np.sin(2 * np.pi * frequency * t),
+            kp,
+            kd,
+            SECONDS[machine],
+        )
     return rows[:, 1 : 1 + n], rows[:, 1 + 2 * n :]
 
 
@@ -39,19 +47,39 @@ def bare() -> dict[str, tuple[Array, Array]]:
     return {machine: work(machine, {"friction": "full"}) for machine in MACHINES}
 
 
-# wam7 is tried on the effects that need care on light joints; the rest of the table is the same code
-LIGHT = ("elasticity", "backlash", "inertia", "coupling", "hysteresis", "delay", "friction_drift", "quadratic_drag", "foreign")
-CARRIED = [(m, e) for m in MACHINES for e in DRAWS if e not in MACHINES[m].excluded and (m != "wam7" or e in LIGHT) and e != "encoder_eccentricity"]  # follow() sees the truth
+# wam7 is tried on the effects that need care on light joints; the rest of the table is the same
+# code
+LIGHT = (
+    "elasticity",
+    "backlash",
+    "inertia",
+    "coupling",
+    "hysteresis",
+    "delay",
+    "friction_drift",
+    "quadratic_drag",
+    "foreign",
+)
+# follow() sees the truth
+CARRIED = [
+    (m, e)
+    for m in MACHINES
+    for e in DRAWS
+    if e not in MACHINES[m].excluded and (m != "wam7" or e in LIGHT) and e != "encoder_eccentricity"
+]
 
 
 @pytest.mark.parametrize(("machine", "effect"), CARRIED)
-def test_a_drawn_effect_is_there_and_the_loop_still_works(bare: dict[str, tuple[Array, Array]], machine: str, effect: str) -> None:
+def test_a_drawn_effect_is_there_and_the_loop_still_works(
+    bare: dict[str, tuple[Array, Array]], machine: str, effect: str
+) -> None:
     q0, tau0 = bare[machine]
     hidden = draw(machine, 3, effect)
     joint = hidden.effects[0].joint - 1
     q, tau = work(machine, hidden.config())
     assert np.isfinite(q).all(), hidden.effects
-    # the loop answers an effect with its command: by more than 2 % of the joint's friction, else nobody could find it
+    # the loop answers an effect with its command: by more than 2 % of the joint's friction, else
+    # nobody could find it
     difference = np.abs(tau - tau0)[:, joint].max() / MACHINES[machine].joints[joint].friction
     assert difference > 0.02, (hidden.effects, difference)
     assert np.abs(q - q0).max() < 1.2, (hidden.effects, np.abs(q - q0).max(axis=0))
@@ -63,7 +91,9 @@ def test_every_effect_of_the_table_can_be_drawn_and_is_known_to_the_machine_in_c
         for effect in DRAWS:
             if effect not in MACHINES[machine].excluded:
                 hidden = draw(machine, 1, effect)
-                with Plant(machine, "".join(f"{k} = {v}\n" for k, v in hidden.config().items())) as plant:
+                with Plant(
+                    machine, "".join(f"{k} = {v}\n" for k, v in hidden.config().items())
+                ) as plant:
                     plant.torque(np.zeros(plant.joints))
 
 
@@ -77,9 +107,13 @@ def test_the_same_seed_draws_the_same_effects_and_another_seed_others() -> None:
 
 def test_the_seal_binds_the_truth_and_does_not_tell_it() -> None:
     one, other = draw("imi_planar", 17), draw("imi_planar", 17)
-    assert one.effects == other.effects and one.seal() != other.seal(), "the nonce keeps a list of hashes from finding it"
+    assert (
+        one.effects == other.effects and one.seal() != other.seal()
+    ), "the nonce keeps a list of hashes from finding it"
     assert verify_seal(one.record_text(), one.seal())
-    changed = one.record_text().replace('"joint":1', '"joint":2').replace('"joint":2', '"joint":1', 1)
+    changed = (
+        one.record_text().replace('"joint":1', '"joint":2').replace('"joint":2', '"joint":1', 1)
+    )
     assert changed == one.record_text() or not verify_seal(changed, one.seal())
     assert not verify_seal(one.record_text() + " ", one.seal())
 
@@ -100,10 +134,20 @@ def test_a_payload_on_the_pendulum_is_inertia_and_gravity_of_one_mass() -> None:
 
 
 def test_effects_are_read_from_toml_and_json_in_the_form_of_a_model_file(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text('friction = "plain"\n[[effect]]\nkind = "coupling"\njoint = 2\nfrom_joint = 1\nlaw = "viscous"\ncoefficient = { value = 0.4 }\n')
-    (tmp_path / "a.json").write_text(json.dumps({"effect": [{"kind": "delay", "joint": 1, "time": 0.003}]}))
-    toml, other = load_concealed(str(tmp_path / "a.toml"), "imi_planar"), load_concealed(str(tmp_path / "a.json"), "pendulum")
-    assert toml.config()["effect1"] == "coupling joint=2 from_joint=1.0 law=2.0 coefficient=0.4" and toml.friction == "plain"
+    (tmp_path / "a.toml").write_text(
+        'friction = "plain"\n[[effect]]\nkind = "coupling"\njoint = 2\nfrom_joint = 1\nlaw ='
+        ' "viscous"\ncoefficient = { value = 0.4 }\n'
+    )
+    (tmp_path / "a.json").write_text(
+        json.dumps({"effect": [{"kind": "delay", "joint": 1, "time": 0.003}]})
+    )
+    toml, other = load_concealed(str(tmp_path / "a.toml"), "imi_planar"), load_concealed(
+        str(tmp_path / "a.json"), "pendulum"
+    )
+    assert (
+        toml.config()["effect1"] == "coupling joint=2 from_joint=1.0 law=2.0 coefficient=0.4"
+        and toml.friction == "plain"
+    )
     assert toml.effects[0].told()["parameters"]["law"]["value"] == "viscous"
     assert other.effects[0].parameters == {"time": 0.003}
 
@@ -120,7 +164,9 @@ def test_effects_are_read_from_toml_and_json_in_the_form_of_a_model_file(tmp_pat
         ("nothing.toml", "imi_planar", "no file nothing.toml"),
     ],
 )
-def test_what_cannot_be_concealed_is_refused_with_what_can(spec: str, machine: str, words: str) -> None:
+def test_what_cannot_be_concealed_is_refused_with_what_can(
+    spec: str, machine: str, words: str
+) -> None:
     with pytest.raises(Refused, match=words.replace("(", r"\(")):
         load_concealed(spec, machine)
 
@@ -128,14 +174,39 @@ def test_what_cannot_be_concealed_is_refused_with_what_can(spec: str, machine: s
 def test_nothing_that_a_host_can_ask_tells_the_effect_before_the_reveal() -> None:
     """Over a real link: neither the name nor the numbers of the effect are in any answer."""
     hidden = draw("imi_planar", 17, "ripple", 2).effects[0].told()
-    with zendsp.local("imi_planar", clock="fast", options=["--concealed", "seed:17,effect=ripple,joint=2"]) as target:
+    with zendsp.local(
+        "imi_planar", clock="fast", options=["--concealed", "seed:17,effect=ripple,joint=2"]
+    ) as target:
         seal = target.seal()
         target.download("inverse_dynamics.c")
         target.start(ticks=50)
-        answers: list[Any] = [target.request(verb) for verb in ("info", "status", "machine", "limits", "variables", "builtins", "program", "log", "drive_status")]
+        answers: list[Any] = [
+            target.request(verb)
+            for verb in (
+                "info",
+                "status",
+                "machine",
+                "limits",
+                "variables",
+                "builtins",
+                "program",
+                "log",
+                "drive_status",
+            )
+        ]
         answers.append(target.request("read", names=[v.name for v in target.request("builtins")]))
         told = repr(answers).lower()
-        for word in ("ripple", "seed", "conceal", "friction = ", *(f"{p['value']:g}" for p in hidden["parameters"].values() if len(f"{p['value']:g}") > 4)):
+        for word in (
+            "ripple",
+            "seed",
+            "conceal",
+            "friction = ",
+            *(
+                f"{p['value']:g}"
+                for p in hidden["parameters"].values()
+                if len(f"{p['value']:g}") > 4
+            ),
+        ):
             assert word not in told, word
         truth = target.reveal()
     assert truth.sha256 == seal and truth.source == "seed:17"

@@ -1,4 +1,6 @@
-"""Every concealed effect acts as its equation says: against another integrator, with sign(qd) for friction."""
+"""Every concealed effect acts as its equation says: against another integrator, with sign(qd) for
+friction.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,13 @@ from zendsp_target.concealed import EFFECTS, Concealed, ConcealedEffect
 Array = np.ndarray  # type: ignore[type-arg]
 P1, P2, P3 = 3.473, 0.196, 0.242
 VISCOUS, COULOMB = np.array([5.3, 1.1]), np.array([8.45, 2.35])
-BRISTLE = 2000.0 * np.array([12000.0, 1500.0])  # N m/rad, of imi_planar.c with plain friction: a sliding bristle is bent by the Coulomb level
+# N m/rad, of imi_planar.c with plain friction: a sliding bristle is bent by the Coulomb level
+BRISTLE = 2000.0 * np.array([12000.0, 1500.0])
 SAMPLES, PERIOD, STEPS = 500, 0.001, 4
 
 
-START = np.array([0.8, 1.2])  # rad/s: both joints slide from the first instant on, so that sign(qd) = 1 throughout
+# rad/s: both joints slide from the first instant on, so that sign(qd) = 1 throughout
+START = np.array([0.8, 1.2])
 
 
 def command(t: float) -> Array:
@@ -27,8 +31,10 @@ def command(t: float) -> Array:
 
 
 def config(effect: str, joint: int, **parameters: float) -> str:
-    hidden = Concealed("imi_planar", (ConcealedEffect(effect, joint, parameters),), "test", friction="plain")
-    return "".join(f"{k} = {v}\n" for k, v in hidden.config().items())
+    hidden = Concealed(
+        "imi_planar", (ConcealedEffect(effect, joint, parameters),), "test", friction="plain"
+    )
+    return lines(hidden)
 
 
 def run_plant(text: str) -> Array:
@@ -53,7 +59,9 @@ def run_reference(
     states: Callable[[float, Array, Array, Array], Array] | None = None,
     x0: tuple[float, ...] = (),
 ) -> Array:
-    """RK4 of M qdd + c + viscous qd + coulomb + extra = tau held over each sample; extra may have states x of its own."""
+    """RK4 of M qdd + c + viscous qd + coulomb + extra = tau held over each sample; extra may have
+    states x of its own.
+    """
     added = np.zeros((2, 2)) if mass is None else mass
 
     def rate(t: float, y: Array, tau: Array) -> Array:
@@ -100,7 +108,9 @@ def lagged(t: float) -> Array:
     return np.array([goal[0], u + (goal[1] - u) * (1 - (1 - math.exp(-h)) / h)])
 
 
-def spring(k: float, c: float, gap: float, load: float) -> tuple[Extra, Callable[[float, Array, Array, Array], Array]]:
+def spring(
+    k: float, c: float, gap: float, load: float
+) -> tuple[Extra, Callable[[float, Array, Array, Array], Array]]:
     def push(q: float, qd: float, x: Array) -> float:
         bend, rate = q - x[0], qd - x[1]
         inside = abs(bend) - gap / 2
@@ -119,7 +129,9 @@ def spring(k: float, c: float, gap: float, load: float) -> tuple[Extra, Callable
     return torque, states
 
 
-def bouc_wen(force: float, stiffness: float) -> tuple[Extra, Callable[[float, Array, Array, Array], Array]]:
+def bouc_wen(
+    force: float, stiffness: float
+) -> tuple[Extra, Callable[[float, Array, Array, Array], Array]]:
     A = stiffness / force
 
     def states(t: float, q: Array, qd: Array, x: Array) -> Array:
@@ -136,59 +148,208 @@ TWO_PI = 2 * math.pi
 
 # effect, joint, parameters, and the same thing for the reference
 CASES: list[tuple[str, int, dict[str, float], Callable[[], Array]]] = [
-    ("viscous", 1, {"coefficient": 4.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0]))),
-    ("viscous_asymmetry", 2, {"coefficient_pos": 0.8, "coefficient_neg": 9.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.8 * qd[1]))),
+    (
+        "viscous",
+        1,
+        {"coefficient": 4.0},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0])),
+    ),
+    (
+        "viscous_asymmetry",
+        2,
+        {"coefficient_pos": 0.8, "coefficient_neg": 9.0},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.8 * qd[1])),
+    ),
     ("coulomb", 2, {"level": 1.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 1.0))),
-    ("coulomb_asymmetry", 1, {"level_pos": 5.0, "level_neg": 90.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 5.0))),
-    ("quadratic_drag", 2, {"coefficient": 0.9}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.9 * qd[1] * abs(qd[1])))),
-    ("load_friction", 1, {"coefficient": 0.2}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 0.2 * abs(tau[0])))),
-    ("position_friction", 2, {"amplitude": 0.9, "period": 0.5, "phase": 0.4}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.9 * math.sin(TWO_PI * q[1] / 0.5 + 0.4)))),
-    ("friction_drift", 1, {"ratio": 0.8, "time_constant": 0.3}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 0.8 * (1 - math.exp(-t / 0.3)) * (8.45 + 5.3 * qd[0])))),
-    ("gravity", 1, {"torque": 9.0, "angle": 0.5}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 9.0 * math.sin(q[0] - 0.5)))),
-    ("stiffness", 2, {"coefficient": 3.0, "neutral": 0.2}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 3.0 * (q[1] - 0.2)))),
-    ("cubic_stiffness", 2, {"coefficient": 4.0, "neutral": 0.1}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 4.0 * (q[1] - 0.1) ** 3))),
+    (
+        "coulomb_asymmetry",
+        1,
+        {"level_pos": 5.0, "level_neg": 90.0},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 5.0)),
+    ),
+    (
+        "quadratic_drag",
+        2,
+        {"coefficient": 0.9},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.9 * qd[1] * abs(qd[1]))),
+    ),
+    (
+        "load_friction",
+        1,
+        {"coefficient": 0.2},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 0.2 * abs(tau[0]))),
+    ),
+    (
+        "position_friction",
+        2,
+        {"amplitude": 0.9, "period": 0.5, "phase": 0.4},
+        lambda: run_reference(
+            lambda t, q, qd, tau, x: on(2, 0.9 * math.sin(TWO_PI * q[1] / 0.5 + 0.4))
+        ),
+    ),
+    (
+        "friction_drift",
+        1,
+        {"ratio": 0.8, "time_constant": 0.3},
+        lambda: run_reference(
+            lambda t, q, qd, tau, x: on(1, 0.8 * (1 - math.exp(-t / 0.3)) * (8.45 + 5.3 * qd[0]))
+        ),
+    ),
+    (
+        "gravity",
+        1,
+        {"torque": 9.0, "angle": 0.5},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 9.0 * math.sin(q[0] - 0.5))),
+    ),
+    (
+        "stiffness",
+        2,
+        {"coefficient": 3.0, "neutral": 0.2},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 3.0 * (q[1] - 0.2))),
+    ),
+    (
+        "cubic_stiffness",
+        2,
+        {"coefficient": 4.0, "neutral": 0.1},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 4.0 * (q[1] - 0.1) ** 3)),
+    ),
     ("inertia", 2, {"amount": 0.1}, lambda: run_reference(mass=entry(2, 2, 0.1))),
-    ("coupling", 2, {"from_joint": 1.0, "law": 0.0, "coefficient": 0.15}, lambda: run_reference(mass=entry(2, 1, 0.15))),
-    ("coupling", 2, {"from_joint": 1.0, "law": 1.0, "coefficient": 0.6}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.6 * qd[0] ** 2))),
-    ("coupling", 1, {"from_joint": 2.0, "law": 2.0, "coefficient": 3.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 3.0 * qd[1]))),
-    ("coupling", 1, {"from_joint": 2.0, "law": 3.0, "coefficient": 6.0}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0))),
-    ("elasticity", 2, {"stiffness": E_K, "damping": E_C, "load_inertia": E_J}, lambda: run_reference(SPRING, entry(2, 2, -E_J), states=SPRING_STATES, x0=(0.0, 0.0))),
-    ("backlash", 2, {"gap": 0.04, "stiffness": E_K, "load_inertia": E_J}, lambda: run_reference(GAP, entry(2, 2, -E_J), states=GAP_STATES, x0=(0.0, 0.0))),
-    ("hysteresis", 2, {"force": 1.5, "stiffness": 10.0, "exponent": 1.0}, lambda: run_reference(BOUC, states=BOUC_STATES, x0=(0.0,))),
-    ("ripple", 1, {"order": 8.0, "amplitude": 6.0, "phase": 0.7}, lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0 * math.sin(8 * q[0] + 0.7)))),
-    ("torque_gain", 1, {"ratio": -0.15}, lambda: run_reference(actuator=lambda t: command(t) * [0.85, 1.0])),
-    ("torque_offset", 2, {"level": -0.8}, lambda: run_reference(actuator=lambda t: command(t) + np.array([0.0, 0.8]))),
-    ("dead_zone", 1, {"width": 4.0}, lambda: run_reference(actuator=lambda t: command(t) - [4.0, 0.0])),
-    ("saturation", 1, {"level": 29.0}, lambda: run_reference(actuator=lambda t: np.minimum(command(t), [29.0, 99.0]))),
+    (
+        "coupling",
+        2,
+        {"from_joint": 1.0, "law": 0.0, "coefficient": 0.15},
+        lambda: run_reference(mass=entry(2, 1, 0.15)),
+    ),
+    (
+        "coupling",
+        2,
+        {"from_joint": 1.0, "law": 1.0, "coefficient": 0.6},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(2, 0.6 * qd[0] ** 2)),
+    ),
+    (
+        "coupling",
+        1,
+        {"from_joint": 2.0, "law": 2.0, "coefficient": 3.0},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 3.0 * qd[1])),
+    ),
+    (
+        "coupling",
+        1,
+        {"from_joint": 2.0, "law": 3.0, "coefficient": 6.0},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0)),
+    ),
+    (
+        "elasticity",
+        2,
+        {"stiffness": E_K, "damping": E_C, "load_inertia": E_J},
+        lambda: run_reference(SPRING, entry(2, 2, -E_J), states=SPRING_STATES, x0=(0.0, 0.0)),
+    ),
+    (
+        "backlash",
+        2,
+        {"gap": 0.04, "stiffness": E_K, "load_inertia": E_J},
+        lambda: run_reference(GAP, entry(2, 2, -E_J), states=GAP_STATES, x0=(0.0, 0.0)),
+    ),
+    (
+        "hysteresis",
+        2,
+        {"force": 1.5, "stiffness": 10.0, "exponent": 1.0},
+        lambda: run_reference(BOUC, states=BOUC_STATES, x0=(0.0,)),
+    ),
+    (
+        "ripple",
+        1,
+        {"order": 8.0, "amplitude": 6.0, "phase": 0.7},
+        lambda: run_reference(lambda t, q, qd, tau, x: on(1, 6.0 * math.sin(8 * q[0] + 0.7))),
+    ),
+    (
+        "torque_gain",
+        1,
+        {"ratio": -0.15},
+        lambda: run_reference(actuator=lambda t: command(t) * [0.85, 1.0]),
+    ),
+    (
+        "torque_offset",
+        2,
+        {"level": -0.8},
+        lambda: run_reference(actuator=lambda t: command(t) + np.array([0.0, 0.8])),
+    ),
+    (
+        "dead_zone",
+        1,
+        {"width": 4.0},
+        lambda: run_reference(actuator=lambda t: command(t) - [4.0, 0.0]),
+    ),
+    (
+        "saturation",
+        1,
+        {"level": 29.0},
+        lambda: run_reference(actuator=lambda t: np.minimum(command(t), [29.0, 99.0])),
+    ),
     ("lag", 2, {"time_constant": 0.010}, lambda: run_reference(actuator=lagged)),
-    ("delay", 1, {"time": 0.008}, lambda: run_reference(actuator=lambda t: np.where([t < 0.0079, False], 0.0, np.array([command(t - 0.008)[0], command(t)[1]])))),
-    ("disturbance", 2, {"level": 1.5, "begin": 0.2, "duration": 0.3}, lambda: run_reference(lambda t, q, qd, tau, x: on(2, 1.5 * math.sin(math.pi * (t - 0.2) / 0.3) ** 2 if 0.2 < t < 0.5 else 0.0))),
-]  # fmt: skip
+    (
+        "delay",
+        1,
+        {"time": 0.008},
+        lambda: run_reference(
+            actuator=lambda t: np.where(
+                [t < 0.0079, False], 0.0, np.array([command(t - 0.008)[0], command(t)[1]])
+            )
+        ),
+    ),
+    (
+        "disturbance",
+        2,
+        {"level": 1.5, "begin": 0.2, "duration": 0.3},
+        lambda: run_reference(
+            lambda t, q, qd, tau, x: on(
+                2, 1.5 * math.sin(math.pi * (t - 0.2) / 0.3) ** 2 if 0.2 < t < 0.5 else 0.0
+            )
+        ),
+    ),
+]
 
 
-DRY = {"coulomb", "coulomb_asymmetry", "load_friction", "position_friction", "friction_drift", "coupling"}
+DRY = {
+    "coulomb",
+    "coulomb_asymmetry",
+    "load_friction",
+    "position_friction",
+    "friction_drift",
+    "coupling",
+}
 
 
 @pytest.fixture(scope="module")
 def bare() -> tuple[Array, Array]:
-    return run_plant("friction = plain\n"), run_reference()
+    return run_plant(BARE), run_reference()
 
 
 def test_the_bare_arm_moves_as_its_equations_say(bare: tuple[Array, Array]) -> None:
     plant, reference = bare
-    assert np.abs(plant - reference).max() < 1e-6  # a fortieth of an encoder count: RK4 and the exponential midpoint rule differ by less
+    # a fortieth of an encoder count: RK4 and the exponential midpoint rule differ by less
+    assert np.abs(plant - reference).max() < 1e-6
     assert np.diff(reference, axis=0).min() > 0.0 and reference[-1].max() < 2.15
 
 
-@pytest.mark.parametrize(("effect", "joint", "parameters", "reference"), CASES, ids=[f"{c[0]}-{c[2].get('law', '')}" for c in CASES])
+@pytest.mark.parametrize(
+    ("effect", "joint", "parameters", "reference"),
+    CASES,
+    ids=[f"{c[0]}-{c[2].get('law', '')}" for c in CASES],
+)
 def test_effect_moves_the_arm_as_its_equation_says(
-    bare: tuple[Array, Array], effect: str, joint: int, parameters: dict[str, float], reference: Callable[[], Array]
+    bare: tuple[Array, Array],
+    effect: str,
+    joint: int,
+    parameters: dict[str, float],
+    reference: Callable[[], Array],
 ) -> None:
     moved = run_plant(config(effect, joint, **parameters)) - bare[0]
     wanted = reference() - bare[1]
     size = np.abs(wanted).max()
     assert size > 3e-3, "the case must move the arm by much more than the tolerance"
-    # A changed dry level takes the bristle a milliradian of travel to reach; all else differs by the integrators alone.
+    # A changed dry level takes the bristle a milliradian of travel to reach; all else differs by
+    # the integrators alone.
     assert np.abs(moved - wanted).max() < (0.02 if effect in DRY else 5e-4) * size, effect
 
 
@@ -209,8 +370,11 @@ def breakaway(text: str) -> float:
 
 
 def test_stribeck_raises_the_breakaway_torque_to_its_level() -> None:
-    assert breakaway("friction = plain\n") == pytest.approx(8.45, abs=0.7)  # ramp of 1 N m/s: half a second to leave
-    assert breakaway(config("stribeck", 1, breakaway=16.0, velocity=0.1)) == pytest.approx(16.0, abs=1.0)
+    # ramp of 1 N m/s: half a second to leave
+    assert breakaway(BARE) == pytest.approx(8.45, abs=0.7)
+    assert breakaway(config("stribeck", 1, breakaway=16.0, velocity=0.1)) == pytest.approx(
+        16.0, abs=1.0
+    )
 
 
 def test_presliding_gives_way_by_torque_over_stiffness_and_comes_back() -> None:
@@ -220,13 +384,14 @@ def test_presliding_gives_way_by_torque_over_stiffness_and_comes_back() -> None:
         pushed = plant.q[0]
         for k in range(8000):
             plant.torque([max(0.0, 4.0 - 0.0005 * k), 0.0])
-        assert pushed == pytest.approx(-8.45 / 400.0 * math.log(1.0 - 4.0 / 8.45), rel=0.1)  # the bristle softens towards the Coulomb level (Dahl 1968)
+        # the bristle softens towards the Coulomb level (Dahl 1968)
+        assert pushed == pytest.approx(-8.45 / 400.0 * math.log(1.0 - 4.0 / 8.45), rel=0.1)
         assert abs(plant.q[0]) < 0.5 * pushed
 
 
 def test_encoder_eccentricity_bends_the_reading_and_not_the_motion() -> None:
     text = config("encoder_eccentricity", 1, amplitude=0.02, phase=0.5)
-    with Plant("imi_planar", text) as plant, Plant("imi_planar", "friction = plain\n") as bare:
+    with Plant("imi_planar", text) as plant, Plant("imi_planar", BARE) as bare:
         for k in range(SAMPLES):
             q = plant.q[0]
             shown = plant.torque(command(k * PERIOD))[0]
@@ -242,7 +407,15 @@ def test_foreign_laws_move_the_arm_and_are_bounded(law: float, bare: tuple[Array
 
 
 def test_two_effects_act_together(bare: tuple[Array, Array]) -> None:
-    both = Concealed("imi_planar", (ConcealedEffect("viscous", 1, {"coefficient": 4.0}), ConcealedEffect("inertia", 2, {"amount": 0.1})), "test", "plain")  # fmt: skip
+    both = Concealed(
+        "imi_planar",
+        (
+            ConcealedEffect("viscous", 1, {"coefficient": 4.0}),
+            ConcealedEffect("inertia", 2, {"amount": 0.1}),
+        ),
+        "test",
+        "plain",
+    )
     moved = run_plant("".join(f"{k} = {v}\n" for k, v in both.config().items())) - bare[0]
     wanted = run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0]), entry(2, 2, 0.1)) - bare[1]
     assert np.abs(moved - wanted).max() < 0.03 * np.abs(wanted).max()

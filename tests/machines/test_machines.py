@@ -1,4 +1,6 @@
-"""The three plants: rigid-body terms against Pinocchio, step-size convergence, friction, drives, electrics."""
+"""The three plants: rigid-body terms against Pinocchio, step-size convergence, friction, drives,
+electrics.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,23 @@ from zendsp.reference import load_machine
 from zendsp_isr.build import build, machine_names, source_root
 
 Array = np.ndarray  # type: ignore[type-arg]
-UP = np.array([0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0])  # a pose of the WAM in the middle of its range, rad
+# a pose of the WAM in the middle of its range, rad
+UP = np.array([0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0])
 
 SHIM = b"""
 #include "wam7_dynamics.h"
 #define arm wam7_published
-void inverse(const double *q, const double *qd, const double *qdd, double *tau) { wam7_inverse(&arm, q, qd, qdd, tau); }
-void forward(const double *q, const double *qd, const double *tau, double *qdd) { wam7_forward(&arm, q, qd, tau, qdd); }
-void mass(const double *q, double *M) { wam7_pose p; wam7_locate(&arm, q, &p); wam7_mass(&p, (double(*)[WAM7])M); }
+void inverse(const double *q, const double *qd, const double *qdd, double *tau) {
+    wam7_inverse(&arm, q, qd, qdd, tau);
+}
+void forward(const double *q, const double *qd, const double *tau, double *qdd) {
+    wam7_forward(&arm, q, qd, tau, qdd);
+}
+void mass(const double *q, double *M) {
+    wam7_pose p;
+    wam7_locate(&arm, q, &p);
+    wam7_mass(&p, (double(*)[WAM7])M);
+}
 """
 
 
@@ -54,10 +65,19 @@ def test_wam_dynamics_in_c_agree_with_pinocchio_to_1e_9(
         tau = np.array(pin.rnea(model, data, q, qd, qdd))
         assert np.abs(wam("inverse", q, qd, qdd) - tau).max() < 1e-9
         upper = np.triu(np.array(pin.crba(model, data, q)))
-        assert np.abs(wam("mass", q, size=49).reshape(7, 7) - (upper + np.triu(upper, 1).T)).max() < 1e-9
+        assert (
+            np.abs(wam("mass", q, size=49).reshape(7, 7) - (upper + np.triu(upper, 1).T)).max()
+            < 1e-9
+        )
         # the wrist has 7e-5 kg m^2: accelerations are of 1e3 rad/s^2, so this one is relative
         assert np.abs(wam("forward", q, qd, tau) - qdd).max() < 1e-9 * 1e3
-        assert np.abs(wam("inverse", q, 0 * q, 0 * q) - np.array(pin.computeGeneralizedGravity(model, data, q))).max() < 1e-9
+        assert (
+            np.abs(
+                wam("inverse", q, 0 * q, 0 * q)
+                - np.array(pin.computeGeneralizedGravity(model, data, q))
+            ).max()
+            < 1e-9
+        )
 
 
 def test_wam_at_rest_feels_the_weight_that_the_energy_says(wam: Callable[..., Array]) -> None:
@@ -69,7 +89,14 @@ def test_wam_at_rest_feels_the_weight_that_the_energy_says(wam: Callable[..., Ar
         for angle, link in zip(q, links, strict=True):
             ca, sa = np.cos(np.deg2rad(link["alpha_deg"])), np.sin(np.deg2rad(link["alpha_deg"]))
             c, s = np.cos(angle), np.sin(angle)
-            T = T @ np.array([[c, -s * ca, s * sa, link["a"] * c], [s, c * ca, -c * sa, link["a"] * s], [0, sa, ca, link["d"]], [0, 0, 0, 1]])
+            T = T @ np.array(
+                [
+                    [c, -s * ca, s * sa, link["a"] * c],
+                    [s, c * ca, -c * sa, link["a"] * s],
+                    [0, sa, ca, link["d"]],
+                    [0, 0, 0, 1],
+                ]
+            )
             total += link["mass"] * 9.81 * float((T @ np.array([*link["com"], 1.0]))[2])
         return total
 
@@ -81,7 +108,11 @@ def test_wam_at_rest_feels_the_weight_that_the_energy_says(wam: Callable[..., Ar
 GAINS: dict[str, tuple[Any, Any, Any]] = {
     "imi_planar": ([2000.0, 300.0], [120.0, 12.0], [0.5, 0.8]),
     "pendulum": (1.2, 0.02, [2.0]),
-    "wam7": ([300.0, 400.0, 100.0, 60.0, 4.0, 4.0, 2.0], [30.0, 40.0, 4.0, 3.0, 0.05, 0.05, 0.005], [0.4, 0.3, 0.4, 0.4, 0.5, 0.5, 0.5]),
+    "wam7": (
+        [300.0, 400.0, 100.0, 60.0, 4.0, 4.0, 2.0],
+        [30.0, 40.0, 4.0, 3.0, 0.05, 0.05, 0.005],
+        [0.4, 0.3, 0.4, 0.4, 0.5, 0.5, 0.5],
+    ),
 }
 CENTRE = {"imi_planar": np.zeros(2), "pendulum": np.zeros(1), "wam7": UP}
 
@@ -93,12 +124,25 @@ def swing(name: str, substep: float, seconds: float = 10.0, more: str = "") -> t
     config = f"substep = {substep}\n{more}" + "".join(f"q{j + 1} = {centre[j]}\n" for j in range(n))
     frequency = 0.3 + 0.07 * np.arange(n)
     with Plant(name, config) as plant:
-        return follow(plant, lambda t: centre + np.array(amplitude) * np.sin(2 * np.pi * frequency * t), kp, kd, seconds), plant.counts
+        return (
+            follow(
+                plant,
+                lambda t: centre + np.array(amplitude) * np.sin(2 * np.pi * frequency * t),
+                kp,
+                kd,
+                seconds,
+            ),
+            plant.counts,
+        )
 
 
 @pytest.mark.parametrize("more", ["friction = full\n", "friction = plain\n"])
-@pytest.mark.parametrize(("name", "substep"), [("imi_planar", 1e-4), ("pendulum", 1e-4), ("wam7", 5e-5)])
-def test_halving_the_step_changes_positions_by_less_than_an_encoder_count_in_10_s(name: str, substep: float, more: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "substep"), [("imi_planar", 1e-4), ("pendulum", 1e-4), ("wam7", 5e-5)]
+)
+def test_halving_the_step_changes_positions_by_less_than_an_encoder_count_in_10_s(
+    name: str, substep: float, more: str
+) -> None:
     n = len(CENTRE[name])
     rows, counts = swing(name, substep, more=more)
     finer, _ = swing(name, substep / 2, more=more)
@@ -113,7 +157,13 @@ def test_halving_the_step_of_the_spinning_pendulum_changes_less_than_a_count_in_
         with Plant("pendulum", f"substep = {substep}") as plant:
             for k in range(10000):
                 t = k * 1e-3
-                plant.torque([0.3 * (1 - math.exp(-1.8 * t)) + 0.1 * math.sin(26 * t + 0.08) + 0.1 * math.sin(12 * t + 0.34)])
+                plant.torque(
+                    [
+                        0.3 * (1 - math.exp(-1.8 * t))
+                        + 0.1 * math.sin(26 * t + 0.08)
+                        + 0.1 * math.sin(12 * t + 0.34)
+                    ]
+                )
             ends.append(plant.q[0])
     assert ends[0] > 50.0
     assert abs(ends[0] - ends[1]) * 4096 / (2 * np.pi) < 1.0
@@ -137,16 +187,28 @@ def test_friction_holds_a_joint_below_breakaway_and_its_bristle_gives_way(name: 
         assert 0.0 < abs(resting) < 0.02, "but the bristle gives way"
 
 
-@pytest.mark.parametrize(("direction", "level", "viscous"), [(1.0, 8.45 * 1.05, 5.3 * 1.02), (-1.0, 8.45 * 0.95, 5.3 * 0.98)])
-def test_sliding_friction_of_the_arm_is_what_a_constant_speed_move_measures(direction: float, level: float, viscous: float) -> None:
+@pytest.mark.parametrize(
+    ("direction", "level", "viscous"),
+    [(1.0, 8.45 * 1.05, 5.3 * 1.02), (-1.0, 8.45 * 0.95, 5.3 * 0.98)],
+)
+def test_sliding_friction_of_the_arm_is_what_a_constant_speed_move_measures(
+    direction: float, level: float, viscous: float
+) -> None:
     with Plant("imi_planar", f"q1 = {-1.2 * direction}\n") as plant:
-        rows = follow(plant, lambda t: np.array([direction * (1.5 * t - 1.2), 0.0]), [4000.0, 300.0], [300.0, 12.0], 1.5)
+        rows = follow(
+            plant,
+            lambda t: np.array([direction * (1.5 * t - 1.2), 0.0]),
+            [4000.0, 300.0],
+            [300.0, 12.0],
+            1.5,
+        )
     # from 0.5 s on the move is steady: joint 2 stands still and no acceleration is left
     assert rows[500:, 5].mean() == pytest.approx(direction * (level + 1.5 * viscous), rel=0.01)
 
 
 def test_pendulum_electrics_lie_on_the_papers_straight_line() -> None:
-    """v/i against qd/i: slope k_a, intercept R_a, from what the host can measure at steady speeds."""
+    """v/i against qd/i: slope k_a, intercept R_a, from what the host can measure at steady speeds.
+    """
     points = []
     with Plant("pendulum", "drive = voltage\nbrake = 0.0\n") as plant:
         for volts in (4.0, 8.0, 12.0, -5.0, -9.0):
@@ -161,7 +223,8 @@ def test_pendulum_electrics_lie_on_the_papers_straight_line() -> None:
     x, y = np.array(points).T
     slope, intercept = np.polyfit(x, y, 1)
     assert slope == pytest.approx(0.1762, rel=0.02)
-    assert intercept == pytest.approx(5.54, rel=0.1)  # the current sensor's step of 9.8 mA is 5 % of the smallest current
+    # the current sensor's step of 9.8 mA is 5 % of the smallest current
+    assert intercept == pytest.approx(5.54, rel=0.1)
 
 
 def test_pendulum_current_loop_reaches_its_torque_in_two_samples_and_stops_at_the_supply() -> None:
@@ -169,7 +232,8 @@ def test_pendulum_current_loop_reaches_its_torque_in_two_samples_and_stops_at_th
         for _ in range(3):
             plant.torque([0.3])
         plant.torque([0.3])
-        assert plant.sensors.adc[0] == pytest.approx(0.3 / 0.1762, abs=0.02)  # two steps of the sensor
+        # two steps of the sensor
+        assert plant.sensors.adc[0] == pytest.approx(0.3 / 0.1762, abs=0.02)
         for _ in range(5):
             plant.torque([0.8])
         assert plant.sensors.adc[1] == 24.0  # 0.8 N m would need 25.2 V
@@ -190,7 +254,11 @@ def test_stop_brings_every_joint_to_rest_and_holds_it(name: str) -> None:
     """Velocity mode with zero reference: what STOP imposes."""
     centre = CENTRE[name]
     with Plant(name, "".join(f"q{j + 1} = {x}\n" for j, x in enumerate(centre))) as plant:
-        push = {"imi_planar": [30.0, 6.0], "pendulum": [0.4], "wam7": [8.0, -40.0, 4.0, 8.0, 0.6, 1.0, 0.2]}[name]
+        push = {
+            "imi_planar": [30.0, 6.0],
+            "pendulum": [0.4],
+            "wam7": [8.0, -40.0, 4.0, 8.0, 0.6, 1.0, 0.2],
+        }[name]
         for _ in range(150):
             plant.torque(push)
         assert np.abs(plant.qd).max() > 0.3
@@ -209,12 +277,16 @@ def test_power_off_lets_the_wam_sink_into_its_stops_and_no_further() -> None:
             plant.sample(np.zeros(7), OFF)
         machine = load_machine("wam7")
         assert plant.q[1] > 1.0, "it falls"
-        assert np.all(plant.q < machine.limits.position_max + 0.3) and np.all(plant.q > machine.limits.position_min - 0.3)
+        assert np.all(plant.q < machine.limits.position_max + 0.3) and np.all(
+            plant.q > machine.limits.position_min - 0.3
+        )
 
 
 @pytest.mark.parametrize("name", ["imi_planar", "wam7"])
 def test_homing_ends_at_the_home_position(name: str) -> None:
-    with Plant(name, "q1 = 0.4\nq2 = -0.5\nq4 = 2.0\n" if name == "wam7" else "q1 = 1.0\nq2 = -1.2\n") as plant:
+    with Plant(
+        name, "q1 = 0.4\nq2 = -0.5\nq4 = 2.0\n" if name == "wam7" else "q1 = 1.0\nq2 = -1.2\n"
+    ) as plant:
         plant.actuators.mode = VELOCITY
         for _ in range(20000):
             plant.ops.read(plant.handle, plant.sensors)
@@ -229,18 +301,27 @@ def test_homing_ends_at_the_home_position(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["imi_planar", "wam7"])
 def test_plain_machine_is_the_nominal_model_of_the_host(name: str) -> None:
-    """friction = plain: in steady sliding the torque is inverse dynamics with the figures of the machine description."""
+    """friction = plain: in steady sliding the torque is inverse dynamics with the figures of the
+    machine description.
+    """
     rows, _ = swing(name, 5e-5, 2.5, "friction = plain\n")
     n = len(CENTRE[name])
     q, qd, tau = rows[:, 1 : 1 + n], rows[:, 1 + n : 1 + 2 * n], rows[:, 1 + 2 * n :]
     # row k: tau is held from k to k + 1, so compare with the motion in the middle of the sample
-    middle, speed, acceleration = 0.5 * (q[1:] + q[:-1]), 0.5 * (qd[1:] + qd[:-1]), np.diff(qd, axis=0) / 0.001
+    middle, speed, acceleration = (
+        0.5 * (q[1:] + q[:-1]),
+        0.5 * (qd[1:] + qd[:-1]),
+        np.diff(qd, axis=0) / 0.001,
+    )
     needed = load_machine(name).dynamics.inverse(middle, speed, acceleration)
     friction = np.asarray(load_machine(name).parameters["coulomb"])
     sliding = (np.abs(qd[1:]) > 0.15).all(axis=1) & (np.arange(len(tau) - 1) > 200)
     assert sliding.sum() > 100
-    # LuGre bristles follow a change of level within a milliradian, rotors of 7e-5 kg m^2 ring for a few samples after it
-    assert np.abs(needed - tau[:-1])[sliding].mean(axis=0) / friction == pytest.approx(np.zeros(n), abs=0.02)
+    # LuGre bristles follow a change of level within a milliradian, rotors of 7e-5 kg m^2 ring for a
+    # few samples after it
+    assert np.abs(needed - tau[:-1])[sliding].mean(axis=0) / friction == pytest.approx(
+        np.zeros(n), abs=0.02
+    )
 
 
 def test_limits_on_the_host_are_those_of_the_machine() -> None:
@@ -250,13 +331,23 @@ def test_limits_on_the_host_are_those_of_the_machine() -> None:
             for j in range(plant.joints):
                 joint = plant.info.joint[j]
                 assert machine.limits.torque[j] == joint.torque_max
-                assert (machine.limits.position_min[j], machine.limits.position_max[j]) == (joint.position_min, joint.position_max)
-                assert machine.limits.speed[j] <= joint.speed_max, "a planned speed may not trip the drives"
+                assert (machine.limits.position_min[j], machine.limits.position_max[j]) == (
+                    joint.position_min,
+                    joint.position_max,
+                )
+                assert (
+                    machine.limits.speed[j] <= joint.speed_max
+                ), "a planned speed may not trip the drives"
 
 
 def test_machines_compile_without_a_warning(tmp_path: Path) -> None:
     root = source_root()
     for name in machine_names():
         source = {f"{name}.c": (root / "machines" / f"{name}.c").read_bytes()}
-        built = build("test", source, [root / "include", root / "machines"], flags=("-Wconversion", "-Wshadow"))
+        built = build(
+            "test",
+            source,
+            [root / "include", root / "machines"],
+            flags=("-Wconversion", "-Wshadow"),
+        )
         assert built.path is not None and built.messages == ()

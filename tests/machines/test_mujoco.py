@@ -1,4 +1,6 @@
-"""Any MuJoCo model as a machine: its motion against MuJoCo's own integrator, its limits, what it refuses, what it allocates."""
+"""Any MuJoCo model as a machine: its motion against MuJoCo's own integrator, its limits, what it
+refuses, what it allocates.
+"""
 
 from __future__ import annotations
 
@@ -49,14 +51,22 @@ def own_motion(model: Path, torque: Sequence[float], seconds: float) -> Any:
     return d
 
 
-def test_a_driven_arm_without_friction_moves_as_mujocos_own_integrator_moves_it(tmp_path: Path) -> None:
-    model = edited(tmp_path, ARM, ('damping="0.5" frictionloss="0.8"', ""), ("<position joint", "<motor joint"),
-                   ('kp="300"', 'ctrlrange="-30 30"'))  # fmt: skip
+def test_a_driven_arm_without_friction_moves_as_mujocos_own_integrator_moves_it(
+    tmp_path: Path,
+) -> None:
+    model = edited(
+        tmp_path,
+        ARM,
+        ('damping="0.5" frictionloss="0.8"', ""),
+        ("<position joint", "<motor joint"),
+        ('kp="300"', 'ctrlrange="-30 30"'),
+    )
     with robot(model) as plant:
         for _ in range(300):
             plant.torque([3.0, -6.0, 0.5])
         truth = own_motion(model, [3.0, -6.0 / 50.0, 0.5], 0.3)
-        # both of second order or better at 0.1 ms: what is left is the step of the explicit midpoint
+        # both of second order or better at 0.1 ms: what is left is the step of the explicit
+        # midpoint
         assert plant.q == pytest.approx(truth.qpos, abs=2e-5)
         assert plant.qd == pytest.approx(truth.qvel, abs=2e-4)
         assert np.abs(plant.q).min() > 0.05, "every joint has moved"
@@ -91,7 +101,9 @@ def test_the_reaction_of_concealed_inertia_reaches_what_is_not_driven(tmp_path: 
         assert plant.sensors.adc[3] == pytest.approx(truth.qpos[0], abs=2e-5)
 
 
-def test_dry_friction_of_the_model_holds_a_joint_against_its_weight_without_creeping(tmp_path: Path) -> None:
+def test_dry_friction_of_the_model_holds_a_joint_against_its_weight_without_creeping(
+    tmp_path: Path,
+) -> None:
     model = edited(tmp_path, ARM, ('frictionloss="0.8"', 'frictionloss="40"'))
     with robot(model, "q2 = 0.6") as plant:
         for _ in range(300):
@@ -116,21 +128,36 @@ def test_names_units_and_limits_come_from_the_model() -> None:
     with robot(ARM) as plant:
         joint = [plant.info.joint[j] for j in range(3)]
         assert [plant.ffi.string(j.name).decode() for j in joint] == ["turn", "shoulder", "elbow"]
-        assert [j.torque_max for j in joint] == [40.0, 80.0, 30.0]  # ctrlrange; ctrlrange x gear; forcerange
-        assert [(j.position_min, j.position_max) for j in joint] == [(-2.5, 2.5), (-1.8, 1.8), (-2.4, 2.4)]
+        # ctrlrange; ctrlrange x gear; forcerange
+        assert [j.torque_max for j in joint] == [40.0, 80.0, 30.0]
+        assert [(j.position_min, j.position_max) for j in joint] == [
+            (-2.5, 2.5),
+            (-1.8, 1.8),
+            (-2.4, 2.4),
+        ]
         assert plant.ffi.string(plant.info.name) == b"bench_arm"
-        assert [plant.ffi.string(plant.info.adc_name[i]) for i in range(2)] == [b"elbow speed", b"elbow torque"]
+        assert [plant.ffi.string(plant.info.adc_name[i]) for i in range(2)] == [
+            b"elbow speed",
+            b"elbow torque",
+        ]
 
 
-def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named(tmp_path: Path) -> None:
+def test_a_slide_is_in_metres_and_joints_without_a_motor_have_an_encoder_when_named(
+    tmp_path: Path,
+) -> None:
     cart = tmp_path / "cart.xml"
-    cart.write_text("""<mujoco model="cart"><worldbody><body><joint name="slider" type="slide" axis="1 0 0" range="-1 1"/>
+    cart.write_text(
+        """<mujoco model="cart"><worldbody><body><joint name="slider" type="slide" axis="1 0 0" range="-1 1"/>
         <geom type="box" size=".1 .1 .1" mass="1"/><body><joint name="pole" axis="0 1 0"/>
         <geom type="capsule" fromto="0 0 0 0 0 .6" size=".02" mass=".2"/></body></body></worldbody>
-        <actuator><motor joint="slider" ctrlrange="-20 20"/></actuator></mujoco>""")
+        <actuator><motor joint="slider" ctrlrange="-20 20"/></actuator></mujoco>"""  # noqa: E501
+    )
     with robot(cart, "joints = slider,pole", "q2 = 0.1") as plant:
         assert [plant.ffi.string(plant.info.joint[j].unit) for j in range(2)] == [b"m", b"rad"]
-        assert [plant.ffi.string(plant.info.joint[j].command) for j in range(2)] == [b"force", b"none"]
+        assert [plant.ffi.string(plant.info.joint[j].command) for j in range(2)] == [
+            b"force",
+            b"none",
+        ]
         for _ in range(300):
             measured = plant.sample([5000.0, 5000.0])
         assert measured[0] > 0.2, "10 N push the cart"
@@ -156,11 +183,30 @@ def test_the_encoder_is_noisy_unless_ideal_and_the_seed_repeats_it() -> None:
     ("change", "lines", "says"),
     [
         (("<worldbody>", "<worldbdy>"), (), "XML"),
-        (('type="capsule" fromto="0 0 0 0.3 0 0"', 'type="capsle" fromto="0 0 0 0.3 0 0"'), (), "capsle"),
-        (("bench_arm", "bench_arm"), ("joints = turn,elbw",), "no joint 'elbw'; there are turn, shoulder, elbow"),
+        (
+            ('type="capsule" fromto="0 0 0 0.3 0 0"', 'type="capsle" fromto="0 0 0 0.3 0 0"'),
+            (),
+            "capsle",
+        ),
+        (
+            ("bench_arm", "bench_arm"),
+            ("joints = turn,elbw",),
+            "no joint 'elbw'; there are turn, shoulder, elbow",
+        ),
         (("bench_arm", "bench_arm"), ("keyframe = upright",), "no keyframe 'upright'"),
-        (('<joint name="turn" axis="0 0 1" range="-2.5 2.5"/>', '<joint name="turn" type="ball"/>'), (), "ball joint"),
-        (("bench_arm", "bench_arm"), ("effect1 = coulomb joint=4 level=1.0",), "joint out of range, the machine has 3"),
+        (
+            (
+                '<joint name="turn" axis="0 0 1" range="-2.5 2.5"/>',
+                '<joint name="turn" type="ball"/>',
+            ),
+            (),
+            "ball joint",
+        ),
+        (
+            ("bench_arm", "bench_arm"),
+            ("effect1 = coulomb joint=4 level=1.0",),
+            "joint out of range, the machine has 3",
+        ),
     ],
 )
 def test_what_cannot_be_a_machine_is_refused_in_a_sentence(
@@ -171,21 +217,28 @@ def test_what_cannot_be_a_machine_is_refused_in_a_sentence(
         robot(model, *lines)
 
 
-def test_more_joints_than_a_machine_has_are_counted_and_a_choice_is_asked_for(tmp_path: Path) -> None:
+def test_more_joints_than_a_machine_has_are_counted_and_a_choice_is_asked_for(
+    tmp_path: Path,
+) -> None:
     chain, close = "", ""
     for k in range(9):
-        chain += f'<body pos="0 0 0.1"><joint name="j{k}" axis="0 1 0"/><geom size="0.02" mass="0.1"/>'
+        chain += (
+            f'<body pos="0 0 0.1"><joint name="j{k}" axis="0 1 0"/><geom size="0.02" mass="0.1"/>'
+        )
         close += "</body>"
     snake = tmp_path / "snake.xml"
     snake.write_text(f"<mujoco><worldbody>{chain}{close}</worldbody></mujoco>")
-    with pytest.raises(ValueError, match=r"9 joints with a drive, a machine has 8 at most.*joints=NAME"):
+    with pytest.raises(
+        ValueError, match=r"9 joints with a drive, a machine has 8 at most.*joints=NAME"
+    ):
         robot(snake)
     with robot(snake, "joints = j0,j8") as plant:
         assert plant.joints == 2
 
 
 def test_a_model_that_is_too_slow_for_the_real_clock_says_how_slow(tmp_path: Path) -> None:
-    stiff = edited(tmp_path, ARM, ('damping="0.5"', 'damping="20000"'))  # time constants of microseconds
+    # time constants of microseconds
+    stiff = edited(tmp_path, ARM, ('damping="0.5"', 'damping="20000"'))
     with pytest.raises(ValueError, match=r"simulating 1 ms takes .* ms here, in steps of .* us"):
         robot(stiff, clock="real")
     with robot(stiff):
@@ -194,7 +247,11 @@ def test_a_model_that_is_too_slow_for_the_real_clock_says_how_slow(tmp_path: Pat
 
 def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == "mujoco" else find(name, *more))
+    monkeypatch.setattr(
+        importlib.util,
+        "find_spec",
+        lambda name, *more: None if name == "mujoco" else find(name, *more),
+    )
     with pytest.raises(CompileFailed, match=r"pip install 'zendsp\[mujoco\]'"):
         build_machine(str(ARM))
 
@@ -230,16 +287,22 @@ int main(int count, char **word) {
     printf("%ld %ld\n", works, calls);
     return count == 0;
 }
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.parametrize("model", [ARM, ACROBOT], ids=["arm", "ball"])
 def test_the_loop_of_a_mujoco_machine_allocates_nothing(model: Path) -> None:
-    """With contacts (arm and ball meet the plane), stops, all drive modes and sensors; the counter is seen to count."""
-    built = build("test", {"count.c": HARNESS}, [source_root() / "include"], shared=False, libraries=("-ldl",))
+    """With contacts (arm and ball meet the plane), stops, all drive modes and sensors; the counter
+    is seen to count.
+    """
+    built = build(
+        "test", {"count.c": HARNESS}, [source_root() / "include"], shared=False, libraries=("-ldl",)
+    )
     assert built.path is not None, built.messages
     config = f"model = {model}\nclock = fast\neffect1 = delay joint=1 time=0.003\n"
-    done = subprocess.run([built.path, build_machine(str(model)), config], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [built.path, build_machine(str(model)), config], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout
     works, calls = map(int, done.stdout.split())
     assert works > 100

@@ -1,4 +1,6 @@
-"""Every shipped control program compiles without a warning, runs in the fast clock and does what it teaches."""
+"""Every shipped control program compiles without a warning, runs in the fast clock and does what it
+teaches.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zendsp.reference import Reference, load_machine, make_circle, make_lspb, make_point_to_point, make_swing
+from zendsp.reference import (
+    Reference,
+    load_machine,
+    make_circle,
+    make_lspb,
+    make_point_to_point,
+    make_swing,
+)
 from zendsp_isr.build import source_root
 from zendsp_isr.sources import gather
 from zendsp_target.api import AcquireConfig
@@ -21,7 +30,9 @@ PROGRAMS = sorted(path.name for path in (source_root() / "programs").glob("*.c")
 
 
 @contextmanager
-def running(machine: str, program: str, flags: tuple[str, ...] = (), **config: Any) -> Iterator[Runtime]:
+def running(
+    machine: str, program: str, flags: tuple[str, ...] = (), **config: Any
+) -> Iterator[Runtime]:
     """A machine in the fast clock with a program loaded."""
     with Runtime(machine, clock="fast", machine_config=config) as runtime:
         result = runtime.compile(gather(program), flags)
@@ -49,18 +60,33 @@ def record(runtime: Runtime, seconds: float, *channels: str, **values: Any) -> d
     return out
 
 
-def play(runtime: Runtime, reference: Reference, *channels: str, before: float = 0.5, after: float = 0.5, **values: Any) -> dict[str, Array]:
-    """Play a reference after an approach of ``before`` seconds; rows of the reference only, then ``after`` seconds."""
+def play(
+    runtime: Runtime,
+    reference: Reference,
+    *channels: str,
+    before: float = 0.5,
+    after: float = 0.5,
+    **values: Any,
+) -> dict[str, Array]:
+    """Play a reference after an approach of ``before`` seconds; rows of the reference only, then
+    ``after`` seconds.
+    """
     runtime.write({**reference.tables(), "approach_time": before, **values}, "test")
     names = ("play_time", *channels)
     out = record(runtime, before + reference.duration + after + 0.1, *names)
     first = int(np.argmax(out["play_time"] >= -1e-9))
-    return {name: out[name][first : first + reference.samples + round(after * 1000)] for name in names}
+    return {
+        name: out[name][first : first + reference.samples + round(after * 1000)] for name in names
+    }
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_program_compiles_without_a_warning_and_without_conversion_warnings(program: str) -> None:
-    machine = "wam7" if program.startswith("wam") else "pendulum" if program.startswith("pendulum") else "imi_planar"
+    machine = (
+        "wam7"
+        if program.startswith("wam")
+        else "pendulum" if program.startswith("pendulum") else "imi_planar"
+    )
     with running(machine, program, ("-Wconversion", "-Wshadow")) as runtime:
         runtime.start(ticks=20)
         runtime.wait_paused()
@@ -69,11 +95,28 @@ def test_program_compiles_without_a_warning_and_without_conversion_warnings(prog
         assert not described, "every variable says what it is"
 
 
-@pytest.mark.parametrize(("joint", "direction", "level"), [(1, 1, 11.4 * 1.05), (1, -1, 11.4 * 0.95), (2, 1, 3.1 * 0.96), (2, -1, 3.1 * 1.04)])
-def test_torque_steps_find_the_breakaway_torque_of_each_joint_and_direction(joint: int, direction: int, level: float) -> None:
+@pytest.mark.parametrize(
+    ("joint", "direction", "level"),
+    [(1, 1, 11.4 * 1.05), (1, -1, 11.4 * 0.95), (2, 1, 3.1 * 0.96), (2, -1, 3.1 * 1.04)],
+)
+def test_torque_steps_find_the_breakaway_torque_of_each_joint_and_direction(
+    joint: int, direction: int, level: float
+) -> None:
     with running("imi_planar", "torque_steps.c") as runtime:
-        out = record(runtime, 8.0, "moved", "breakaway", "torque", "position", joint=joint, direction=direction,
-                     first=0.4 * level, increment=0.01 * level, hold=0.1, go=1)  # fmt: skip
+        out = record(
+            runtime,
+            8.0,
+            "moved",
+            "breakaway",
+            "torque",
+            "position",
+            joint=joint,
+            direction=direction,
+            first=0.4 * level,
+            increment=0.01 * level,
+            hold=0.1,
+            go=1,
+        )
     assert out["moved"][-1] == 1.0 and out["torque"][-1] == 0.0
     # a step of 1 %, and the joint needs a few steps' time to travel the threshold
     assert abs(out["breakaway"][-1]) == pytest.approx(level, rel=0.04)
@@ -96,7 +139,9 @@ def test_constant_torque_compiles_for_one_joint() -> None:
     assert out["speed"][-1] > 10.0
 
 
-def test_inverse_dynamics_follows_the_circle_and_friction_compensation_takes_most_of_the_error_away() -> None:
+def test_inverse_dynamics_follows_the_circle_and_friction_compensation_takes_most_of_the_error_away() -> (  # noqa: E501
+    None
+):
     reference = make_circle(load_machine("imi_planar"), radius=0.15, duration=4.5)
     rms = {}
     for compensate in (False, True):
@@ -105,7 +150,10 @@ def test_inverse_dynamics_follows_the_circle_and_friction_compensation_takes_mos
         n = reference.samples
         assert np.abs(out["r"][:n] - reference.q).max() < 1e-9, "the table is played row by row"
         rms[compensate] = np.sqrt(np.mean(out["e"][:n] ** 2, axis=0))
-    assert rms[False][0] == pytest.approx(2e-3, rel=0.9) and rms[False][1] == pytest.approx(1.5e-2, rel=0.9)  # the paper's orders
+    # the paper's orders
+    assert rms[False][0] == pytest.approx(2e-3, rel=0.9) and rms[False][1] == pytest.approx(
+        1.5e-2, rel=0.9
+    )
     assert np.all(1.0 - rms[True] / rms[False] > 0.5)
 
 
@@ -130,14 +178,23 @@ def test_hold_brings_the_reference_to_rest_on_its_path_and_lets_it_go_on() -> No
         after = record(runtime, 1.5, *names, hold=False)
     assert np.abs(moving["rd"][-1]).max() > 0.05, "it was moving"
     stands = held["r"][400:]
-    assert np.ptp(stands, axis=0).max() < 1e-12 and np.abs(held["qd"][1200:]).max() < 0.02, "0.3 s later nothing moves"
+    assert (
+        np.ptp(stands, axis=0).max() < 1e-12 and np.abs(held["qd"][1200:]).max() < 0.02
+    ), "0.3 s later nothing moves"
     assert not held["rd"][400:].any() and not held["rdd"][400:].any()
-    # on its path all the while: each point of the held motion is one of the free motion at the same time of the reference
+    # on its path all the while: each point of the held motion is one of the free motion at the same
+    # time of the reference
     for out in (held, after):
         k = out["play_time"] * 1000.0
         for joint in range(2):
-            assert np.abs(out["r"][:, joint] - np.interp(k, np.arange(len(free)), free[:, joint])).max() < 1e-6
-    # rd and rdd are the derivatives of r, slowing down included, to the half sample by which their differences are taken apart
+            assert (
+                np.abs(
+                    out["r"][:, joint] - np.interp(k, np.arange(len(free)), free[:, joint])
+                ).max()
+                < 1e-6
+            )
+    # rd and rdd are the derivatives of r, slowing down included, to the half sample by which their
+    # differences are taken apart
     speed = (held["r"][2:] - held["r"][:-2]) / 0.002
     assert np.abs(speed - held["rd"][1:-1]).max() < 1e-3 * np.abs(held["rdd"]).max()
     slope = (held["rd"][2:] - held["rd"][:-2])[10:280] / 0.002
@@ -153,32 +210,48 @@ def test_pd_holds_where_its_circle_is_and_goes_on_from_there() -> None:
     assert abs(moving["r1"][-1] - moving["r1"][-100]) > 1e-2, "it was moving"
     assert np.ptp(held["r1"][400:]) < 1e-12 and np.abs(held["qd1"][1000:]).max() < 1e-2
     assert np.abs(held["tau1"]).max() < 200.0, "without a jerk beyond the machine's torque"
-    assert np.abs(np.diff(np.concatenate([held["r1"], after["r1"]]))).max() < 5e-3 and np.ptp(after["r1"]) > 0.05
+    assert (
+        np.abs(np.diff(np.concatenate([held["r1"], after["r1"]]))).max() < 5e-3
+        and np.ptp(after["r1"]) > 0.05
+    )
 
 
 def test_pd_goes_from_its_circle_to_a_table_and_back_without_a_step() -> None:
     with running("imi_planar", "pd.c") as runtime:
-        parts = [record(runtime, 2.0, "r1", "r2", "tau1", use_table=table) for table in (False, True, False)]
+        parts = [
+            record(runtime, 2.0, "r1", "r2", "tau1", use_table=table)
+            for table in (False, True, False)
+        ]
     for name in ("r1", "r2"):
-        assert np.abs(np.diff(np.concatenate([part[name] for part in parts]))).max() < 5e-3, "an empty table is all zeros, and far off"
-    assert abs(parts[1]["r1"][-1]) < 1e-9 and np.ptp(parts[2]["r1"][-500:]) > 0.05, "it got there, and is on the circle again"
+        assert (
+            np.abs(np.diff(np.concatenate([part[name] for part in parts]))).max() < 5e-3
+        ), "an empty table is all zeros, and far off"
+    assert (
+        abs(parts[1]["r1"][-1]) < 1e-9 and np.ptp(parts[2]["r1"][-500:]) > 0.05
+    ), "it got there, and is on the circle again"
     assert max(np.abs(part["tau1"]).max() for part in parts) < 245.0, "within the machine's torque"
 
 
 def test_changing_play_repeats_the_motion_from_where_the_machine_stands() -> None:
-    reference = make_point_to_point(load_machine("imi_planar"), start=0.0, goal=[0.3, 0.0], duration=0.3)
+    reference = make_point_to_point(
+        load_machine("imi_planar"), start=0.0, goal=[0.3, 0.0], duration=0.3
+    )
     with running("imi_planar", "inverse_dynamics.c") as runtime:
         play(runtime, reference, "q", before=0.3)
         again = record(runtime, 0.7, "play_time", "r", "playing", play=1)
     assert again["play_time"][0] == pytest.approx(-0.3, abs=2e-3)
-    assert again["r"][0, 0] == pytest.approx(0.3, abs=1e-3) and np.abs(np.diff(again["r"][:, 0])).max() < 5e-3
+    assert (
+        again["r"][0, 0] == pytest.approx(0.3, abs=1e-3)
+        and np.abs(np.diff(again["r"][:, 0])).max() < 5e-3
+    )
     assert again["playing"].sum() == pytest.approx(301, abs=2)
 
 
 def test_pendulum_current_loop_in_user_code_follows_its_torque_reference() -> None:
     with running("pendulum", "pendulum_current.c", drive="voltage", brake=0.5) as runtime:
         out = record(runtime, 0.5, "i", "i_ref", "v", torque=0.25)
-    assert out["i"][100:] == pytest.approx(0.25 / 0.1762, abs=0.03)  # three steps of the 10-bit sensor
+    # three steps of the 10-bit sensor
+    assert out["i"][100:] == pytest.approx(0.25 / 0.1762, abs=0.03)
     assert np.abs(out["v"]).max() <= 24.0
 
 
@@ -188,7 +261,9 @@ def test_pendulum_voltage_mode_gives_the_straight_line_of_the_motor() -> None:
         with running("pendulum", "pendulum_current.c", drive="voltage", brake=0.0) as runtime:
             out = record(runtime, 3.0, "i", "v", "q", voltage_mode=True, volts=volts)
         speed = (out["q"][-1] - out["q"][1500]) / (0.001 * (len(out["q"]) - 1501))
-        points.append((speed / out["i"][1500:].mean(), out["v"][1500:].mean() / out["i"][1500:].mean()))
+        points.append(
+            (speed / out["i"][1500:].mean(), out["v"][1500:].mean() / out["i"][1500:].mean())
+        )
     slope, intercept = np.polyfit(*np.array(points).T, 1)
     assert slope == pytest.approx(0.1762, rel=0.02) and intercept == pytest.approx(5.54, rel=0.1)
 
@@ -208,8 +283,12 @@ def swing() -> Reference:
     return make_swing(load_machine("pendulum"), goal=math.pi, duration=0.8, torque_limit=0.5)
 
 
-def test_a_swing_planned_with_friction_reaches_its_goal_open_loop_and_better_in_closed_loop(swing: Reference) -> None:
-    """The nominal model has no breakaway, bristle or asymmetry: the machine does, so open loop ends near the goal, not on it."""
+def test_a_swing_planned_with_friction_reaches_its_goal_open_loop_and_better_in_closed_loop(
+    swing: Reference,
+) -> None:
+    """The nominal model has no breakaway, bristle or asymmetry: the machine does, so open loop ends
+    near the goal, not on it.
+    """
     ends = {}
     for kp, kv in ((0.0, 0.0), (1.2, 0.005)):
         with running("pendulum", "pendulum_track.c") as runtime:
@@ -219,7 +298,9 @@ def test_a_swing_planned_with_friction_reaches_its_goal_open_loop_and_better_in_
 
 
 def test_a_swing_planned_without_friction_misses_open_loop_and_is_helped_by_compensation() -> None:
-    frictionless = make_swing(load_machine("pendulum"), goal=math.pi, duration=0.8, torque_limit=0.5, friction=0.0)
+    frictionless = make_swing(
+        load_machine("pendulum"), goal=math.pi, duration=0.8, torque_limit=0.5, friction=0.0
+    )
     with running("pendulum", "pendulum_track.c") as runtime:
         bare = play(runtime, frictionless, "q", before=0.0, kp=0.0, kv=0.0)
     with running("pendulum", "pendulum_compensation.c") as runtime:
@@ -229,11 +310,17 @@ def test_a_swing_planned_without_friction_misses_open_loop_and_is_helped_by_comp
 
 
 def test_wam_follows_the_papers_lspb_with_all_joints_and_gravity_compensation_matters() -> None:
-    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array([0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5])
-    reference = make_lspb(load_machine("wam7"), start=start, goal=goal, duration=7.0, blend_time=1.0)
+    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array(
+        [0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5]
+    )
+    reference = make_lspb(
+        load_machine("wam7"), start=start, goal=goal, duration=7.0, blend_time=1.0
+    )
     error = {}
     for compensate in (True, False):
-        with running("wam7", "wam_pd_gravity.c", **{f"q{j + 1}": float(x) for j, x in enumerate(start)}) as runtime:
+        with running(
+            "wam7", "wam_pd_gravity.c", **{f"q{j + 1}": float(x) for j, x in enumerate(start)}
+        ) as runtime:
             out = play(runtime, reference, "e", "g", "q", compensate=compensate)
         error[compensate] = np.abs(out["e"][: reference.samples]).max(axis=0)
     assert error[True].max() < 0.04

@@ -1,4 +1,5 @@
-"""What must never be lost, each as a small change that takes it away, and the tests that should notice.
+"""What must never be lost, each as a small change that takes it away, and the tests that should
+notice.
 
     python -m tests.mutations                 # all of them
     python -m tests.mutations --only stop     # those with the word in their name
@@ -14,9 +15,11 @@ A mutation is an entry of a TOML file in this folder:
     new = "if (0) {"
     tests = ["tests/target/test_safety.py::test_not_a_number_trips_and_never_reaches_the_machine"]
 
-Each is applied alone to a copy of the tree. Every test that it names has to fail there, and to pass without it. A change that leaves no
-program running proves nothing and counts as broken, and so does one whose ``old`` is gone from the file.
+Each is applied alone to a copy of the tree. Every test that it names has to fail there, and to pass
+without it. A change that leaves no program running proves nothing and counts as broken, and so does
+one whose ``old`` is gone from the file.
 
-A test that is named here must do no harm where the promise is gone: it asks for the right to send a signal (signal 0) in place of ending
-the computer's processes. All runs in a PID namespace of its own with bounded memory, and where there is none, not at all.
+A test that is named here must do no harm where the promise is gone: it asks for the right to send a
+signal (signal 0) in place of ending the computer's processes. All runs in a PID namespace of its
+own with bounded memory, and where there is none, not at all.
 """

@@ -1,4 +1,6 @@
-"""Apply each mutation to a copy of the tree, run the tests that should notice, and report those that did not."""
+"""Apply each mutation to a copy of the tree, run the tests that should notice, and report those
+that did not.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,23 @@ from tests.mutations.catalogue import ROOT, Mutation, Stale, catalogue, chosen, 
 SOURCES = ("host", "target", "protocol", "c_isr")
 LIMIT_S = 900.0  # for the tests of one mutation; each test has pytest's own limit
 PATIENCE_S = 20.0  # for pytest to clear up after Ctrl-C
-MOST_KB = 6 << 20  # of memory of one process: a compilation without its limit shall not take the computer's
-# Without its protection, what a test tries comes about: processes that stay, or end others. It happens in a namespace of its own,
-# where there are no others, and which takes with it all that it holds. sh is there to wait for orphans.
+# of memory of one process: a compilation without its limit shall not take the computer's
+MOST_KB = 6 << 20
+# Without its protection, what a test tries comes about: processes that stay, or end others. It
+# happens in a namespace of its own, where there are no others, and which takes with it all that it
+# holds. sh is there to wait for orphans.
 NAMESPACES = (("--pid",), ("--user", "--map-current-user", "--pid"))
-CAGE = ("--fork", "--mount-proc", "--kill-child", "sh", "-c", f'ulimit -v {MOST_KB}; "$@"; exit $?', "sh")
-# A change after which nothing runs any more would be noticed by every test, and says nothing about any of them.
+CAGE = (
+    "--fork",
+    "--mount-proc",
+    "--kill-child",
+    "sh",
+    "-c",
+    f'ulimit -v {MOST_KB}; "$@"; exit $?',
+    "sh",
+)
+# A change after which nothing runs any more would be noticed by every test, and says nothing about
+# any of them.
 ALIVE = """
 import zendsp, zendsp_target, sys
 assert zendsp.__file__.startswith(sys.argv[1]) and zendsp_target.__file__.startswith(sys.argv[1]), zendsp.__file__
@@ -36,7 +49,7 @@ with zendsp.local("imi_planar", clock="fast") as target:
     target.download("pd.c")
     target.run_for(0.1)
     assert target.status().tick == 100 and target["Kp1"] > 0
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True)
@@ -46,7 +59,8 @@ class Result:
     Attributes
     ----------
     outcome : str
-        ``"noticed"``: every test failed. ``"SURVIVED"``: none did. ``"partly"``: some did not. ``"BROKEN"``: nothing ran any more.
+        ``"noticed"``: every test failed. ``"SURVIVED"``: none did. ``"partly"``: some did not.
+        ``"BROKEN"``: nothing ran any more.
     silent : tuple of str
         Tests that did not notice.
     seconds : float
@@ -80,7 +94,8 @@ def cage() -> tuple[str, ...]:
             return command
         said = done.stderr.strip()
     raise RuntimeError(
-        f"mutations need a PID namespace ({said}): without protection, what a test tries could end every process of this user"
+        f"mutations need a PID namespace ({said}): without protection, what a test tries could end"
+        " every process of this user"
     )
 
 
@@ -97,16 +112,23 @@ class Lab:
         self._env = {
             **{k: v for k, v in os.environ.items() if not k.startswith(("ZENDSP_", "PYTEST_"))},
             "PYTHONPATH": os.pathsep.join(str(self.tree / name) for name in SOURCES),
-            "PYTHONDONTWRITEBYTECODE": "1",  # two versions of a file within one second would look the same to Python
+            # two versions of a file within one second would look the same to Python
+            "PYTHONDONTWRITEBYTECODE": "1",
             "ZENDSP_RUNTIME_DIR": str(runtime),
             "ZENDSP_CACHE": str(folder / "cache"),
         }
 
     def _run(self, command: Sequence[str]) -> tuple[int, str]:
         process = subprocess.Popen(
-            [*self._before, *command], cwd=self.tree, env=self._env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True, start_new_session=True,
-        )  # fmt: skip
+            [*self._before, *command],
+            cwd=self.tree,
+            env=self._env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
         try:
             said, _ = process.communicate(timeout=LIMIT_S)
         except BaseException as error:
@@ -137,7 +159,16 @@ class Lab:
         """
         report = self._folder / "report.xml"
         report.unlink(missing_ok=True)
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={report}", *tests]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            f"--junitxml={report}",
+            *tests,
+        ]
         status, said = self._run(command)
         if status not in (0, 1) or not report.is_file():
             raise RuntimeError(f"pytest ended with {status}: {said[-2000:]}")
@@ -151,13 +182,16 @@ class Lab:
                     if case.find("failure") is not None:
                         failed.add(test)
         if missing := set(tests) - ran:
-            raise RuntimeError(f"skipped, or broken before it began: {', '.join(sorted(missing))}: {said[-2000:]}")
+            raise RuntimeError(
+                f"skipped, or broken before it began: {', '.join(sorted(missing))}: {said[-2000:]}"
+            )
         return failed, said
 
     def judge(self, mutation: Mutation) -> Result:
         """Apply a mutation, and see which of its tests notice."""
         begin = time.monotonic()
-        # What a compilation said is kept beside the program: it would be told again without the code that is gone.
+        # What a compilation said is kept beside the program: it would be told again without the
+        # code that is gone.
         shutil.rmtree(self._folder / "cache" / "program", ignore_errors=True)
         with mutation.applied(self.tree):
             dead = self.lives()
@@ -166,7 +200,9 @@ class Lab:
             try:
                 failed, _ = self.failing(mutation.tests)
             except RuntimeError as error:
-                return Result(mutation, "BROKEN", mutation.tests, time.monotonic() - begin, str(error))
+                return Result(
+                    mutation, "BROKEN", mutation.tests, time.monotonic() - begin, str(error)
+                )
         silent = tuple(test for test in mutation.tests if test not in failed)
         outcome = "noticed" if not silent else "partly" if failed else "SURVIVED"
         return Result(mutation, outcome, silent, time.monotonic() - begin)
@@ -177,29 +213,54 @@ def page(results: Sequence[Result], command: str, version: str) -> str:
     kept = sum(r.outcome == "noticed" for r in results)
     day = f"{datetime.now(UTC):%d %B %Y}".lstrip("0")
     lines = [
-        "# Mutations: checks that cannot be removed unnoticed", "",
-        f"`{command}`, {day}, commit {version}: {kept} of {len(results)} were noticed, in {sum(r.seconds for r in results):.0f} s.",
-        "", "Each line is a promise that was taken out of a copy of the tree, alone. The tests named in `tests/mutations/` ran on the copy;",
+        "# Mutations: checks that cannot be removed unnoticed",
+        "",
+        (
+            f"`{command}`, {day}, commit {version}: {kept} of {len(results)} were noticed, in"
+            f" {sum(r.seconds for r in results):.0f} s."
+        ),
+        "",
+        (
+            "Each line is a promise that was taken out of a copy of the tree, alone. The tests"
+            " named in `tests/mutations/` ran on the copy;"
+        ),
         "*noticed* means that every one of them failed. `--report FILE` writes such a page.",
-    ]  # fmt: skip
+    ]
     topic = ""
     for result in results:
         m = result.mutation
         if m.topic != topic:
             topic = m.topic
-            lines += ["", f"## {topic.capitalize()}", "", "| lost | in | outcome | tests |", "|---|---|---|---|"]
-        lines.append(f"| {m.lost} | `{m.file.rpartition('/')[2]}` | {result.outcome} | {len(m.tests)} |")
+            lines += [
+                "",
+                f"## {topic.capitalize()}",
+                "",
+                "| lost | in | outcome | tests |",
+                "|---|---|---|---|",
+            ]
+        lines.append(
+            f"| {m.lost} | `{m.file.rpartition('/')[2]}` | {result.outcome} | {len(m.tests)} |"
+        )
     silent = [f"- {r.mutation.name}: `{test}`" for r in results for test in r.silent]
     return "\n".join([*lines, *(["", "## Did not notice", "", *silent] if silent else []), ""])
 
 
 def main(
-    words: Sequence[str] | None = None, root: Path = ROOT, folder: Path | None = None, alive: str = ALIVE,
+    words: Sequence[str] | None = None,
+    root: Path = ROOT,
+    folder: Path | None = None,
+    alive: str = ALIVE,
     caged: Callable[[], Sequence[str]] = cage,
-) -> int:  # fmt: skip
+) -> int:
     """Run the command; returns its exit status: 0 only if every test noticed."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutations", description=__doc__)
-    parser.add_argument("--only", nargs="+", default=[], metavar="WORD", help="those with the word in their name, or of this topic")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="WORD",
+        help="those with the word in their name, or of this topic",
+    )
     parser.add_argument("--list", action="store_true", help="names and promises; runs nothing")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the results as a page")
     asked = parser.parse_args(words)
@@ -226,7 +287,9 @@ def main(
     results: list[Result] = []
     with tempfile.TemporaryDirectory(prefix="zm-", ignore_cleanup_errors=True) as place:
         lab = Lab(root, Path(place), alive, before)
-        print(f"{len(mutations)} mutations; first their {len(tests)} tests without any …", flush=True)
+        print(
+            f"{len(mutations)} mutations; first their {len(tests)} tests without any …", flush=True
+        )
         if dead := lab.lives():
             print(f"the copy does not run: {dead}", file=sys.stderr)
             return 2
@@ -236,7 +299,10 @@ def main(
             print(error, file=sys.stderr)
             return 2
         if failed:
-            print(f"{said[-4000:]}\nfail without any mutation: {', '.join(sorted(failed))}", file=sys.stderr)
+            print(
+                f"{said[-4000:]}\nfail without any mutation: {', '.join(sorted(failed))}",
+                file=sys.stderr,
+            )
             return 2
         try:
             for number, mutation in enumerate(mutations, 1):
@@ -250,15 +316,25 @@ def main(
             print(f"\nended by Ctrl-C after {len(results)} of {len(mutations)}", file=sys.stderr)
             return 130
     bad = [r for r in results if r.outcome != "noticed"]
-    print(f"{len(results) - len(bad)} of {len(results)} noticed" + "".join(f"\n  {r.outcome}: {r.mutation.name}" for r in bad))
+    print(
+        f"{len(results) - len(bad)} of {len(results)} noticed"
+        + "".join(f"\n  {r.outcome}: {r.mutation.name}" for r in bad)
+    )
     if asked.report:
-        command = "python -m tests.mutations" + (f" --only {shlex.join(asked.only)}" if asked.only else "")
+        command = "python -m tests.mutations" + (
+            f" --only {shlex.join(asked.only)}" if asked.only else ""
+        )
         asked.report.write_text(page(results, command, _version(root)))
     return 1 if bad else 0
 
 
 def _version(root: Path) -> str:
-    said = subprocess.run(["git", "-C", str(root), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    said = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "--short", "HEAD"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return said.stdout.strip() or "unknown"
 
 

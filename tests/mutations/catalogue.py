@@ -1,4 +1,6 @@
-"""The mutations, read from the TOML files beside this module, and the copy of the tree that they are applied to."""
+"""The mutations, read from the TOML files beside this module, and the copy of the tree that they
+are applied to.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,9 @@ class Mutation:
         text = path.read_text()
         found = text.count(self.old)
         if found != 1:
-            raise Stale(f"{self.name}: stands {found} times in {self.file}, expected once: {self.old!r}")
+            raise Stale(
+                f"{self.name}: stands {found} times in {self.file}, expected once: {self.old!r}"
+            )
         return text.replace(self.old, self.new)
 
     def check_tests(self, root: Path) -> None:
@@ -103,7 +107,9 @@ def catalogue(folder: Path = HERE) -> list[Mutation]:
     for path in sorted(folder.glob("*.toml")):
         for entry in tomllib.loads(path.read_text())["mutation"]:
             if set(entry) != set(FIELDS):
-                raise Stale(f"{path.name}: {entry.get('name', '?')} needs the fields {', '.join(FIELDS)}")
+                raise Stale(
+                    f"{path.name}: {entry.get('name', '?')} needs the fields {', '.join(FIELDS)}"
+                )
             if any(entry["name"] == other.name for other in found):
                 raise Stale(f"{path.name}: {entry['name']} stands twice")
             found.append(Mutation(topic=path.stem, **{**entry, "tests": tuple(entry["tests"])}))
@@ -117,7 +123,16 @@ def chosen(mutations: Sequence[Mutation], words: Sequence[str]) -> list[Mutation
 
 def copy_tree(root: Path, to: Path) -> Path:
     """Copy what git knows of the tree, and new files that it does not ignore, as they are now."""
-    listing = ["git", "-C", str(root), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listing = [
+        "git",
+        "-C",
+        str(root),
+        "ls-files",
+        "-z",
+        "--cached",
+        "--others",
+        "--exclude-standard",
+    ]
     names = subprocess.run(listing, capture_output=True, check=True).stdout.decode().split("\0")
     for name in filter(None, names):
         source, place = root / name, to / name

@@ -1,4 +1,6 @@
-"""What a body does to the joints, against the inverse dynamics of the changed machine and against Pinocchio."""
+"""What a body does to the joints, against the inverse dynamics of the changed machine and against
+Pinocchio.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def term(effect: str, joint: int = 1, **values: float) -> Term:
 
 
 TERMS = {
-    "payload at the tool": [term("payload", 7, mass=1.3, com_x=0.02, com_y=-0.05, com_z=0.11, inertia=0.004)],
+    "payload at the tool": [
+        term("payload", 7, mass=1.3, com_x=0.02, com_y=-0.05, com_z=0.11, inertia=0.004)
+    ],
     "payload on the forearm": [term("payload", 4, mass=0.7, com_x=0.1, com_y=0.0, com_z=-0.03)],
     "heavier link": [term("body", 2, mass=0.4)],
     "shifted link": [term("body", 4, com_x=0.03, com_y=-0.01, com_z=0.02, inertia=0.003)],
@@ -49,10 +53,14 @@ def torque(bodies, gravity, motion: np.ndarray) -> np.ndarray:  # type: ignore[n
 
 
 @pytest.mark.parametrize("name", TERMS)
-def test_terms_add_what_the_inverse_dynamics_of_the_changed_arm_does(name: str, motion: np.ndarray) -> None:
+def test_terms_add_what_the_inverse_dynamics_of_the_changed_arm_does(
+    name: str, motion: np.ndarray
+) -> None:
     bodies, gravity = read_urdf(str(ARM))
     terms, links = TERMS[name], Links(tuple(bodies), gravity, motion)
-    truth = torque(changed(bodies, terms), turned_gravity(gravity, terms), motion) - torque(bodies, gravity, motion)
+    truth = torque(changed(bodies, terms), turned_gravity(gravity, terms), motion) - torque(
+        bodies, gravity, motion
+    )
     for j in range(7):
         change = links.change(terms, j)
         got = change.inertia * motion[j, 2] + change.bias
@@ -68,7 +76,10 @@ def test_inertia_is_how_torque_answers_to_the_joints_own_acceleration(motion: np
         pushed[j, 2] += 1.0  # torque is linear in the acceleration: a step of any size is exact
         answer = (torque(more, gravity, pushed) - torque(more, gravity, motion))[j]
         answer -= (torque(bodies, gravity, pushed) - torque(bodies, gravity, motion))[j]
-        assert np.abs(Links(tuple(bodies), gravity, motion).change(terms, j).inertia - answer).max() < 1e-10
+        assert (
+            np.abs(Links(tuple(bodies), gravity, motion).change(terms, j).inertia - answer).max()
+            < 1e-10
+        )
 
 
 def test_columns_are_pinocchios_regressor(motion: np.ndarray) -> None:
@@ -78,10 +89,13 @@ def test_columns_are_pinocchios_regressor(motion: np.ndarray) -> None:
     data = robot.createData()
     bodies, gravity = read_urdf(str(ARM))
     links = Links(tuple(bodies), gravity, motion)
-    # Pinocchio's order is m, h, ixx, ixy, iyy, ixz, iyz, izz about the link's origin; ours has the diagonal first
+    # Pinocchio's order is m, h, ixx, ixy, iyy, ixz, iyz, izz about the link's origin; ours has the
+    # diagonal first
     order = [0, 1, 2, 3, 4, 6, 9, 5, 7, 8]
     for at in range(0, N, 8):
-        theirs = pin.computeJointTorqueRegressor(robot, data, *(motion[:, i, at].copy() for i in range(3)))
+        theirs = pin.computeJointTorqueRegressor(
+            robot, data, *(motion[:, i, at].copy() for i in range(3))
+        )
         for j in range(7):
             for k in range(7):
                 ours = links.columns(j, k)[1][:, at] if links.moves(j, k) else np.zeros(10)
@@ -105,7 +119,9 @@ def test_a_payload_at_the_tip_of_the_planar_arm_is_three_parameters_that_belong_
     from zendsp.physics.bodies import machine_tree
 
     arm = {"p1": 0.5, "p2": 0.08, "p3": 0.1, "l1": 0.36, "l2": 0.34}
-    model = parse_model({"sample_time": 0.001, "mechanism": {"kind": "planar2r", "parameters": arm}})
+    model = parse_model(
+        {"sample_time": 0.001, "mechanism": {"kind": "planar2r", "parameters": arm}}
+    )
     tree = machine_tree(model)
     assert tree is not None
     states = list(np.random.default_rng(4).normal(size=(2, 3, N)))
@@ -117,20 +133,30 @@ def test_a_payload_at_the_tip_of_the_planar_arm_is_three_parameters_that_belong_
         change = links.change([term("payload", 2, mass=mass, com_x=c)], j)
         want = sum(delta[key] * b.inertia for key, b in basis[j].items())
         assert np.abs(change.inertia - want).max() < 1e-12
-        assert np.abs(change.bias - sum(delta[key] * b.bias for key, b in basis[j].items())).max() < 1e-12
+        assert (
+            np.abs(change.bias - sum(delta[key] * b.bias for key, b in basis[j].items())).max()
+            < 1e-12
+        )
 
 
 def test_a_wrong_body_is_a_difference_and_none_is_nothing() -> None:
     body = read_urdf(str(ARM))[0][1]
     assert np.all(change_of(term("body", 2), body) == 0.0)
     heavier = change_of(term("body", 2, mass=0.4), body)
-    scaled = numbers_of(0.4, body.com, np.zeros((3, 3)))  # as if the difference sat at the centre of mass
+    # as if the difference sat at the centre of mass
+    scaled = numbers_of(0.4, body.com, np.zeros((3, 3)))
     assert np.abs(heavier - scaled).max() < 1e-12
 
 
 def test_a_link_without_mass_left_is_refused_by_name_and_number() -> None:
     bodies, _ = read_urdf(str(ARM))
-    with pytest.raises(ModelError, match=r"body of joint 2: mass = -99 kg leaves a link of .* kg with -.* kg; it has to stay above 0"):
+    with pytest.raises(
+        ModelError,
+        match=(
+            r"body of joint 2: mass = -99 kg leaves a link of .* kg with -.* kg; it has to stay"
+            r" above 0"
+        ),
+    ):
         changed(bodies, [term("body", 2, mass=-99.0)])
 
 
@@ -138,10 +164,14 @@ def test_a_payload_on_a_machine_without_bodies_is_refused(tmp_path: Path) -> Non
     from zendsp.diagnosis.prepare import prepare
     from zendsp.diagnosis.reading import Signals
 
-    model = parse_model({
-        "name": "cart", "sample_time": 0.01, "mechanism": {"kind": "linear", "parameters": {"mass": 2.0}},
-        "effect": [{"kind": "payload", "joint": 1, "mass": 1.0}],
-    })  # fmt: skip
+    model = parse_model(
+        {
+            "name": "cart",
+            "sample_time": 0.01,
+            "mechanism": {"kind": "linear", "parameters": {"mass": 2.0}},
+            "effect": [{"kind": "payload", "joint": 1, "mass": 1.0}],
+        }
+    )
     t = np.arange(400) * 0.01
     q = np.sin(t)[:, None]
     signals = Signals("cart", t, 0.01, q, -2.0 * q, None, np.zeros(1))

@@ -1,4 +1,6 @@
-"""C made from models: the same torque as Python and Pinocchio, in a target and in a simulation, and it does cancel what was found."""
+"""C made from models: the same torque as Python and Pinocchio, in a target and in a simulation, and
+it does cancel what was found.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,7 @@ void UserISR_INT2(void) {
     ModelGravity(q, g);
 }
 void UserBackground(void) {}
-"""
+"""  # noqa: E501
 
 
 def probe(model: Model) -> dict[str, str]:
@@ -63,7 +65,9 @@ def wam_by_hand(q: Any, qd: Any, qdd: Any) -> Any:
         v = qd[:, term.joint - 1]
         pos, neg = (p.value for p in term.parameters.values())
         level = np.where(v > 0, pos, neg)
-        tau[:, term.joint - 1] += level * (v if term.effect == "viscous_asymmetry" else np.tanh(v / 0.02))
+        tau[:, term.joint - 1] += level * (
+            v if term.effect == "viscous_asymmetry" else np.tanh(v / 0.02)
+        )
     return tau
 
 
@@ -71,7 +75,12 @@ def test_the_wam_in_c_is_pinocchio_plus_friction_to_1e_9_in_a_simulation_and_on_
     model = load_model(MODELS / "wam7.toml")
     sim = simulate(probe(model), model, seconds=0.3, flags=STRICT)
     assert np.abs(sim["tau"] - wam_by_hand(sim["q"], sim["qd"], sim["qdd"])).max() < 1e-9
-    assert np.abs(inverse_dynamics(model, sim["q"], sim["qd"], sim["qdd"], sign_speed=0.02) - sim["tau"]).max() < 1e-9
+    assert (
+        np.abs(
+            inverse_dynamics(model, sim["q"], sim["qd"], sim["qdd"], sign_speed=0.02) - sim["tau"]
+        ).max()
+        < 1e-9
+    )
     with Runtime("wam7", clock="fast") as runtime:
         result = runtime.compile(probe(model), ("-Wall", "-Wextra"))
         assert result.ok and not result.diagnostics, result.diagnostics
@@ -90,7 +99,10 @@ def test_a_payload_and_a_tilted_base_are_in_the_c_of_the_wam() -> None:
 
     carried = {"mass": 2.0, "com_x": 0.01, "com_y": -0.03, "com_z": 0.12, "inertia": 0.004}
     found = {"payload": (7, carried), "base_tilt": (1, {"angle_x": 0.1, "angle_y": -0.05})}
-    terms = [Term(name, j, {k: Quantity(v) for k, v in values.items()}) for name, (j, values) in found.items()]
+    terms = [
+        Term(name, j, {k: Quantity(v) for k, v in values.items()})
+        for name, (j, values) in found.items()
+    ]
     model = load_model(MODELS / "wam7.toml").with_terms(tuple(terms))
     sim = simulate(probe(model), model, seconds=0.3, flags=STRICT)
     robot = pin.buildModelFromUrdf(str(MODELS / "wam7.urdf"))
@@ -100,7 +112,10 @@ def test_a_payload_and_a_tilted_base_are_in_the_c_of_the_wam() -> None:
     data = robot.createData()
     rows = zip(sim["q"], sim["qd"], sim["qdd"], strict=True)
     assert np.abs(sim["tau"] - [pin.rnea(robot, data, *row) for row in rows]).max() < 1e-9
-    assert np.abs(sim["g"] - [pin.computeGeneralizedGravity(robot, data, q) for q in sim["q"]]).max() < 1e-9
+    assert (
+        np.abs(sim["g"] - [pin.computeGeneralizedGravity(robot, data, q) for q in sim["q"]]).max()
+        < 1e-9
+    )
     assert "Not in it" not in model_code(model)
 
 
@@ -109,27 +124,65 @@ def test_the_planar_arm_in_c_is_its_equation() -> None:
     rec = simulate(probe(model), model, seconds=0.5, flags=STRICT)
     (_q1, q2), (v1, v2), (a1, a2) = rec["q"].T, rec["qd"].T, rec["qdd"].T
     c, s = 0.242 * np.cos(q2), 0.242 * np.sin(q2)
-    first = (3.473 + 2 * c) * a1 + (0.196 + c) * a2 - s * v2 * (2 * v1 + v2) + 5.3 * v1 + 8.45 * np.tanh(v1 / 0.02)
+    first = (
+        (3.473 + 2 * c) * a1
+        + (0.196 + c) * a2
+        - s * v2 * (2 * v1 + v2)
+        + 5.3 * v1
+        + 8.45 * np.tanh(v1 / 0.02)
+    )
     second = (0.196 + c) * a1 + 0.196 * a2 + s * v1**2 + 1.1 * v2 + 2.35 * np.tanh(v2 / 0.02)
-    assert np.abs(rec["tau"] - np.stack([first, second], axis=1)).max() < 1e-9 and np.all(rec["g"] == 0)
+    assert np.abs(rec["tau"] - np.stack([first, second], axis=1)).max() < 1e-9 and np.all(
+        rec["g"] == 0
+    )
 
 
 def test_numbers_are_parameters_that_change_the_torque_while_it_runs() -> None:
     model = load_model(MODELS / "pendulum.toml")
     plain = simulate(probe(model), model, seconds=0.2)
-    heavy = simulate(probe(model), model, seconds=0.2, parameters={"model_inertia1": 0.01, "model_coulomb1_level": 0.0})
+    heavy = simulate(
+        probe(model),
+        model,
+        seconds=0.2,
+        parameters={"model_inertia1": 0.01, "model_coulomb1_level": 0.0},
+    )
     expected = (0.01 - 2.07e-3) * plain["qdd"] - 0.1 * np.tanh(plain["qd"] / 0.02)
     assert np.abs(heavy["tau"] - plain["tau"] - expected).max() < 1e-12
 
 
 def every_effect() -> list[Term]:
-    numbers = {"from_joint": 2.0, "law": 1.0, "order": 7.0, "period": 0.5, "exponent": 2.0, "velocity": 0.3, "split": 0.7, "smooth": 0.05}
-    return [Term(e.name, 1, {p.name: Quantity(numbers.get(p.name, 0.11 + 0.01 * k)) for k, p in enumerate(e.parameters)}) for e in library().values()]
+    numbers = {
+        "from_joint": 2.0,
+        "law": 1.0,
+        "order": 7.0,
+        "period": 0.5,
+        "exponent": 2.0,
+        "velocity": 0.3,
+        "split": 0.7,
+        "smooth": 0.05,
+    }
+    return [
+        Term(
+            e.name,
+            1,
+            {
+                p.name: Quantity(numbers.get(p.name, 0.11 + 0.01 * k))
+                for k, p in enumerate(e.parameters)
+            },
+        )
+        for e in library().values()
+    ]
 
 
 def test_every_effect_that_has_c_has_the_same_torque_in_python() -> None:
-    """Each alone, against the Python law; those of actuator and load need a command and are checked below."""
-    base = {"sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}}, "columns": {"position": ["a", "b"]}}
+    """Each alone, against the Python law; those of actuator and load need a command and are checked
+    below.
+    """
+    base = {
+        "sample_time": 0.001,
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
+        "columns": {"position": ["a", "b"]},
+    }
     checked = []
     for term in every_effect():
         if not compensable(term) or term.effect in ("torque_gain", "dead_zone", "load_friction"):
@@ -162,33 +215,74 @@ void UserBackground(void) {}
 
 @pytest.mark.parametrize(
     ("kind", "values"),
-    [("coulomb", {"level": 0.2}), ("gravity", {"torque": 0.5, "angle": 0.4}), ("stiffness", {"coefficient": 0.6, "neutral": 0.2}), ("ripple", {"order": 6.0, "amplitude": 0.2, "phase": 0.5}),
-     ("torque_gain", {"ratio": -0.4}), ("dead_zone", {"width": 0.15}), ("quadratic_drag", {"coefficient": 0.05}), ("coulomb_asymmetry", {"level_pos": 0.1, "level_neg": 0.3})],
-)  # fmt: skip
+    [
+        ("coulomb", {"level": 0.2}),
+        ("gravity", {"torque": 0.5, "angle": 0.4}),
+        ("stiffness", {"coefficient": 0.6, "neutral": 0.2}),
+        ("ripple", {"order": 6.0, "amplitude": 0.2, "phase": 0.5}),
+        ("torque_gain", {"ratio": -0.4}),
+        ("dead_zone", {"width": 0.15}),
+        ("quadratic_drag", {"coefficient": 0.05}),
+        ("coulomb_asymmetry", {"level_pos": 0.1, "level_neg": 0.3}),
+    ],
+)
 def test_compensation_takes_the_effect_out_of_the_loop(kind: str, values: dict[str, float]) -> None:
     from zendsp.reference import Reference
     from zendsp_isr.build import source_root
 
-    model = parse_model({"sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}, "effect": [{"kind": kind, "joint": 1, **values}]})
+    model = parse_model(
+        {
+            "sample_time": 0.001,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}},
+            "effect": [{"kind": kind, "joint": 1, **values}],
+        }
+    )
     motion = (source_root() / "programs" / "motion.h").read_text()
-    sources = {"loop.c": LOOP, "motion.h": motion, "compensation.c": compensation(model.terms, actuator=model.actuator)}
+    sources = {
+        "loop.c": LOOP,
+        "motion.h": motion,
+        "compensation.c": compensation(model.terms, actuator=model.actuator),
+    }
     t = 0.001 * np.arange(3000)
     reference = Reference((0.6 * np.sin(4.0 * t))[:, None], 0.001)
     error = {}
     for share in (0.0, 1.0):
-        rec = simulate(sources, model, reference=reference, parameters={"comp_share": share, "approach_time": 0.2})
+        rec = simulate(
+            sources,
+            model,
+            reference=reference,
+            parameters={"comp_share": share, "approach_time": 0.2},
+        )
         error[share] = float(np.sqrt(np.mean(rec["e"][700:3200] ** 2)))
-    assert error[1.0] < 0.35 * error[0.0], error  # what is left: a sign taken late, a sample of delay, quantised speed
+    # what is left: a sign taken late, a sample of delay, quantised speed
+    assert error[1.0] < 0.35 * error[0.0], error
 
 
 def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
     terms = [t for t in every_effect() if not compensable(t)]
-    assert {t.effect for t in terms} >= {"delay", "lag", "backlash", "elasticity", "presliding", "hysteresis", "saturation"}
+    assert {t.effect for t in terms} >= {
+        "delay",
+        "lag",
+        "backlash",
+        "elasticity",
+        "presliding",
+        "hysteresis",
+        "saturation",
+    }
     text = compensation(terms, title="a */ b", sentences=["Joint 1 lacks everything. */"])
     for term in terms:
         assert f"Not compensated: {term.effect} of joint 1 (" in text
     model = load_model(MODELS / "pendulum.toml")
-    rec = simulate({"loop.c": LOOP.replace('#include "motion.h"', '#include "motion.h"'), "motion.h": _motion(), "compensation.c": text}, model, seconds=0.05, flags=STRICT)
+    rec = simulate(
+        {
+            "loop.c": LOOP.replace('#include "motion.h"', '#include "motion.h"'),
+            "motion.h": _motion(),
+            "compensation.c": text,
+        },
+        model,
+        seconds=0.05,
+        flags=STRICT,
+    )
     assert np.all(np.isfinite(rec["tau"]))
 
 
@@ -200,16 +294,33 @@ def _motion() -> str:
 
 def test_all_compensable_effects_together_compile_without_a_warning() -> None:
     terms = every_effect()
-    text = compensation([*terms, *[t for t in terms if t.effect == "ripple"]], actuator=Actuator(gain=(2.0,)))
-    body = LOOP.replace("#define N 1", "#define N 2").replace("tau[0] +=", "tau[1] = 0.0;\n    tau[0] +=")
-    model = parse_model({"sample_time": 0.001, "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}}, "columns": {"position": ["a", "b"]}})
-    rec = simulate({"loop.c": body, "motion.h": _motion(), "compensation.c": text}, model, seconds=0.02, flags=STRICT)
+    text = compensation(
+        [*terms, *[t for t in terms if t.effect == "ripple"]], actuator=Actuator(gain=(2.0,))
+    )
+    body = LOOP.replace("#define N 1", "#define N 2").replace(
+        "tau[0] +=", "tau[1] = 0.0;\n    tau[0] +="
+    )
+    model = parse_model(
+        {
+            "sample_time": 0.001,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
+            "columns": {"position": ["a", "b"]},
+        }
+    )
+    rec = simulate(
+        {"loop.c": body, "motion.h": _motion(), "compensation.c": text},
+        model,
+        seconds=0.02,
+        flags=STRICT,
+    )
     assert "comp_ripple1_2_order" in rec.parameters and "comp_dead_zone1_width" in rec.parameters
 
 
 def test_a_python_model_has_no_c() -> None:
     with pytest.raises(ModelError, match="python"):
-        model_code(parse_model({"sample_time": 0.001, "mechanism": {"kind": "python", "entry": "m:f"}}))
+        model_code(
+            parse_model({"sample_time": 0.001, "mechanism": {"kind": "python", "entry": "m:f"}})
+        )
 
 
 def test_model2c_writes_what_the_function_gives(tmp_path: Path) -> None:
@@ -222,8 +333,26 @@ def test_model2c_writes_what_the_function_gives(tmp_path: Path) -> None:
 
 
 def test_a_stribeck_term_alone_is_compensated_over_the_coulomb_level_of_its_model() -> None:
-    base = {"sample_time": 0.001, "mechanism": {"kind": "linear", "parameters": {"mass": 1.0}}, "actuator": {"unit": "V"}}
-    model = parse_model({**base, "name": "axis", "effect": [{"kind": "coulomb", "joint": 1, "level": 0.4}, {"kind": "stribeck", "joint": 1, "breakaway": 0.7, "velocity": 0.02}]})
+    base = {
+        "sample_time": 0.001,
+        "mechanism": {"kind": "linear", "parameters": {"mass": 1.0}},
+        "actuator": {"unit": "V"},
+    }
+    model = parse_model(
+        {
+            **base,
+            "name": "axis",
+            "effect": [
+                {"kind": "coulomb", "joint": 1, "level": 0.4},
+                {"kind": "stribeck", "joint": 1, "breakaway": 0.7, "velocity": 0.02},
+            ],
+        }
+    )
     text = compensation([model.terms[1]], model=model, sentences=["Friction falls with speed."])
-    assert "comp_stribeck1_breakaway, 0.29999" in text and '"N"' in text and "physics found in axis" in text and "Friction falls" in text
+    assert (
+        "comp_stribeck1_breakaway, 0.29999" in text
+        and '"N"' in text
+        and "physics found in axis" in text
+        and "Friction falls" in text
+    )
     assert "comp_coulomb1" not in text

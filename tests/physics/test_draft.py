@@ -1,4 +1,6 @@
-"""A model file begun from a recording: what is recognised, what is asked, and that it can be read back."""
+"""A model file begun from a recording: what is recognised, what is asked, and that it can be read
+back.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ INERTIA, GRAVITY, COUNTS = 0.031, 0.42, 4096
 
 
 def recording() -> dict[str, np.ndarray]:
-    """A pendulum that follows a sum of sines: tau = J qdd + 0.05 qd + 0.1 sign(qd) + g sin(q), counted by an encoder."""
+    """A pendulum that follows a sum of sines: tau = J qdd + 0.05 qd + 0.1 sign(qd) + g sin(q),
+    counted by an encoder.
+    """
     waves = [(1.1, 3.1, 0.2), (0.5, 7.3, 1.0), (0.2, 13.0, 2.0)]
     q = sum(a * np.sin(w * T + p) for a, w, p in waves)
     qd = sum(a * w * np.cos(w * T + p) for a, w, p in waves)
@@ -52,9 +56,16 @@ def test_numbers_come_from_the_recording() -> None:
 def test_what_the_recording_cannot_say_is_asked() -> None:
     columns = recording()
     del columns["r"]
-    draft = draft_model(Table({"q": columns["q"], "iq": columns["tau"]}, {"iq": "A"}, {}, Path("run.csv")))
+    draft = draft_model(
+        Table({"q": columns["q"], "iq": columns["tau"]}, {"iq": "A"}, {}, Path("run.csv"))
+    )
     asked = "\n".join(draft.questions)
-    for words in ("no time column", "does it turn (rad) or slide (m)", "how many N m (N) does one A of iq make", "how long until"):
+    for words in (
+        "no time column",
+        "does it turn (rad) or slide (m)",
+        "how many N m (N) does one A of iq make",
+        "how long until",
+    ):
         assert words.lower() in asked.lower()
     assert draft.text.count("# ? ") == len(draft.questions)
     assert model_of(draft.text).columns["command"] == "iq"
@@ -69,11 +80,21 @@ def test_a_command_that_was_cut_off_shows_the_limit() -> None:
 
 def test_joints_are_grouped_and_sides_are_told_apart() -> None:
     one = recording()
-    names = {f"axis{k}.{what}": one[short] * k for k in (1, 2, 3) for what, short in (("pos", "q"), ("torque", "tau"))}
+    names = {
+        f"axis{k}.{what}": one[short] * k
+        for k in (1, 2, 3)
+        for what, short in (("pos", "q"), ("torque", "tau"))
+    }
     load = {f"q_load{k}": one["q"] for k in (1, 2, 3)}
-    draft = draft_model(Table({"time": T, **names, **load, "noise": one["r"]}, {}, {}, Path("run.h5")))
+    draft = draft_model(
+        Table({"time": T, **names, **load, "noise": one["r"]}, {}, {}, Path("run.h5"))
+    )
     model = model_of(draft.text)
-    assert model.joints == 3 and model.columns["position"] == ["axis1.pos", "axis2.pos", "axis3.pos"]
+    assert model.joints == 3 and model.columns["position"] == [
+        "axis1.pos",
+        "axis2.pos",
+        "axis3.pos",
+    ]
     assert model.columns["command"] == ["axis1.torque", "axis2.torque", "axis3.torque"]
     assert model.columns["position_load"] == ["q_load1", "q_load2", "q_load3"]
     assert "not used: noise" in draft.text
@@ -83,10 +104,19 @@ def test_joints_are_grouped_and_sides_are_told_apart() -> None:
 def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
     one = recording()
     rows = np.column_stack([T * 1e3, np.degrees(one["q"]), one["tau"] * 1e3])
-    np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header="t,angle,torque\nms,deg,mN m", comments="", fmt="%.17g")
+    np.savetxt(
+        tmp_path / "run.csv",
+        rows,
+        delimiter=",",
+        header="t,angle,torque\nms,deg,mN m",
+        comments="",
+        fmt="%.17g",
+    )
     draft = draft_model(read_table(tmp_path / "run.csv"))
     model = model_of(draft.text)
-    assert model.sample_time == STEP and model.sensor.resolution[0] == pytest.approx(2 * np.pi / COUNTS, rel=1e-6)
+    assert model.sample_time == STEP and model.sensor.resolution[0] == pytest.approx(
+        2 * np.pi / COUNTS, rel=1e-6
+    )
     assert "angle: deg converted to rad" in draft.text
 
 
@@ -98,11 +128,23 @@ def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
 @pytest.mark.parametrize(
     ("name", "unit", "role"),
     [
-        ("q[0]", "", "position"), ("q_ref", "rad", "reference"), ("tau_cmd", "", "command"), ("pos_cmd", "", "reference"),
-        ("i_q", "A", "current"), ("motor_current", "", "current"), ("torque_meas", "", "torque_measured"), ("qd", "", "velocity"),
-        ("desired_velocity", "", ""), ("joint_states.elbow.position", "", "position"), ("effort/commands.data", "", "command"),
-        ("time_ms", "", "time"), ("Channel 3", "rad", "position"), ("exec_us", "us", ""), ("x", "N m", "command"), ("e", "", ""),
+        ("q[0]", "", "position"),
+        ("q_ref", "rad", "reference"),
+        ("tau_cmd", "", "command"),
+        ("pos_cmd", "", "reference"),
+        ("i_q", "A", "current"),
+        ("motor_current", "", "current"),
+        ("torque_meas", "", "torque_measured"),
+        ("qd", "", "velocity"),
+        ("desired_velocity", "", ""),
+        ("joint_states.elbow.position", "", "position"),
+        ("effort/commands.data", "", "command"),
+        ("time_ms", "", "time"),
+        ("Channel 3", "rad", "position"),
+        ("exec_us", "us", ""),
+        ("x", "N m", "command"),
+        ("e", "", ""),
     ],
-)  # fmt: skip
+)
 def test_roles(name: str, unit: str, role: str) -> None:
     assert role_of(name, unit).value == role

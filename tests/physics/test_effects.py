@@ -64,7 +64,10 @@ CONTRACT = {
     "column_shift": ["time"],
 }
 MECHANISM = {
-    "dry_friction": "coulomb coulomb_asymmetry stribeck presliding hysteresis load_friction position_friction friction_drift friction_temperature",
+    "dry_friction": (
+        "coulomb coulomb_asymmetry stribeck presliding hysteresis load_friction position_friction"
+        " friction_drift friction_temperature"
+    ),
     "fluid_friction": "viscous viscous_asymmetry quadratic_drag",
     "transmission": "elasticity stiffening backlash transmission_error",
     "position_torque": "gravity stiffness cubic_stiffness ripple",
@@ -73,7 +76,8 @@ MECHANISM = {
     "measurement": "encoder_eccentricity sensor_harmonic position_filter column_shift",
     "disturbance": "disturbance",
 }
-BESIDE = {"coulomb_tanh", "friction_block"}  # laws of dry friction that the simulator knows and no diagnosis names
+# laws of dry friction that the simulator knows and no diagnosis names
+BESIDE = {"coulomb_tanh", "friction_block"}
 
 
 @pytest.mark.parametrize("name", CONTRACT)
@@ -88,7 +92,9 @@ def test_mechanism_of_the_contract_has_its_laws(mechanism: str) -> None:
     assert tuple(MECHANISM) == MECHANISMS
 
 
-def test_an_effect_of_an_unknown_mechanism_is_refused_and_one_of_none_is_a_mechanism_by_itself() -> None:
+def test_an_effect_of_an_unknown_mechanism_is_refused_and_one_of_none_is_a_mechanism_by_itself() -> (  # noqa: E501
+    None
+):
     with pytest.raises(ModelError, match=r"'mine': mechanism = 'magic'.*dry_friction"):
         replace(get_effect("viscous"), name="mine", mechanism="magic")
     assert replace(get_effect("viscous"), name="mine", mechanism="").mechanism == ""
@@ -102,22 +108,33 @@ def test_effect_is_explained(name: str) -> None:
     assert "{joint}" in effect.sentence or name == "base_tilt"  # which is of no joint
     assert effect.sentence.endswith(".")
     for field in re.findall(r"{(\w+)}", effect.sentence):
-        assert field == "joint" or field in effect.names or (field == "repeats" and "order" in effect.names)
+        assert (
+            field == "joint"
+            or field in effect.names
+            or (field == "repeats" and "order" in effect.names)
+        )
     assert len(effect.parameters) <= 6  # what the kernel's table holds
     for p in effect.parameters:
         assert unit_of(p.size, "rotary") and unit_of(p.size, "linear") and p.lower < p.upper
     assert set(effect.linear) | set(effect.grid) <= set(effect.names)
-    assert all(other in library() or other == "disturbance" for other in (*effect.rivals, *effect.replaces))
+    assert all(
+        other in library() or other == "disturbance" for other in (*effect.rivals, *effect.replaces)
+    )
 
 
 def test_units_follow_the_kind_of_joint() -> None:
-    assert unit_of("torque/speed", "rotary") == "N m s/rad" and unit_of("torque/speed", "linear") == "N s/m"
+    assert (
+        unit_of("torque/speed", "rotary") == "N m s/rad"
+        and unit_of("torque/speed", "linear") == "N s/m"
+    )
     assert unit_of("inertia", "rotary") == "kg m²" and unit_of("inertia", "linear") == "kg"
     assert unit_of("command", "rotary", "V") == "V"
 
 
 def _generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("generate_effects", ROOT / "docs" / "generate_effects.py")
+    spec = importlib.util.spec_from_file_location(
+        "generate_effects", ROOT / "docs" / "generate_effects.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -125,7 +142,9 @@ def _generator() -> ModuleType:
 
 
 def test_page_of_effects_is_the_library() -> None:
-    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == _generator().page(), "run python docs/generate_effects.py"
+    assert (ROOT / "docs" / "effects.md").read_text(
+        encoding="utf-8"
+    ) == _generator().page(), "run python docs/generate_effects.py"
 
 
 def test_unknown_effect_lists_the_known_ones() -> None:
@@ -133,7 +152,9 @@ def test_unknown_effect_lists_the_known_ones() -> None:
         get_effect("friktion")
 
 
-@pytest.mark.parametrize(("text", "words"), [("x = 1\n", "defines no"), ("1 / 0\n", "division"), (None, "no such")])
+@pytest.mark.parametrize(
+    ("text", "words"), [("x = 1\n", "defines no"), ("1 / 0\n", "division"), (None, "no such")]
+)
 def test_files_without_effects_are_refused(text: str | None, words: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     if text is not None:
@@ -143,7 +164,11 @@ def test_files_without_effects_are_refused(text: str | None, words: str, tmp_pat
 
 
 def test_c_of_an_effect_that_cannot_be_run_for_many_parameter_sets_is_refused_by_name() -> None:
-    odd = replace(get_effect("viscous"), name="mine", c="const double *mine = p; return mine[0] * s -> qd;")
+    odd = replace(
+        get_effect("viscous"), name="mine", c="const double *mine = p; return mine[0] * s -> qd;"
+    )
     with pytest.raises(ZendspError, match=r"'mine': 'p' stands alone"):
         source_text({"mine": odd})
-    assert "p[(0) * LANES + l] * s->qd[l]" in source_text({"mine": replace(odd, c="return p [0] * s -> qd;")})
+    assert "p[(0) * LANES + l] * s->qd[l]" in source_text(
+        {"mine": replace(odd, c="return p [0] * s -> qd;")}
+    )

@@ -1,4 +1,6 @@
-"""Calibration: right parameters with honest standard deviations, whatever the step of the integrator."""
+"""Calibration: right parameters with honest standard deviations, whatever the step of the
+integrator.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ COUNT = 2 * np.pi / 16384
 
 
 def recording(seed: int) -> Signals:
-    """Six seconds in open loop with torques that reverse: plain Python at 20 kHz, friction by a smooth step."""
+    """Six seconds in open loop with torques that reverse: plain Python at 20 kHz, friction by a
+    smooth step.
+    """
     r = np.random.default_rng(seed)
     t = np.arange(N) * T
     f, p = np.geomspace(0.3, 5.0, 8), r.uniform(0, 6.28, 8)
@@ -29,7 +33,8 @@ def recording(seed: int) -> Signals:
     q, v, out, h = 0.0, 0.0, [], T / 40
     for k in range(N):
         out.append(q)
-        torque = u[k] - 3.0 * q - 0.05 * v  # held near zero by a loop that is part of the command below
+        # held near zero by a loop that is part of the command below
+        torque = u[k] - 3.0 * q - 0.05 * v
         for _ in range(40):
             s = np.tanh(v / 5e-4) if abs(v) < 0.01 else np.sign(v)
             slope = level / 5e-4 * (1 - s * s)
@@ -42,8 +47,14 @@ def recording(seed: int) -> Signals:
 
 MODEL = {
     "sample_time": T,
-    "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.0103}, "gravity": {"value": 0.19}}},
-    "effect": [{"kind": "viscous", "joint": 1, "coefficient": {"value": 0.008}}, {"kind": "coulomb", "joint": 1, "level": {"value": 0.01}}],
+    "mechanism": {
+        "kind": "rotary",
+        "parameters": {"inertia": {"value": 0.0103}, "gravity": {"value": 0.19}},
+    },
+    "effect": [
+        {"kind": "viscous", "joint": 1, "coefficient": {"value": 0.008}},
+        {"kind": "coulomb", "joint": 1, "level": {"value": 0.01}},
+    ],
 }
 
 
@@ -57,14 +68,18 @@ def _fit(data: Data, inner: int) -> dict[str, tuple[float, float]]:
     scored = fit_scored(replace(data, inner=inner), model, free_handles(model, offsets=False), (1,))
     result = scored.fit
     names = {"mechanism": lambda h: h.key, "term": lambda h: h.key}
-    return {names[h.place](h): (float(x), float(s)) for h, x, s in zip(result.handles, result.x, result.std, strict=True)}
+    return {
+        names[h.place](h): (float(x), float(s))
+        for h, x, s in zip(result.handles, result.x, result.std, strict=True)
+    }
 
 
 def test_parameters_are_found_with_honest_standard_deviations(data: Data) -> None:
     found = _fit(data, 2)
     for name, true in zip(("inertia", "coefficient", "level", "gravity"), TRUE, strict=True):
         value, std = found[name]
-        # reality's friction has a slope of its own below 1 mrad/s, which no sharp step describes: a few percent of the smallest term
+        # reality's friction has a slope of its own below 1 mrad/s, which no sharp step describes: a
+        # few percent of the smallest term
         assert value == pytest.approx(true, rel=0.04 if name == "coefficient" else 0.01), name
         assert 0 < std < 0.02 * true, name
 
@@ -79,7 +94,8 @@ def test_standard_deviations_shrink_with_the_recordings(data: Data) -> None:
 def test_parameters_do_not_depend_on_the_integration_step(data: Data) -> None:
     two, four = _fit(data, 2), _fit(data, 4)
     for name, (value, std) in two.items():
-        # the scheme is of second order: half the step moves a parameter by no more than what is uncertain anyway
+        # the scheme is of second order: half the step moves a parameter by no more than what is
+        # uncertain anyway
         assert abs(value - four[name][0]) < max(2 * std, 1e-3 * abs(value)), name
 
 
@@ -90,7 +106,8 @@ def test_what_the_step_does_is_known_without_fitting_again(data: Data) -> None:
     one, eight = (fit(d, model, handles, joints=(1,), iterations=20) for d in (coarse, fine))
     told, really = step_error(coarse, one, (1,)), eight.x - one.x
     assert np.max(np.abs(really / one.std)) > 1.0  # a step so coarse that it matters
-    assert (np.abs(told - really) < np.maximum(one.std, 0.3 * np.abs(really))).all()  # to first order
+    # to first order
+    assert (np.abs(told - really) < np.maximum(one.std, 0.3 * np.abs(really))).all()
     assert (np.sign(told) == np.sign(really)).all()
     certain = with_step_error(coarse, one, (1,))
     assert (certain.std >= np.abs(told)).all() and (certain.std >= one.std).all()
@@ -102,11 +119,20 @@ def test_handles_read_and_write_the_same_numbers() -> None:
     x = get_values(model, handles) * 1.5 + 0.001
     again = set_values(model, handles, x)
     np.testing.assert_allclose(get_values(again, handles), x)
-    np.testing.assert_allclose(get_values(model, handles), (x - 0.001) / 1.5)  # the model itself is untouched
+    # the model itself is untouched
+    np.testing.assert_allclose(get_values(model, handles), (x - 0.001) / 1.5)
 
 
 def test_numbers_that_are_not_free_stay() -> None:
-    fixed = parse_model({**MODEL, "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 0.01, "free": False}, "gravity": 0.0}}})
+    fixed = parse_model(
+        {
+            **MODEL,
+            "mechanism": {
+                "kind": "rotary",
+                "parameters": {"inertia": {"value": 0.01, "free": False}, "gravity": 0.0},
+            },
+        }
+    )
     keys = [h.key for h in free_handles(fixed)]
     assert "inertia" not in keys  # fixed by hand
     assert "gravity" not in keys  # zero: physics that the model does not have

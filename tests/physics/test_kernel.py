@@ -1,4 +1,6 @@
-"""The compiled kernel against differential equations integrated elsewhere (Runge-Kutta of fourth order, ten steps a sample and more), effect by effect."""
+"""The compiled kernel against differential equations integrated elsewhere (Runge-Kutta of fourth
+order, ten steps a sample and more), effect by effect.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def command() -> np.ndarray:
     """Torque that starts at rest and reverses, N m."""
     t = np.arange(N) * T
     ramp = 1 - np.exp(-((t / 0.3) ** 2))
-    u: np.ndarray = 0.15 * ramp * (np.sin(2 * np.pi * 1.1 * t) + 0.7 * np.sin(2 * np.pi * 2.7 * t + 1))
+    u: np.ndarray = (
+        0.15 * ramp * (np.sin(2 * np.pi * 1.1 * t) + 0.7 * np.sin(2 * np.pi * 2.7 * t + 1))
+    )
     return u
 
 
@@ -37,7 +41,12 @@ def warmth(t: float) -> float:
     return 20 + 8 * t
 
 
-def integrate(derivative: Callable[[np.ndarray, float, float], np.ndarray], states: int, sub: int = 10, start: float = 0.0) -> np.ndarray:
+def integrate(
+    derivative: Callable[[np.ndarray, float, float], np.ndarray],
+    states: int,
+    sub: int = 10,
+    start: float = 0.0,
+) -> np.ndarray:
     """Trajectory (N, states) from rest under the held command; ``start``: of the first state."""
     u, x, out, h = command(), np.zeros(states), [], T / sub
     x[0] = start
@@ -53,7 +62,9 @@ def integrate(derivative: Callable[[np.ndarray, float, float], np.ndarray], stat
     return np.array(out)
 
 
-def rigid(resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia: float = J, sub: int = 10) -> np.ndarray:
+def rigid(
+    resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia: float = J, sub: int = 10
+) -> np.ndarray:
     """Position of one inertia against a resisting torque."""
 
     def derivative(x: np.ndarray, t: float, u: float) -> np.ndarray:
@@ -63,18 +74,26 @@ def rigid(resist: Torque, drive: Callable[[float], float] = lambda u: u, inertia
 
 
 def recorded(
-    position: np.ndarray, terms: list[dict[str, Any]], inertia: float = J, gravity: float = 0.0, **tables: Any
+    position: np.ndarray,
+    terms: list[dict[str, Any]],
+    inertia: float = J,
+    gravity: float = 0.0,
+    **tables: Any,
 ) -> tuple[Model, JointRecord]:
     """A model with these terms, and the recording of a position under the command."""
     mechanism = {"kind": "rotary", "parameters": {"inertia": inertia, "gravity": gravity}}
     model = parse_model({"mechanism": mechanism, "effect": terms, "sample_time": T, **tables})
     one = np.ascontiguousarray(position)[:, None]
     extra = {"temperature": np.array([[warmth(k * T)] for k in range(N)])}
-    signals = Signals("reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1), extra=extra)
+    signals = Signals(
+        "reference", np.arange(N) * T, T, one, command()[:, None], None, np.zeros(1), extra=extra
+    )
     return model, prepare([signals], model).records[0][0]
 
 
-def kernel(position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J, **more: Any) -> np.ndarray:
+def kernel(
+    position: np.ndarray, terms: list[dict[str, Any]], inner: int, inertia: float = J, **more: Any
+) -> np.ndarray:
     """The kernel's free simulation of the whole recording from its first sample."""
     model, record = recorded(position, terms, inertia, **more)
     # the reference rests at first; the smoother's guess of that is not what is tested here
@@ -89,16 +108,28 @@ def dry(level: float) -> Callable[[float], float]:
 
 SMOOTH: dict[str, tuple[dict[str, float], Torque]] = {
     "viscous": ({"coefficient": 0.02}, lambda q, v, t, u: 0.02 * v),
-    "viscous_asymmetry": ({"coefficient_pos": 0.02, "coefficient_neg": 0.05}, lambda q, v, t, u: (0.02 if v > 0 else 0.05) * v),
+    "viscous_asymmetry": (
+        {"coefficient_pos": 0.02, "coefficient_neg": 0.05},
+        lambda q, v, t, u: (0.02 if v > 0 else 0.05) * v,
+    ),
     "quadratic_drag": ({"coefficient": 0.01}, lambda q, v, t, u: 0.01 * v * abs(v)),
     "gravity": ({"torque": 0.1, "angle": 0.3}, lambda q, v, t, u: 0.1 * math.sin(q - 0.3)),
     "stiffness": ({"coefficient": 0.2, "neutral": 0.1}, lambda q, v, t, u: 0.2 * (q - 0.1)),
     "cubic_stiffness": ({"coefficient": 0.1, "neutral": 0.0}, lambda q, v, t, u: 0.1 * q**3),
-    "ripple": ({"order": 5.0, "amplitude": 0.05, "phase": 0.7}, lambda q, v, t, u: 0.05 * math.sin(5 * q + 0.7)),
+    "ripple": (
+        {"order": 5.0, "amplitude": 0.05, "phase": 0.7},
+        lambda q, v, t, u: 0.05 * math.sin(5 * q + 0.7),
+    ),
     "torque_offset": ({"level": 0.02}, lambda q, v, t, u: 0.02),
     # what the drive does not give is a torque that resists
-    "gain_drift": ({"ratio": -0.3, "time_constant": 0.7}, lambda q, v, t, u: 0.3 * u * (1 - math.exp(-t / 0.7))),
-    "voltage_limit": ({"level": 0.14, "slope": 0.05}, lambda q, v, t, u: u - max(-0.14 - 0.05 * v, min(0.14 - 0.05 * v, u))),
+    "gain_drift": (
+        {"ratio": -0.3, "time_constant": 0.7},
+        lambda q, v, t, u: 0.3 * u * (1 - math.exp(-t / 0.7)),
+    ),
+    "voltage_limit": (
+        {"level": 0.14, "slope": 0.05},
+        lambda q, v, t, u: u - max(-0.14 - 0.05 * v, min(0.14 - 0.05 * v, u)),
+    ),
 }
 
 
@@ -110,35 +141,57 @@ def test_smooth_torque_is_integrated_to_second_order(name: str) -> None:
     coarse, fine = (np.max(np.abs(kernel(true, [term], inner) - true)) for inner in (2, 8))
     size = np.max(np.abs(true - without))
     assert coarse < 0.01 * size  # a hundredth of what the effect does
-    assert fine < 0.3 * coarse + 1e-5 * size  # sixteen times less in theory; kinks at reversals cost some
+    # sixteen times less in theory; kinks at reversals cost some
+    assert fine < 0.3 * coarse + 1e-5 * size
 
 
 DRY: dict[str, tuple[list[dict[str, Any]], Torque]] = {
     "coulomb": ([{"kind": "coulomb", "level": 0.05}], lambda q, v, t, u: dry(0.05)(v)),
-    "coulomb_asymmetry": ([{"kind": "coulomb_asymmetry", "level_pos": 0.03, "level_neg": 0.06}], lambda q, v, t, u: dry(0.03 if v > 0 else 0.06)(v)),
+    "coulomb_asymmetry": (
+        [{"kind": "coulomb_asymmetry", "level_pos": 0.03, "level_neg": 0.06}],
+        lambda q, v, t, u: dry(0.03 if v > 0 else 0.06)(v),
+    ),
     # in the kernel's form the Stribeck parameter is the excess over the Coulomb level
     "stribeck": (
-        [{"kind": "coulomb", "level": 0.03}, {"kind": "stribeck", "breakaway": 0.03, "velocity": 0.5}],
+        [
+            {"kind": "coulomb", "level": 0.03},
+            {"kind": "stribeck", "breakaway": 0.03, "velocity": 0.5},
+        ],
         lambda q, v, t, u: dry(0.03 + 0.03 * math.exp(-((v / 0.5) ** 2)))(v),
     ),
     "position_friction": (
-        [{"kind": "coulomb", "level": 0.04}, {"kind": "position_friction", "amplitude": 0.02, "period": 0.5, "phase": 0.2}],
+        [
+            {"kind": "coulomb", "level": 0.04},
+            {"kind": "position_friction", "amplitude": 0.02, "period": 0.5, "phase": 0.2},
+        ],
         lambda q, v, t, u: dry(0.04 + 0.02 * math.sin(2 * math.pi * q / 0.5 + 0.2))(v),
     ),
-    "load_friction": ([{"kind": "load_friction", "coefficient": 0.3}], lambda q, v, t, u: dry(0.3 * abs(u))(v)),
+    "load_friction": (
+        [{"kind": "load_friction", "coefficient": 0.3}],
+        lambda q, v, t, u: dry(0.3 * abs(u))(v),
+    ),
     "friction_drift": (
-        [{"kind": "coulomb", "level": 0.05}, {"kind": "friction_drift", "ratio": -0.5, "time_constant": 1.0}],
+        [
+            {"kind": "coulomb", "level": 0.05},
+            {"kind": "friction_drift", "ratio": -0.5, "time_constant": 1.0},
+        ],
         lambda q, v, t, u: dry(0.05 * (1 - 0.5 * (1 - math.exp(-t))))(v),
     ),
     "friction_temperature": (
-        [{"kind": "coulomb", "level": 0.05}, {"kind": "friction_temperature", "coefficient": -0.04, "reference": 25.0}],
+        [
+            {"kind": "coulomb", "level": 0.05},
+            {"kind": "friction_temperature", "coefficient": -0.04, "reference": 25.0},
+        ],
         lambda q, v, t, u: dry(0.05 * (1 - 0.04 * (warmth(t) - 25)))(v),
     ),
 }
 
 
 def test_a_light_joint_that_rubs_and_is_damped_needs_no_small_steps() -> None:
-    light, terms = 7e-4, [{"kind": "viscous", "joint": 1, "coefficient": 0.1}, {"kind": "coulomb", "joint": 1, "level": 0.05}]
+    light, terms = 7e-4, [
+        {"kind": "viscous", "joint": 1, "coefficient": 0.1},
+        {"kind": "coulomb", "joint": 1, "level": 0.05},
+    ]
     start = np.zeros(N)
     coarse, fine = (kernel(start, terms, inner, light) for inner in (2, 64))
     assert np.max(np.abs(coarse - fine)) < 2e-3 * np.ptp(fine)
@@ -191,7 +244,9 @@ def test_delay_of_a_fraction_of_a_sample_is_exact() -> None:
             v += h * a
     reference = np.array(true)
     got = kernel(reference, [{"kind": "delay", "joint": 1, "time": late}], 4)
-    assert np.max(np.abs(got - reference)) < 0.01 * np.max(np.abs(reference - rigid(lambda *_: 0.0)))
+    assert np.max(np.abs(got - reference)) < 0.01 * np.max(
+        np.abs(reference - rigid(lambda *_: 0.0))
+    )
 
 
 def test_elastic_joint_is_two_inertias() -> None:
@@ -202,7 +257,11 @@ def test_elastic_joint_is_two_inertias() -> None:
         return np.array([x[1], (u - spring) / (J - load), x[3], spring / load])
 
     true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
-    got = kernel(true, [{"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}], 8)
+    got = kernel(
+        true,
+        [{"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}],
+        8,
+    )
     assert np.max(np.abs(got - true)) < 0.05 * np.max(np.abs(true - without))
 
 
@@ -213,11 +272,17 @@ def test_bristles_bend_as_lugre_says() -> None:
         rate = x[1] - s0 * abs(x[1]) * x[2] / level
         return np.array([x[1], (u - s0 * x[2] - s1 * rate) / J, rate])
 
-    true, without = integrate(derivative, 3)[:, 0], rigid(lambda q, v, t, u: dry(level)(v), sub=STIFF)
-    terms = [{"kind": "coulomb", "joint": 1, "level": level}, {"kind": "presliding", "joint": 1, "stiffness": s0, "damping": s1}]
+    true, without = integrate(derivative, 3)[:, 0], rigid(
+        lambda q, v, t, u: dry(level)(v), sub=STIFF
+    )
+    terms = [
+        {"kind": "coulomb", "joint": 1, "level": level},
+        {"kind": "presliding", "joint": 1, "stiffness": s0, "damping": s1},
+    ]
     coarse, fine = (np.max(np.abs(kernel(true, terms, inner) - true)) for inner in (8, 32))
     size = np.max(np.abs(true - without))  # what bending does beside plain friction
-    assert coarse < 0.2 * size and fine < 0.4 * coarse  # implicit and of first order: a quarter of the step, a quarter of the error
+    # implicit and of first order: a quarter of the step, a quarter of the error
+    assert coarse < 0.2 * size and fine < 0.4 * coarse
 
 
 def test_hysteresis_remembers_as_bouc_and_wen_say() -> None:
@@ -230,14 +295,20 @@ def test_hysteresis_remembers_as_bouc_and_wen_say() -> None:
         return np.array([v, (u - force * z) / J, zdot])
 
     true, without = integrate(derivative, 3)[:, 0], rigid(lambda *_: 0.0)
-    got = kernel(true, [{"kind": "hysteresis", "joint": 1, "force": force, "stiffness": stiffness, "exponent": n}], 8)
+    got = kernel(
+        true,
+        [{"kind": "hysteresis", "joint": 1, "force": force, "stiffness": stiffness, "exponent": n}],
+        8,
+    )
     assert np.max(np.abs(got - true)) < 0.01 * np.max(np.abs(true - without))
 
 
 def test_eccentric_encoder_acts_on_the_measurement_only() -> None:
     true = rigid(lambda *_: 0.0)
     measured = true + 0.03 * np.sin(true + 0.5)
-    got = kernel(measured, [{"kind": "encoder_eccentricity", "joint": 1, "amplitude": 0.03, "phase": 0.5}], 2)
+    got = kernel(
+        measured, [{"kind": "encoder_eccentricity", "joint": 1, "amplitude": 0.03, "phase": 0.5}], 2
+    )
     assert np.max(np.abs(got - measured)) < 0.01 * np.max(np.abs(measured - true))
 
 
@@ -245,22 +316,33 @@ def test_a_harmonic_of_the_sensor_acts_on_the_measurement_only() -> None:
     order, size, phase = 2.0, 0.03, 0.5
     true = rigid(lambda *_: 0.0)
     seen = size * np.sin(order * true + phase)
-    term = {"kind": "sensor_harmonic", "joint": 1, "order": order, "amplitude": size, "phase": phase}
+    term = {
+        "kind": "sensor_harmonic",
+        "joint": 1,
+        "order": order,
+        "amplitude": size,
+        "phase": phase,
+    }
     got = kernel(true + seen, [term], 2)
     assert np.max(np.abs(got - (true + seen))) < 0.01 * np.ptp(seen)
 
 
 @pytest.mark.parametrize(("late", "size"), [(0.03, 0.0), (0.0, 0.03)])
-def test_a_free_run_that_begins_in_the_middle_knows_what_the_sensor_makes_of_the_state(late: float, size: float) -> None:
+def test_a_free_run_that_begins_in_the_middle_knows_what_the_sensor_makes_of_the_state(
+    late: float, size: float
+) -> None:
     begin, terms = 300, []
     true = integrate(lambda x, t, u: np.array([x[1], u / J, (x[0] - x[2]) / (late or 1.0)]), 3)
     seen = true[:, 2] if late else true[:, 0] + size * np.sin(2 * true[:, 0] + 0.5)
     if late:
         terms.append({"kind": "position_filter", "joint": 1, "time_constant": late})
     else:
-        terms.append({"kind": "sensor_harmonic", "joint": 1, "order": 2.0, "amplitude": size, "phase": 0.5})
+        terms.append(
+            {"kind": "sensor_harmonic", "joint": 1, "order": 2.0, "amplitude": size, "phase": 0.5}
+        )
     model, record = recorded(seen, terms)
-    record.motion.states[:2] = seen, np.gradient(seen, T)  # the smoother's guess of the speed is not what is tested here
+    # the smoother's guess of the speed is not what is tested here
+    record.motion.states[:2] = seen, np.gradient(seen, T)
     off = np.abs(run(record, model, 16.0, inner=4, free_every=begin).innovations[begin : 2 * begin])
     assert np.max(off) < 0.01 * np.max(np.abs(true[begin : 2 * begin, 0] - seen[begin : 2 * begin]))
 
@@ -277,7 +359,9 @@ def test_a_shifted_command_column_acts_at_another_time_either_way(late: float) -
             v += h * a
     reference = np.array(true)
     got = kernel(reference, [{"kind": "column_shift", "joint": 1, "time": late}], 4)
-    assert np.max(np.abs(got - reference)) < 0.01 * np.max(np.abs(reference - rigid(lambda *_: 0.0)))
+    assert np.max(np.abs(got - reference)) < 0.01 * np.max(
+        np.abs(reference - rigid(lambda *_: 0.0))
+    )
 
 
 def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
@@ -293,7 +377,13 @@ def test_a_stiffening_spring_is_harder_the_more_it_is_bent() -> None:
         return rate
 
     true, straight = integrate(derivative(k3), 4)[:, 0], integrate(derivative(0.0), 4)[:, 0]
-    term = {"kind": "stiffening", "joint": 1, "stiffness": k, "stiffness3": k3, "load_inertia": load}
+    term = {
+        "kind": "stiffening",
+        "joint": 1,
+        "stiffness": k,
+        "stiffness3": k3,
+        "load_inertia": load,
+    }
     size = np.max(np.abs(true - straight))
     # what is left is how far the spring is thought to be bent when the recording begins
     assert np.max(np.abs(kernel(true, [term], 8) - true)) < 0.03 * size
@@ -305,14 +395,22 @@ ORDER, ERROR, PHASE, WEIGHT, ROTOR = 3.0, 0.02, 0.4, 0.2, 0.003
 def uneven(x: float) -> tuple[float, float, float]:
     """Load position behind a motor at x, and its first two derivatives by it."""
     at = ORDER * x + PHASE
-    return x + ERROR * math.sin(at), 1 + ERROR * ORDER * math.cos(at), -ERROR * ORDER**2 * math.sin(at)
+    return (
+        x + ERROR * math.sin(at),
+        1 + ERROR * ORDER * math.cos(at),
+        -ERROR * ORDER**2 * math.sin(at),
+    )
 
 
 @pytest.mark.parametrize("side", ["motor", "load"])
 @pytest.mark.parametrize("elastic", [False, True])
-def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(side: str, elastic: bool) -> None:
+def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(
+    side: str, elastic: bool
+) -> None:
     k, c, load = 60.0, 0.08, 0.006
-    terms: list[dict[str, Any]] = [{"kind": "transmission_error", "order": ORDER, "amplitude": ERROR, "phase": PHASE}]
+    terms: list[dict[str, Any]] = [
+        {"kind": "transmission_error", "order": ORDER, "amplitude": ERROR, "phase": PHASE}
+    ]
     if elastic:
         terms.append({"kind": "elasticity", "stiffness": k, "damping": c, "load_inertia": load})
     else:
@@ -321,17 +419,24 @@ def test_the_load_turns_unevenly_behind_a_transmission_with_an_error(side: str, 
     def stiff(x: np.ndarray, _t: float, u: float) -> np.ndarray:  # by Lagrange, one coordinate
         at, slope, bend = uneven(x[0])
         inert = J * slope * slope + ROTOR
-        return np.array([x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert])
+        return np.array(
+            [x[1], (u - J * slope * bend * x[1] ** 2 - slope * WEIGHT * math.sin(at)) / inert]
+        )
 
     def springy(x: np.ndarray, _t: float, u: float) -> np.ndarray:
         at, slope, _ = uneven(x[0])
         pull = k * (at - x[2]) + c * (slope * x[1] - x[3])
-        return np.array([x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load])
+        return np.array(
+            [x[1], (u - slope * pull) / (J - load), x[3], (pull - WEIGHT * math.sin(x[2])) / load]
+        )
 
     if elastic:
-        hanging = float(brentq(lambda x: uneven(x)[0], -0.1, 0.1))  # of the motor where the load hangs down
+        # of the motor where the load hangs down
+        hanging = float(brentq(lambda x: uneven(x)[0], -0.1, 0.1))
         true = integrate(springy, 4, start=hanging)[:, 0 if side == "motor" else 2]
-        even = integrate(lambda x, t, u: springy_even(x, u, k, c, load), 4)[:, 0 if side == "motor" else 2]
+        even = integrate(lambda x, t, u: springy_even(x, u, k, c, load), 4)[
+            :, 0 if side == "motor" else 2
+        ]
     else:
         motor = integrate(stiff, 2)[:, 0]
         true = motor if side == "motor" else motor + ERROR * np.sin(ORDER * motor + PHASE)
@@ -358,7 +463,11 @@ def test_gap_lets_the_motor_move_alone() -> None:
         return np.array([x[1], (u - force) / (J - load), x[3], force / load])
 
     true, without = integrate(derivative, 4)[:, 0], rigid(lambda *_: 0.0)
-    got = kernel(true, [{"kind": "backlash", "joint": 1, "gap": gap, "stiffness": k, "load_inertia": load}], 16)
+    got = kernel(
+        true,
+        [{"kind": "backlash", "joint": 1, "gap": gap, "stiffness": k, "load_inertia": load}],
+        16,
+    )
     # impacts spread small differences: what must agree is the motion up to the third reversal
     early = slice(0, 500)
     assert np.max(np.abs(got - true)[early]) < 0.15 * np.max(np.abs(true - without)[early])
@@ -367,12 +476,21 @@ def test_gap_lets_the_motor_move_alone() -> None:
 def test_what_another_joint_pushes_adds_up_to_what_its_velocity_says() -> None:
     terms = [{"kind": "viscous", "joint": j, "coefficient": 0.1} for j in (1, 2)]
     arm = {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": 0.05, "p3": 0.04}}
-    model = parse_model({"mechanism": arm, "effect": terms, "sample_time": T, "columns": {"position": ["a", "b"], "command": ["c", "d"]}})
+    model = parse_model(
+        {
+            "mechanism": arm,
+            "effect": terms,
+            "sample_time": T,
+            "columns": {"position": ["a", "b"], "command": ["c", "d"]},
+        }
+    )
     t = np.arange(N) * T
-    q = np.stack([np.sin(3 * t), 0.5 * np.sin(7 * t)], axis=1)  # the second joint's push has a period of 0.9 s
+    # the second joint's push has a period of 0.9 s
+    q = np.stack([np.sin(3 * t), 0.5 * np.sin(7 * t)], axis=1)
     signals = Signals("made", t, T, q, np.zeros((N, 2)), None, np.zeros(2))
     first, second = prepare([signals], model).records[0]
-    push = np.cumsum(second.basis["p2"].bias) * T  # of the first joint's acceleration on the second, over its inertia p2
+    # of the first joint's acceleration on the second, over its inertia p2
+    push = np.cumsum(second.basis["p2"].bias) * T
     moved = first.motion.states[1] - first.motion.states[1][0]
     assert np.max(np.abs(push[:-1] - moved[1:])) < 1e-9
 
@@ -386,10 +504,30 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
 
     true, begin = integrate(derivative, 4), 200
     term = {"kind": "elasticity", "joint": 1, "stiffness": k, "damping": c, "load_inertia": load}
-    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": J}}, "effect": [term], "sample_time": T})
+    model = parse_model(
+        {
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": J}},
+            "effect": [term],
+            "sample_time": T,
+        }
+    )
     later = np.ascontiguousarray(true[begin:, :1])
-    record = prepare([Signals("later", np.arange(N - begin) * T, T, later, command()[begin:, None], None, np.zeros(1))], model).records[0][0]
-    record.motion.states[:2] = true[begin:, :2].T  # the smoother's guess of the first speed is not what is tested here
+    record = prepare(
+        [
+            Signals(
+                "later",
+                np.arange(N - begin) * T,
+                T,
+                later,
+                command()[begin:, None],
+                None,
+                np.zeros(1),
+            )
+        ],
+        model,
+    ).records[0][0]
+    # the smoother's guess of the first speed is not what is tested here
+    record.motion.states[:2] = true[begin:, :2].T
     early = slice(0, 100)
     off = np.abs(run(record, model, 16.0, inner=8, free_every=N).innovations[early])
     bend = np.abs(true[begin, 0] - true[begin, 2])
@@ -398,18 +536,43 @@ def test_a_spring_is_bent_already_when_a_recording_begins_in_the_middle() -> Non
 
 def varied(model: Model, factor: float) -> Model:
     """The model with every number of its effects and its inertia times a factor."""
-    terms = tuple(Term(t.effect, t.joint, {k: Quantity(q.value * factor, q.free) for k, q in t.parameters.items()}) for t in model.terms)
-    items = {key: tuple(Quantity(q.value * factor, q.free) for q in values) for key, values in model.mechanism.items()}
+    terms = tuple(
+        Term(
+            t.effect,
+            t.joint,
+            {k: Quantity(q.value * factor, q.free) for k, q in t.parameters.items()},
+        )
+        for t in model.terms
+    )
+    items = {
+        key: tuple(Quantity(q.value * factor, q.free) for q in values)
+        for key, values in model.mechanism.items()
+    }
     return replace(model, terms=terms, mechanism=items)
 
 
 # a value of each kind of number that lets the effect act on the recording
 TYPICAL = {
-    "torque": 0.03, "torque/speed": 0.01, "torque/speed2": 0.005, "torque/position": 30.0, "torque/position3": 0.1, "speed": 0.3,
-    "position": 0.01, "time": 0.004, "ratio": 0.2, "angle": 0.5, "order": 3.0, "inertia": 0.003, "command": 0.05, "number": 1.0,
-    "mass": 0.3, "length": 0.1, "body_inertia": 0.003,
-    "temperature": 25.0, "1/temperature": 0.03,
-}  # fmt: skip
+    "torque": 0.03,
+    "torque/speed": 0.01,
+    "torque/speed2": 0.005,
+    "torque/position": 30.0,
+    "torque/position3": 0.1,
+    "speed": 0.3,
+    "position": 0.01,
+    "time": 0.004,
+    "ratio": 0.2,
+    "angle": 0.5,
+    "order": 3.0,
+    "inertia": 0.003,
+    "command": 0.05,
+    "number": 1.0,
+    "mass": 0.3,
+    "length": 0.1,
+    "body_inertia": 0.003,
+    "temperature": 25.0,
+    "1/temperature": 0.03,
+}
 
 
 @pytest.mark.parametrize("name", [e for e in library() if e != "coupling"])
@@ -418,20 +581,29 @@ def test_many_parameter_sets_at_once_predict_what_each_of_them_predicts_alone(na
     term = {"kind": name, **{p.name: max(TYPICAL[p.size], p.lower) for p in effect.parameters}}
     needed = [{"kind": "coulomb", "level": 0.03}] if name != "coulomb" else []
     model, record = recorded(rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF), [*needed, term])
-    models = [varied(model, 1.0 + 0.05 * i) for i in range(11)]  # more than fit into one pass, and not a multiple
+    # more than fit into one pass, and not a multiple
+    models = [varied(model, 1.0 + 0.05 * i) for i in range(11)]
     alone = np.stack([run(record, m, 16.0).innovations for m in models], axis=1)
     together = run_many(record, [*models, models[3]], 16.0)
-    assert np.all(np.ptp(alone, axis=1)[N // 2 :] > 0)  # they differ, or the comparison says nothing
+    # they differ, or the comparison says nothing
+    assert np.all(np.ptp(alone, axis=1)[N // 2 :] > 0)
     np.testing.assert_allclose(together[:, :11], alone, rtol=1e-6, atol=1e-8 * np.std(alone))
     np.testing.assert_array_equal(together[:, 11], together[:, 3])
 
 
 def test_a_prediction_that_runs_away_leaves_those_beside_it_alone() -> None:
-    model, record = recorded(rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF), [{"kind": "viscous", "coefficient": 0.01}])
-    away = replace(model, terms=(replace(model.terms[0], parameters={"coefficient": Quantity(-50.0)}),))
+    model, record = recorded(
+        rigid(lambda q, v, t, u: dry(0.04)(v), sub=STIFF),
+        [{"kind": "viscous", "coefficient": 0.01}],
+    )
+    away = replace(
+        model, terms=(replace(model.terms[0], parameters={"coefficient": Quantity(-50.0)}),)
+    )
     one, lost, two = run_many(record, [model, away, varied(model, 1.1)], 16.0).T
     np.testing.assert_allclose(one, run(record, model, 16.0).innovations, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(two, run(record, varied(model, 1.1), 16.0).innovations, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        two, run(record, varied(model, 1.1), 16.0).innovations, rtol=1e-9, atol=1e-12
+    )
     marked = lost == RAN_AWAY
     assert marked[-1] and not marked[0]
     np.testing.assert_array_equal(marked, run(record, away, 16.0).innovations == RAN_AWAY)

@@ -1,4 +1,5 @@
-"""Model files: what is written is read back, and every wrong key is named with what was expected."""
+"""Model files: what is written is read back, and every wrong key is named with what was expected.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +17,23 @@ EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "models").glob("*.to
 GOOD: dict[str, Any] = {
     "name": "two",
     "sample_time": 0.001,
-    "mechanism": {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": {"value": 0.1, "free": False}, "p3": 0.1}},
-    "effect": [{"kind": "viscous", "joint": 2, "coefficient": {"value": 0.2, "std": 0.01, "unit": "N m s/rad"}}],
+    "mechanism": {
+        "kind": "planar2r",
+        "parameters": {"p1": 0.3, "p2": {"value": 0.1, "free": False}, "p3": 0.1},
+    },
+    "effect": [
+        {
+            "kind": "viscous",
+            "joint": 2,
+            "coefficient": {"value": 0.2, "std": 0.01, "unit": "N m s/rad"},
+        }
+    ],
     "actuator": {"gain": {"value": [1.0, 2.0]}, "limit": [3.0, 4.0], "delay": 0.001},
-    "sensor": {"position_resolution": [0.001, 0.002], "matrix": [[1, 0], [0.5, 1]], "offset": [0.1, 0.2]},
+    "sensor": {
+        "position_resolution": [0.001, 0.002],
+        "matrix": [[1, 0], [0.5, 1]],
+        "offset": [0.1, 0.2],
+    },
     "columns": {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"]},
 }
 
@@ -35,7 +49,16 @@ def test_example_models_survive_writing_and_reading(path: Path) -> None:
 def test_every_part_of_a_model_survives_writing_and_reading() -> None:
     model = parse_model(GOOD)
     again = parse_model(tomllib.loads(model_text(model)))
-    for part in ("name", "sample_time", "kind", "mechanism", "terms", "actuator", "sensor", "columns"):
+    for part in (
+        "name",
+        "sample_time",
+        "kind",
+        "mechanism",
+        "terms",
+        "actuator",
+        "sensor",
+        "columns",
+    ):
         assert getattr(again, part) == getattr(model, part), part
 
 
@@ -43,8 +66,18 @@ def test_every_part_of_a_model_survives_writing_and_reading() -> None:
 def test_every_effect_can_stand_in_a_model_file(name: str) -> None:
     effect = library()[name]
     whole = {"from_joint": 1.0, "law": 2.0}
-    numbers = {p.name: whole.get(p.name, p.default if p.default is not None else max(p.lower, min(p.upper, 0.5))) for p in effect.parameters}
-    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}, "effect": [{"kind": name, "joint": 1, **numbers}]})
+    numbers = {
+        p.name: whole.get(
+            p.name, p.default if p.default is not None else max(p.lower, min(p.upper, 0.5))
+        )
+        for p in effect.parameters
+    }
+    model = parse_model(
+        {
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}},
+            "effect": [{"kind": name, "joint": 1, **numbers}],
+        }
+    )
     again = parse_model(tomllib.loads(model_text(model)))
     assert {k: q.value for k, q in again.terms[0].parameters.items()} == pytest.approx(numbers)
 
@@ -59,7 +92,14 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"effect": [{"kind": "viscous", "joint": 3, "coefficient": 0.1}]}, "1 … 2"),
     ({"effect": [{"kind": "viscous", "joint": True, "coefficient": 0.1}]}, "joint"),
     ({"effect": [{"kind": "viscous", "coefficient": {"value": 0.1, "free": "yes"}}]}, "free"),
-    ({"effect": [{"kind": "coupling", "joint": 1, "from_joint": 2, "law": "love", "coefficient": 1.0}]}, "inertia | coriolis"),
+    (
+        {
+            "effect": [
+                {"kind": "coupling", "joint": 1, "from_joint": 2, "law": "love", "coefficient": 1.0}
+            ]
+        },
+        "inertia | coriolis",
+    ),
     ({"effect": [{"kind": "coulomb", "level": -1.0}]}, "level"),
     ({"sensor": {"matrix": [[1, 0]]}}, "square"),
     ({"sensor": {"side": "outside"}}, "motor"),
@@ -81,28 +121,56 @@ def test_wrong_key_is_named(change: dict[str, Any], words: str) -> None:
 @pytest.mark.parametrize(
     ("table", "key", "meant"),
     [
-        ("", "sampletime", "sample_time"), ("mechanism", "fil", "file"), ("mechanism.parameters", "gravty", "gravity"),
-        ("mechanism.parameters.inertia", "fre", "free"), ("actuator", "dealy", "delay"), ("sensor", "position_resolutoin", "position_resolution"),
-        ("controller", "cutof", "cutoff"), ("columns", "velocty", "velocity"), ("effect", "coeficient", "coefficient"),
+        ("", "sampletime", "sample_time"),
+        ("mechanism", "fil", "file"),
+        ("mechanism.parameters", "gravty", "gravity"),
+        ("mechanism.parameters.inertia", "fre", "free"),
+        ("actuator", "dealy", "delay"),
+        ("sensor", "position_resolutoin", "position_resolution"),
+        ("controller", "cutof", "cutoff"),
+        ("columns", "velocty", "velocity"),
+        ("effect", "coeficient", "coefficient"),
         ("limits", "positon", "position"),
     ],
-)  # fmt: skip
-def test_a_key_that_nobody_reads_is_refused_with_the_one_that_was_meant(table: str, key: str, meant: str) -> None:
+)
+def test_a_key_that_nobody_reads_is_refused_with_the_one_that_was_meant(
+    table: str, key: str, meant: str
+) -> None:
     effect: dict[str, Any] = {"kind": "viscous", "joint": 1, "coefficient": 0.1}
     data: dict[str, Any] = {
-        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1.0}}}, "effect": [effect], "actuator": {}, "sensor": {},
-        "controller": {}, "columns": {"position": "q", "position_load": "ql", "torque_measured": "tm", "current": "i", "temperature": "T"},
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1.0}}},
+        "effect": [effect],
+        "actuator": {},
+        "sensor": {},
+        "controller": {},
+        "columns": {
+            "position": "q",
+            "position_load": "ql",
+            "torque_measured": "tm",
+            "current": "i",
+            "temperature": "T",
+        },
         "limits": {},
-    }  # fmt: skip
+    }
     parse_model(data, "bench.toml")
     place: Any = data
     for name in filter(None, table.split(".")):
         place = place[name]
     (place if table != "effect" else effect)[key] = 1.0
-    with pytest.raises(ModelError, match=rf"bench\.toml: .*{key}.*; did you mean {meant}\? Allowed: "):
+    with pytest.raises(
+        ModelError, match=rf"bench\.toml: .*{key}.*; did you mean {meant}\? Allowed: "
+    ):
         parse_model(data, "bench.toml")
 
 
 def test_columns_are_names() -> None:
-    with pytest.raises(ModelError, match=r"\[columns\] position = 3: expected the name of a column"):
-        parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}}, "columns": {"position": 3}}, "bench.toml")
+    with pytest.raises(
+        ModelError, match=r"\[columns\] position = 3: expected the name of a column"
+    ):
+        parse_model(
+            {
+                "mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}},
+                "columns": {"position": 3},
+            },
+            "bench.toml",
+        )

@@ -1,4 +1,6 @@
-"""What the sensor says: the smoother against a Kalman filter and RTS pass in NumPy, and the quantiser's measurement model against the truth."""
+"""What the sensor says: the smoother against a Kalman filter and RTS pass in NumPy, and the
+quantiser's measurement model against the truth.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +8,39 @@ import numpy as np
 import pytest
 
 from zendsp.physics.native import native
-from zendsp.physics.signals import EDGE_FLOOR, find_resolution, measure, noise_beside_quantisation, smooth
+from zendsp.physics.signals import (
+    EDGE_FLOOR,
+    find_resolution,
+    measure,
+    noise_beside_quantisation,
+    smooth,
+)
 
 T = 0.002
 COUNT = 2 * np.pi / 4096
 
 
-def rts(y: np.ndarray, variance: np.ndarray, a_in: np.ndarray, sd: float, sd0: float, v0: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Textbook Kalman filter and Rauch-Tung-Striebel smoother of (q, qd, d), with matrix inverses: states (n, 3), variances (n, 3), -2 log-likelihood."""
+def rts(
+    y: np.ndarray, variance: np.ndarray, a_in: np.ndarray, sd: float, sd0: float, v0: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Textbook Kalman filter and Rauch-Tung-Striebel smoother of (q, qd, d), with matrix inverses:
+    states (n, 3), variances (n, 3), -2 log-likelihood.
+    """
     n = len(y)
     F = np.array([[1, T, T * T / 2], [0, 1, T], [0, 0, 1]])
-    Q = sd**2 * np.array([[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]])
-    x, P = np.array([y[0], v0, 0.0]), np.diag([1e4 * variance[0], 1e4 * 1e4 * variance[0] + 1e-3, sd0**2])
-    xf, Pf, xp, Pp, nll = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), 0.0
+    Q = sd**2 * np.array(
+        [[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]]
+    )
+    x, P = np.array([y[0], v0, 0.0]), np.diag(
+        [1e4 * variance[0], 1e4 * 1e4 * variance[0] + 1e-3, sd0**2]
+    )
+    xf, Pf, xp, Pp, nll = (
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        0.0,
+    )
     for k in range(n):
         xp[k], Pp[k] = x, P
         if variance[k] > 0:
@@ -50,7 +72,9 @@ def test_smoother_is_the_rauch_tung_striebel_smoother() -> None:
     lib = native()
     work, out, var, half = np.empty(14 * n), np.empty((3, n)), np.empty((3, n)), np.zeros(n)
     p = lib.doubles
-    got = lib.lib.zf_smooth(n, T, sd, sd0, p(a_in), p(y), p(half), p(variance), float(y[0]), v0, p(work), p(out), p(var))
+    got = lib.lib.zf_smooth(
+        n, T, sd, sd0, p(a_in), p(y), p(half), p(variance), float(y[0]), v0, p(work), p(out), p(var)
+    )
     assert got == pytest.approx(nll, rel=1e-9)
     assert np.max(np.abs(out - xs.T) / np.ptp(xs, axis=0)[:, None]) < 1e-6
     # the textbook form loses digits to its inverses where variances are tiny
@@ -99,13 +123,20 @@ def test_slow_quantised_motion_is_smoothed_to_a_fraction_of_a_count() -> None:
 @pytest.mark.parametrize("resolution", [COUNT, 2e-7, 0.01])
 def test_resolution_is_found_from_the_numbers(resolution: float) -> None:
     q = resolution * (200 * np.sin(np.arange(5000) * 0.003))
-    assert find_resolution(resolution * np.round(q / resolution)) == pytest.approx(resolution, rel=1e-6)
-    assert find_resolution(q + 1e-3 * resolution * np.random.default_rng(0).standard_normal(5000)) == 0.0
+    assert find_resolution(resolution * np.round(q / resolution)) == pytest.approx(
+        resolution, rel=1e-6
+    )
+    assert (
+        find_resolution(q + 1e-3 * resolution * np.random.default_rng(0).standard_normal(5000))
+        == 0.0
+    )
 
 
 def test_sensor_noise_is_told_from_quantisation() -> None:
     r = np.random.default_rng(2)
     _, q, _, _ = motion(3.0)
-    quiet, loud = COUNT * np.round(q / COUNT), COUNT * np.round((q + 2 * COUNT * r.standard_normal(len(q))) / COUNT)
+    quiet, loud = COUNT * np.round(q / COUNT), COUNT * np.round(
+        (q + 2 * COUNT * r.standard_normal(len(q))) / COUNT
+    )
     assert noise_beside_quantisation(quiet, COUNT) < 0.35 * COUNT
     assert noise_beside_quantisation(loud, COUNT) == pytest.approx(2 * COUNT, rel=0.15)

@@ -19,11 +19,19 @@ from zendsp_target.runtime import Runtime
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 HEAD = '#include "isr.h"\nstatic double a, k, v[3];\nstatic int32_t whole;\nstatic bool on;\n'
-INIT = 'void UserInit(void) { PARAMETER(k, 2.0, "V", 0.0, 5.0, "gain"); PARAMETER(whole, 1, "", 0, 9, "n"); PARAMETER(on, 0, "", 0, 1, "b"); PARAMETER_ARRAY(v, "", NO_MIN, NO_MAX, "x"); SIGNAL(a, "rad", "angle"); }\n'
+INIT = (
+    'void UserInit(void) { PARAMETER(k, 2.0, "V", 0.0, 5.0, "gain"); PARAMETER(whole, 1, "", 0, 9,'
+    ' "n"); PARAMETER(on, 0, "", 0, 1, "b"); PARAMETER_ARRAY(v, "", NO_MIN, NO_MAX, "x"); SIGNAL(a,'
+    ' "rad", "angle"); }\n'
+)
 
 
 def program(body: str) -> dict[str, str]:
-    return {"p.c": HEAD + INIT + f"void UserISR_INT2(void) {{ {body} }}\nvoid UserBackground(void) {{}}\n"}
+    return {
+        "p.c": (
+            HEAD + INIT + f"void UserISR_INT2(void) {{ {body} }}\nvoid UserBackground(void) {{}}\n"
+        )
+    }
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +40,9 @@ def pendulum() -> object:
 
 
 def test_a_target_and_the_simulation_agree_where_machine_and_model_do() -> None:
-    """With friction = plain the machine has the Coulomb and viscous friction of the model file (and very stiff bristles)."""
+    """With friction = plain the machine has the Coulomb and viscous friction of the model file (and
+    very stiff bristles).
+    """
     values = {"Kp1": 2500.0, "radius": 0.3, "center1": 0.3}
     with Runtime("imi_planar", clock="fast", machine_config={"friction": "plain"}) as runtime:
         key = runtime.compile(compile_program("pd.c").sources).key
@@ -43,22 +53,31 @@ def test_a_target_and_the_simulation_agree_where_machine_and_model_do() -> None:
         runtime.start(ticks=3005)
         runtime.wait_paused()
         real = runtime.acquire_read(0, 0, 3000)
-    sim = simulate("pd.c", MODELS / "imi_planar.toml", seconds=3.0, parameters=values, channels=["q", "tau"])
+    sim = simulate(
+        "pd.c", MODELS / "imi_planar.toml", seconds=3.0, parameters=values, channels=["q", "tau"]
+    )
     assert np.ptp(real[:, :2], axis=0).max() > 0.5, "it moves"
-    # a sample of delay more or less would be 1 mrad; here: counts (floor there, nearest here) and bristles
+    # a sample of delay more or less would be 1 mrad; here: counts (floor there, nearest here) and
+    # bristles
     assert np.abs(sim["q"] - real[:, :2]).max() < 3e-4
     assert np.corrcoef(sim["tau"][200:, 0], real[200:, 2])[0, 1] > 0.99
 
 
 def test_the_same_input_gives_the_same_recording_to_the_last_bit(pendulum: object) -> None:
-    first, second = (simulate("pendulum_track.c", pendulum, seconds=1.0, position=1.0) for _ in range(2))  # type: ignore[arg-type]
+    first, second = (simulate("pendulum_track.c", pendulum, seconds=1.0,
+        position=1.0) for _ in range(2))  # type: ignore[arg-type]
     assert np.array_equal(first.data, second.data) and first.names == second.names
 
 
 def test_a_reference_fills_the_tables_and_the_arm_follows_it(tmp_path: Path) -> None:
     circle = make_circle(load_machine("imi_planar"), radius=0.1, duration=2.0)
     file = save_reference(circle, tmp_path / "circle.mat")
-    rec = simulate("inverse_dynamics.c", MODELS / "imi_planar.toml", reference=file, parameters={"compensate": True, "approach_time": 0.3})
+    rec = simulate(
+        "inverse_dynamics.c",
+        MODELS / "imi_planar.toml",
+        reference=file,
+        parameters={"compensate": True, "approach_time": 0.3},
+    )
     assert "play_time" in rec and len(rec) == circle.samples + 800
     begun = int(np.argmax(rec["play_time"] >= -1e-9))
     assert np.abs(rec["r"][begun : begun + circle.samples] - circle.q).max() < 1e-9
@@ -68,18 +87,35 @@ def test_a_reference_fills_the_tables_and_the_arm_follows_it(tmp_path: Path) -> 
 
 
 def test_channels_are_those_of_an_acquisition_and_more(pendulum: object) -> None:
-    rec = simulate(program("a = READ_POSITION(0); v[1] = k;"), pendulum, seconds=0.1, position=0.5, decimation=5, channels=["a", "v[1]", "tick", "t", "enc", "plant_q"])  # type: ignore[arg-type]
-    assert len(rec) == 20 and rec["v[1]"][3] == 2.0 and rec["tick"].tolist() == list(range(0, 100, 5))
-    assert rec["enc"][0] == round(0.5 / 1.5339807879e-3) and rec["a"][0] == pytest.approx(0.5, abs=1e-3)
-    assert rec.parameters == {"k": 2.0, "whole": 1, "on": False, "v": [0.0, 2.0, 0.0]} and "p.c" in rec.sources
+    rec = simulate(program("a = READ_POSITION(0); v[1] = k;"), pendulum, seconds=0.1, position=0.5,
+        decimation=5, channels=["a", "v[1]", "tick", "t", "enc",
+            "plant_q"])  # type: ignore[arg-type]
+    assert (
+        len(rec) == 20 and rec["v[1]"][3] == 2.0 and rec["tick"].tolist() == list(range(0, 100, 5))
+    )
+    assert rec["enc"][0] == round(0.5 / 1.5339807879e-3) and rec["a"][0] == pytest.approx(
+        0.5, abs=1e-3
+    )
+    assert (
+        rec.parameters == {"k": 2.0, "whole": 1, "on": False, "v": [0.0, 2.0, 0.0]}
+        and "p.c" in rec.sources
+    )
 
 
 def test_acquire_in_the_code_fixes_the_moment_of_the_row(pendulum: object) -> None:
-    rec = simulate(program("a = 1.0; Acquire(); a = 2.0;"), pendulum, seconds=0.01)  # type: ignore[arg-type]
+    rec = simulate(program("a = 1.0; Acquire(); a = 2.0;"), pendulum,
+        seconds=0.01)  # type: ignore[arg-type]
     assert np.all(rec["a"] == 1.0)
 
 
-@pytest.mark.parametrize(("body", "words"), [("for (;;) ;", "sample 0"), ("if (SAMPLE_TICK == 77) *(volatile int *)0 = 1;", "sample 77"), ("if (SAMPLE_TICK == 5) __builtin_trap();", "sample 5")])
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("for (;;) ;", "sample 0"),
+        ("if (SAMPLE_TICK == 77) *(volatile int *)0 = 1;", "sample 77"),
+        ("if (SAMPLE_TICK == 5) __builtin_trap();", "sample 5"),
+    ],
+)
 def test_code_that_hangs_or_crashes_ends_alone(body: str, words: str, pendulum: object) -> None:
     with pytest.raises(RunnerDied, match=words):
         simulate(program(body), pendulum, seconds=1.0, timeout=2.0)  # type: ignore[arg-type]
@@ -89,18 +125,39 @@ def test_what_is_wrong_is_said_as_a_target_says_it(pendulum: object) -> None:
     ok = program("a = k;")
     with pytest.raises(CompileFailed, match=r"p\.c:6:\d+: error"):
         simulate(program("a = b;"), pendulum)  # type: ignore[arg-type]
-    for values, words in (({"k": 9.0}, "outside 0 … 5 V"), ({"nope": 1}, "no such parameter"), ({"a": 1}, "a signal"), ({"whole": 0.5}, "whole number"), ({"v": [1, 2]}, "2 numbers given, it has 3")):
+    for values, words in (
+        ({"k": 9.0}, "outside 0 … 5 V"),
+        ({"nope": 1}, "no such parameter"),
+        ({"a": 1}, "a signal"),
+        ({"whole": 0.5}, "whole number"),
+        ({"v": [1, 2]}, "2 numbers given, it has 3"),
+    ):
         with pytest.raises(VariableError, match=words):
             simulate(ok, pendulum, parameters=values)  # type: ignore[arg-type]
     with pytest.raises(AcquisitionError, match="no channel 'x'"):
         simulate(ok, pendulum, channels=["x"])  # type: ignore[arg-type]
     with pytest.raises(ModelError, match="the reference 2"):
-        simulate("inverse_dynamics.c", pendulum, reference=make_circle(load_machine("imi_planar"), radius=0.1))  # type: ignore[arg-type]
+        simulate("inverse_dynamics.c", pendulum,
+            reference=make_circle(load_machine("imi_planar"), radius=0.1))  # type: ignore[arg-type]
 
 
 def test_the_command_line_simulates_checks_the_step_and_writes(tmp_path: Path) -> None:
     out = tmp_path / "sim.npz"
-    done = CliRunner().invoke(command, ["pd.c", "--model", str(MODELS / "imi_planar.toml"), "--seconds", "0.5", "--set", "radius=0.2", "--check", "--out", str(out)])
+    done = CliRunner().invoke(
+        command,
+        [
+            "pd.c",
+            "--model",
+            str(MODELS / "imi_planar.toml"),
+            "--seconds",
+            "0.5",
+            "--set",
+            "radius=0.2",
+            "--check",
+            "--out",
+            str(out),
+        ],
+    )
     assert done.exit_code == 0, done.output
     assert "step check: settled" in done.output
     assert Recording.load(out)["q"].shape == (500, 2)
@@ -109,8 +166,12 @@ def test_the_command_line_simulates_checks_the_step_and_writes(tmp_path: Path) -
 def test_seven_joints_follow_under_gravity_compensation() -> None:
     from zendsp.reference import make_lspb
 
-    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array([0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5])
-    reference = make_lspb(load_machine("wam7"), start=start, goal=goal, duration=4.0, blend_time=1.0)
+    start, goal = np.array([0, 0.5, 0, 1.5, -1.5, 0, 0]), np.array(
+        [0.5, 0.0, 0.5, 2.0, -1.0, 0.5, 0.5]
+    )
+    reference = make_lspb(
+        load_machine("wam7"), start=start, goal=goal, duration=4.0, blend_time=1.0
+    )
     rec = simulate("wam_pd_gravity.c", MODELS / "wam7.toml", reference=reference, check=True)
     assert rec.extra["step_check"]["converged"]
     assert np.abs(rec["e"]).max() < 0.06
@@ -121,7 +182,12 @@ def test_a_coarse_reference_is_played_at_its_own_rate() -> None:
     from zendsp.reference import Reference
 
     coarse = Reference(np.column_stack([np.linspace(0.0, 0.5, 51), np.zeros(51)]), 0.02)
-    rec = simulate("inverse_dynamics.c", MODELS / "imi_planar.toml", reference=coarse, parameters={"approach_time": 0.2})
+    rec = simulate(
+        "inverse_dynamics.c",
+        MODELS / "imi_planar.toml",
+        reference=coarse,
+        parameters={"approach_time": 0.2},
+    )
     assert rec.parameters["row_rate"] == 50 and len(rec) == 200 + 1020 + 500
     assert rec["r"][700, 0] == pytest.approx(0.25, abs=1e-9)
     loop = simulate_loop(MODELS / "imi_planar.toml", coarse)

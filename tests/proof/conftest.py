@@ -11,7 +11,9 @@ from zendsp.proof import build_case
 
 @pytest.fixture(autouse=True, scope="session")
 def few_rivals() -> Iterator[None]:
-    """Leave out the search for inseparable rivals, except where a test puts it back (``with_rivals``)."""
+    """Leave out the search for inseparable rivals, except where a test puts it back
+    (``with_rivals``).
+    """
     patch = pytest.MonkeyPatch()
     patch.setattr(build_case, "inseparable", lambda *_: {})
     yield

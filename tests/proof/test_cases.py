@@ -15,11 +15,34 @@ from zendsp.proof.effects import SINGLE
 from zendsp.proof.seal import SEALS, BrokenSeal, open_truth, seal, write_truth
 
 CONTRACT = {
-    "viscous", "coulomb", "coulomb_asymmetry", "viscous_asymmetry", "stribeck", "presliding", "quadratic_drag",
-    "load_friction", "position_friction", "friction_drift", "gravity", "stiffness", "cubic_stiffness", "inertia",
-    "coupling", "elasticity", "backlash", "hysteresis", "ripple", "torque_gain", "torque_offset", "dead_zone",
-    "saturation", "lag", "delay", "encoder_eccentricity", "disturbance",
-}  # fmt: skip
+    "viscous",
+    "coulomb",
+    "coulomb_asymmetry",
+    "viscous_asymmetry",
+    "stribeck",
+    "presliding",
+    "quadratic_drag",
+    "load_friction",
+    "position_friction",
+    "friction_drift",
+    "gravity",
+    "stiffness",
+    "cubic_stiffness",
+    "inertia",
+    "coupling",
+    "elasticity",
+    "backlash",
+    "hysteresis",
+    "ripple",
+    "torque_gain",
+    "torque_offset",
+    "dead_zone",
+    "saturation",
+    "lag",
+    "delay",
+    "encoder_eccentricity",
+    "disturbance",
+}
 
 
 def test_every_effect_of_the_contract_can_be_concealed() -> None:
@@ -45,7 +68,9 @@ def test_concealed_effect_is_not_in_the_given_model_and_is_visible_in_the_truth(
 
 
 def test_complete_machine_leaves_the_oracle_nothing() -> None:
-    """Refit of the given structure to the true motion explains all torque: the truth is in the model's reach."""
+    """Refit of the given structure to the true motion explains all torque: the truth is in the
+    model's reach.
+    """
     from zendsp.proof import build_case
     from zendsp.proof.effect_kit import inertia_of
     from zendsp.proof.machines import MACHINES
@@ -83,7 +108,9 @@ def test_written_case_can_be_read_back(tmp_path: Path) -> None:
             "position",
             "command",
         }
-        assert all((folder / name).stat().st_size > 1000 for name in listing["train"] + listing["heldout"])
+        assert all(
+            (folder / name).stat().st_size > 1000 for name in listing["train"] + listing["heldout"]
+        )
         assert "truth" not in " ".join(p.name for p in folder.iterdir())
 
 

@@ -1,4 +1,6 @@
-"""Children of the proof end with their parent, however it ends, within their limit; a cluster may run them."""
+"""Children of the proof end with their parent, however it ends, within their limit; a cluster may
+run them.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,10 @@ def ask(folder, out, limit):
 
 list(answers([root / "a", root / "b", root / "c"], root / "log.json", 2, 600.0, ask))
 """
-SLEEPER = "import os, pathlib, sys, time\npathlib.Path(sys.argv[-1]).write_text(str(os.getpid()))\ntime.sleep(600)\n"
+SLEEPER = (
+    "import os, pathlib, sys,"
+    " time\npathlib.Path(sys.argv[-1]).write_text(str(os.getpid()))\ntime.sleep(600)\n"
+)
 
 
 def started(tmp_path: Path) -> tuple[subprocess.Popen[bytes], list[int]]:
@@ -112,7 +117,7 @@ out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 report = {"verdict": "complete", "findings": [], "where": {"time": [], "state": []},
           "fit": {"heldout": {"calibrated": 1.0, "improved": 1.0}, "noise_floor": float(os.getppid())}}
 (out / "report.json").write_text(json.dumps(report))
-"""
+"""  # noqa: E501
 
 
 def test_cases_are_made_and_asked_on_a_dask_cluster(tmp_path: Path) -> None:

@@ -64,7 +64,9 @@ def test_same_seed_same_bits(short: None) -> None:
     ("machine", "seed"), [("mj_joint", 1), ("mj_cart", 2), ("mj_planar2r", 3), ("mj_arm6", 8)]
 )
 def test_complete_machine_leaves_the_oracle_nothing(machine: str, seed: int) -> None:
-    """The given structure explains MuJoCo's torque to a thousandth: other integrators and hold included."""
+    """The given structure explains MuJoCo's torque to a thousandth: other integrators and hold
+    included.
+    """
     b, record = bench(machine, seed)
     for joint in range(b.n):
         seen = make.visible(b, record, joint)

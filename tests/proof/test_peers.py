@@ -43,13 +43,22 @@ def test_recordings_of_every_format_are_read(folders: list[Path], tmp_path: Path
     x = np.random.default_rng(0).normal(size=(50, 2))
     run = Run(np.arange(50) * 1e-3, x, 2 * x, 3 * x, x, x, x[:, 0])
     for form in ("csv", "npz", "mat", "parquet", "h5"):
-        columns = {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"], "reference": ["r1", "r2"]}
+        columns = {
+            "time": "t",
+            "position": ["q1", "q2"],
+            "command": ["u1", "u2"],
+            "reference": ["r1", "r2"],
+        }
         table = read_recording(save(tmp_path, form, form, run, columns), columns)
-        assert np.allclose(table.position, x, atol=1e-9) and np.allclose(table.command, 2 * x, atol=1e-9)
+        assert np.allclose(table.position, x, atol=1e-9) and np.allclose(
+            table.command, 2 * x, atol=1e-9
+        )
 
 
 def test_inverse_dynamics_of_the_peers_sees_the_true_inertia(folders: list[Path]) -> None:
-    """Free columns explain nearly all torque where only a stiffness is missing: filter and timing are right."""
+    """Free columns explain nearly all torque where only a stiffness is missing: filter and timing
+    are right.
+    """
     p = problems(folders[0])[0]
     model, train, _ = read_case(folders[0])
     m = motion(train[0], model)

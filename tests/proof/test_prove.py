@@ -46,14 +46,18 @@ def test_run_counts_and_writes_the_page(tmp_path: Path, monkeypatch: pytest.Monk
     outcome = go(tmp_path)
     assert [j.alarm for j in outcome.judged] == [False, None] and outcome.judged[1].named is True
     page = outcome.page.read_text()
-    assert outcome.stamp in page and "zendsp prove --quick" in page and "Nothing in this run." in page
+    assert (
+        outcome.stamp in page and "zendsp prove --quick" in page and "Nothing in this run." in page
+    )
 
 
 def test_a_sample_is_drawn_before_anything_is_made_as_many_of_each_reality() -> None:
     few = requests(3, False, ("own", "mujoco"), 7)
     assert len(few) == 7 and sum(r.reality == "own" for r in few) == 4
     assert {r.reality for r in requests(3, False, REALITIES, 3)} == set(REALITIES)
-    assert few == requests(3, False, ("own", "mujoco"), 7) != requests(4, False, ("own", "mujoco"), 7)
+    assert (
+        few == requests(3, False, ("own", "mujoco"), 7) != requests(4, False, ("own", "mujoco"), 7)
+    )
     every = requests(3, False, ("own", "mujoco"))
     assert all(r in every for r in few)
     assert len({r.seed for r in every}) == len(every)
@@ -86,7 +90,9 @@ def test_second_run_keeps_the_cases_and_other_cases_are_refused(tmp_path: Path) 
         programme.prepare(tmp_path, FEW[:1], 1)
 
 
-def test_interrupted_making_goes_on_to_the_same_cases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_making_goes_on_to_the_same_cases(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = programme.prepare(tmp_path / "whole", FEW, 1)
     made, write = [], cases.write_case
 

@@ -31,7 +31,9 @@ from zendsp.proof.implant import (
 from zendsp.proof.real import MACHINES, Seen, look_at, main_status, model_folder, screw_ripple
 
 DATA = Path(os.environ.get("ZENDSP_DATA", "/nowhere"))
-with_data = pytest.mark.skipif(bool(missing("tx40", DATA)), reason="real recordings: set ZENDSP_DATA")
+with_data = pytest.mark.skipif(
+    bool(missing("tx40", DATA)), reason="real recordings: set ZENDSP_DATA"
+)
 
 
 def test_absent_data_are_reported_and_fail(tmp_path: Path) -> None:
@@ -61,7 +63,9 @@ def serve(files: dict[str, bytes]) -> tuple[ThreadingHTTPServer, str]:
     return server, f"http://127.0.0.1:{server.server_port}"
 
 
-def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("pooch")
     table, one, two = b"a,b\n1,2\n", b"first", b"second"
     archive = io.BytesIO()
@@ -69,18 +73,45 @@ def test_what_is_fetched_gets_into_the_folder_only_with_the_known_hash(tmp_path:
         made.writestr("EMPS/one.mat", one)
         made.writestr("EMPS/two.mat", two)
     server, address = serve({"/a.zip": archive.getvalue(), "/t.csv": table, "/wrong.mat": b"other"})
-    known = {"one.mat": one, "two.mat": two, "t.csv.gz": table, "wrong.mat": b"expected", "gone.mat": b"", "bare.mat": b""}
-    at = {"one.mat": "/a.zip", "two.mat": "/a.zip", "t.csv.gz": "/t.csv", "wrong.mat": "/wrong.mat", "gone.mat": "/gone.mat"}
-    monkeypatch.setitem(FILES, "emps", {f"emps/{n}": hashlib.sha256(content).hexdigest() for n, content in known.items()})
-    monkeypatch.setattr("zendsp.proof.convert.ADDRESSES", {f"emps/{n}": address + path for n, path in at.items()})
+    known = {
+        "one.mat": one,
+        "two.mat": two,
+        "t.csv.gz": table,
+        "wrong.mat": b"expected",
+        "gone.mat": b"",
+        "bare.mat": b"",
+    }
+    at = {
+        "one.mat": "/a.zip",
+        "two.mat": "/a.zip",
+        "t.csv.gz": "/t.csv",
+        "wrong.mat": "/wrong.mat",
+        "gone.mat": "/gone.mat",
+    }
+    monkeypatch.setitem(
+        FILES,
+        "emps",
+        {f"emps/{n}": hashlib.sha256(content).hexdigest() for n, content in known.items()},
+    )
+    monkeypatch.setattr(
+        "zendsp.proof.convert.ADDRESSES", {f"emps/{n}": address + path for n, path in at.items()}
+    )
     told: list[str] = []
     trouble = fetch("emps", tmp_path, told.append)
     server.shutdown()
     assert len(told) == 5
-    assert [line.split(":")[0] for line in trouble] == ["emps/wrong.mat", "emps/gone.mat", "emps/bare.mat"]
+    assert [line.split(":")[0] for line in trouble] == [
+        "emps/wrong.mat",
+        "emps/gone.mat",
+        "emps/bare.mat",
+    ]
     assert "expected" in trouble[0] and "404" in trouble[1] and "no address" in trouble[2]
     assert all("nonlinearbenchmark.org" in line for line in trouble)
-    assert sorted(path.name for path in (tmp_path / "emps").iterdir()) == ["one.mat", "t.csv.gz", "two.mat"]
+    assert sorted(path.name for path in (tmp_path / "emps").iterdir()) == [
+        "one.mat",
+        "t.csv.gz",
+        "two.mat",
+    ]
     assert altered("emps", tmp_path) == []
     (tmp_path / "emps/t.csv.gz").write_bytes(b"not compressed")
     assert altered("emps", tmp_path) == ["emps/t.csv.gz"]
@@ -104,7 +135,11 @@ def test_given_models_lack_the_physics_and_are_of_the_contract() -> None:
     for name, lacking in (("emps", "coulomb"), ("single_pendulum", "coulomb"), ("tx40", "coulomb")):
         table = tomllib.loads((model_folder() / f"{name}.toml").read_text())
         assert lacking not in {e["kind"] for e in table["effect"]}
-        assert table["name"] == name and table["sample_time"] == 0.001 and "position" in table["columns"]
+        assert (
+            table["name"] == name
+            and table["sample_time"] == 0.001
+            and "position" in table["columns"]
+        )
     tx40 = tomllib.loads((model_folder() / "tx40.toml").read_text())
     sensor, actuator = np.array(tx40["sensor"]["matrix"]), np.array(tx40["actuator"]["matrix"])
     # power is the same on both sides: tau_joint . v_joint = tau_motor . v_motor
@@ -123,7 +158,9 @@ def test_tx40_converts_to_joint_angles_that_start_at_zero(tmp_path: Path) -> Non
     made = convert("tx40", DATA, tmp_path)
     table = tomllib.loads((model_folder() / "tx40.toml").read_text())
     with np.load(made.train[0]) as file:
-        joint = file["q_motor"] @ np.array(table["sensor"]["matrix"]).T + np.array(table["sensor"]["offset"])
+        joint = file["q_motor"] @ np.array(table["sensor"]["matrix"]).T + np.array(
+            table["sensor"]["offset"]
+        )
         assert file["tau_motor"].shape == joint.shape == (9000, 6)
     assert np.max(np.abs(joint[0])) < 1e-3
     assert (tmp_path / "tx40.urdf").exists()
@@ -155,7 +192,9 @@ def test_implant_is_just_the_torque_of_its_parameters() -> None:
 def test_controller_is_dropped_because_the_command_is_not_its_any_more(tmp_path: Path) -> None:
     target = without_controller(model_folder() / "emps.toml", tmp_path / "m.toml")
     table = tomllib.loads(target.read_text())
-    assert "controller" not in table and table["columns"]["command"] == "vir" and "actuator" in table
+    assert (
+        "controller" not in table and table["columns"]["command"] == "vir" and "actuator" in table
+    )
 
 
 def test_implant_counts_only_as_the_first_finding() -> None:
@@ -169,7 +208,11 @@ def test_implant_counts_only_as_the_first_finding() -> None:
 
 def test_implants_above_the_stated_size_are_counted_apart() -> None:
     seen = (Smallest(1, "stiffness", 1.0),)
-    named = Answer("missing", (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),), smallest=seen)
+    named = Answer(
+        "missing",
+        (Finding("stiffness", 1, {"coefficient": Estimate(2.1, 0.1)}, 0.9),),
+        smallest=seen,
+    )
     done = [
         Implant("stiffness", 1.0, {"coefficient": 2.0}, named),
         Implant("stiffness", 0.5, {"coefficient": 1.5}, Answer("complete", smallest=seen)),

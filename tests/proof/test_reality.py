@@ -53,7 +53,11 @@ def test_friction_never_adds_energy_and_ends_in_rest() -> None:
 def test_joint_sticks_below_breakaway_and_slides_above() -> None:
     machine = MachineTruth(
         "rotary",
-        (JointTruth(coulomb_pos=0.05, coulomb_neg=0.05, stribeck_extra=0.02, stribeck_velocity=0.1),),
+        (
+            JointTruth(
+                coulomb_pos=0.05, coulomb_neg=0.05, stribeck_extra=0.02, stribeck_velocity=0.1
+            ),
+        ),
         (0.01,),
     )
     held = run(machine, STILL, feedforward=np.full((2000, 1), 0.0699))
@@ -65,7 +69,11 @@ def test_joint_sticks_below_breakaway_and_slides_above() -> None:
 def test_bristles_give_way_by_force_over_stiffness() -> None:
     machine = MachineTruth(
         "rotary",
-        (JointTruth(coulomb_pos=0.05, coulomb_neg=0.05, bristle_stiffness=10.0, bristle_damping=0.3),),
+        (
+            JointTruth(
+                coulomb_pos=0.05, coulomb_neg=0.05, bristle_stiffness=10.0, bristle_damping=0.3
+            ),
+        ),
         (0.01,),
     )
     ramp = np.minimum(T / 1.0, 1.0)[:, None] * 0.01
@@ -85,8 +93,12 @@ def test_delay_moves_the_answer_by_just_that_time() -> None:
     command = np.sin(20 * T)[:, None] * 0.1
     plain = MachineTruth("rotary", (JointTruth(viscous_pos=0.01, viscous_neg=0.01),), (0.01,))
     late = plain.with_joint(0, delay=0.0033)
-    a, b = run(plain, STILL, feedforward=command).q[:, 0], run(late, STILL, feedforward=command).q[:, 0]
-    assert np.max(np.abs(b[100:] - np.interp(T[100:] - 0.0033, T, a))) < 1e-5  # interpolation of a over 1 ms
+    a, b = (
+        run(plain, STILL, feedforward=command).q[:, 0],
+        run(late, STILL, feedforward=command).q[:, 0],
+    )
+    # interpolation of a over 1 ms
+    assert np.max(np.abs(b[100:] - np.interp(T[100:] - 0.0033, T, a))) < 1e-5
 
 
 def test_lag_passes_a_constant_and_delays_a_ramp_by_its_time_constant() -> None:
@@ -108,7 +120,9 @@ def test_halving_the_step_converges(joint: dict[str, float], order: float) -> No
     from dataclasses import replace
 
     command = 0.2 * np.sin(7 * T)[:, None]
-    runs = [run(replace(swing(**joint), substeps=n), STILL, feedforward=command).q for n in (10, 20, 40)]
+    runs = [
+        run(replace(swing(**joint), substeps=n), STILL, feedforward=command).q for n in (10, 20, 40)
+    ]
     coarse, fine = (np.max(np.abs(b - a)) for a, b in itertools.pairwise(runs))
     assert np.log2(coarse / fine) > order
     assert fine < 1e-4  # rad
@@ -141,17 +155,23 @@ def test_chain_agrees_with_the_planar_formula() -> None:
     p1 = 0.1 + m1 * c1**2 + m2 * l1**2 + p2
     planar = MachineTruth("planar2r", pair, (p1, p2, m2 * l1 * c2), **base)  # type: ignore[arg-type]
     q, v, a = np.random.default_rng(0).normal(size=(3, 50, 2))
-    assert np.allclose(inverse_dynamics(chain, q, v, a), inverse_dynamics(planar, q, v, a), atol=1e-12)
+    assert np.allclose(
+        inverse_dynamics(chain, q, v, a), inverse_dynamics(planar, q, v, a), atol=1e-12
+    )
 
 
 def test_coupled_joint_feels_its_neighbour() -> None:
     pair = (JointTruth(), JointTruth())
     zero = (0.0, 0.0)
-    arm = MachineTruth("planar2r", pair, (1.0, 0.2, 0.0), kp=zero, kd=zero, ki=zero, q0=zero, v0=(0.0, 1.0))
+    arm = MachineTruth(
+        "planar2r", pair, (1.0, 0.2, 0.0), kp=zero, kd=zero, ki=zero, q0=zero, v0=(0.0, 1.0)
+    )
     quiet = run(arm, np.zeros((500, 2))).v[-1, 0]
     from dataclasses import replace
 
-    pushed = run(replace(arm, couplings=(CouplingTruth(0, 1, "viscous", 0.5),)), np.zeros((500, 2))).v[-1, 0]
+    pushed = run(
+        replace(arm, couplings=(CouplingTruth(0, 1, "viscous", 0.5),)), np.zeros((500, 2))
+    ).v[-1, 0]
     assert quiet == 0.0 and pushed < -0.05
 
 

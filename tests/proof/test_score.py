@@ -49,7 +49,9 @@ def truth(
     }
 
 
-def effect(name: str, joint: int = 1, accepted: tuple[str, ...] = (), **parameters: float) -> dict[str, Any]:
+def effect(
+    name: str, joint: int = 1, accepted: tuple[str, ...] = (), **parameters: float
+) -> dict[str, Any]:
     return {
         "effect": name,
         "joint": joint,
@@ -77,7 +79,8 @@ def test_right_name_on_wrong_joint_is_not_named() -> None:
 
 def test_set_that_holds_the_truth_counts_but_not_strictly() -> None:
     j = judge(
-        truth([effect("coulomb")]), Answer("missing", (found("stribeck", indistinguishable=("coulomb",)),))
+        truth([effect("coulomb")]),
+        Answer("missing", (found("stribeck", indistinguishable=("coulomb",)),)),
     )
     assert j.named is True and j.strict is False and j.set_size == 2
 
@@ -98,7 +101,10 @@ def test_both_of_a_pair_must_lead() -> None:
     t = truth([effect("coulomb"), effect("ripple")], kind="pair")
     assert judge(t, Answer("missing", (found("ripple"), found("coulomb")))).both is True
     assert judge(t, Answer("missing", (found("ripple"),))).both is False
-    assert judge(t, Answer("missing", (found("ripple"), found("stiffness"), found("coulomb")))).both is False
+    assert (
+        judge(t, Answer("missing", (found("ripple"), found("stiffness"), found("coulomb")))).both
+        is False
+    )
 
 
 def test_one_finding_cannot_stand_for_two_effects() -> None:
@@ -121,15 +127,22 @@ def test_false_alarms_are_claims_on_complete_machines() -> None:
     assert judge(t, Answer("unexplained")).alarm is True
 
 
-def test_a_disturbance_named_beside_a_nuisance_is_charged_and_unexplained_is_true_of_a_large_one() -> None:
+def test_a_disturbance_named_beside_a_nuisance_is_charged_and_unexplained_is_true_of_a_large_one() -> (  # noqa: E501
+    None
+):
     named = Answer("missing", (found("disturbance"),))
     large = truth([], kind="nuisance", verdict="complete", also_true=["unexplained"])
     for t in (truth([], kind="nuisance", verdict="complete"), large, truth([], verdict="complete")):
         j = judge(t, named)
         assert j.alarm is True and j.extra == 1 and j.sure_wrong
     assert judge(large, Answer("unexplained")).alarm is False
-    assert judge(truth([], kind="nuisance", verdict="complete"), Answer("unexplained")).alarm is True
-    beside = judge(truth([effect("coulomb")], kind="hard"), Answer("missing", (found("coulomb"), found("disturbance"))))
+    assert (
+        judge(truth([], kind="nuisance", verdict="complete"), Answer("unexplained")).alarm is True
+    )
+    beside = judge(
+        truth([effect("coulomb")], kind="hard"),
+        Answer("missing", (found("coulomb"), found("disturbance"))),
+    )
     assert beside.named is True and beside.extra == 1
 
 
@@ -146,7 +159,14 @@ def test_mechanism_is_judged_before_the_law() -> None:
 
 
 def test_position_friction_is_no_name_for_plain_coulomb() -> None:
-    t = truth([{**effect("coulomb"), "oracle": {"detectable": True, "inseparable": {"position_friction": 1.0}}}])
+    t = truth(
+        [
+            {
+                **effect("coulomb"),
+                "oracle": {"detectable": True, "inseparable": {"position_friction": 1.0}},
+            }
+        ]
+    )
     j = judge(t, Answer("missing", (found("position_friction"),)))
     assert j.law is False and j.mechanism is True
     assert judge(t, Answer("missing", (found("coulomb"),))).law is True
@@ -165,8 +185,12 @@ def test_smaller_of_two_effects_of_one_mechanism_may_stand_among_the_refinements
     refined = Answer("missing", (found("stribeck"),), refinements=(found("friction_drift"),))
     assert judge(t, refined).both is True
     assert judge(t, Answer("missing", (found("stribeck"),))).both is False
-    other = truth([effect("stribeck"), effect("ripple")], kind="pair")  # another mechanism is a finding of its own
-    assert judge(other, Answer("missing", (found("stribeck"),), refinements=(found("ripple"),))).both is False
+    # another mechanism is a finding of its own
+    other = truth([effect("stribeck"), effect("ripple")], kind="pair")
+    assert (
+        judge(other, Answer("missing", (found("stribeck"),), refinements=(found("ripple"),))).both
+        is False
+    )
 
 
 def test_body_is_right_by_its_name_whatever_the_joint() -> None:
@@ -174,7 +198,9 @@ def test_body_is_right_by_its_name_whatever_the_joint() -> None:
     t = truth([payload])
     assert judge(t, Answer("missing", (found("payload", joint=6, body="link6"),))).law is True
     assert judge(t, Answer("missing", (found("body", joint=6, body="link6"),))).law is True
-    assert judge(t, Answer("missing", (found("payload", joint=6, body="link3"),))).mechanism is False
+    assert (
+        judge(t, Answer("missing", (found("payload", joint=6, body="link3"),))).mechanism is False
+    )
 
 
 def test_called_complete_above_the_stated_size_is_counted() -> None:
@@ -195,20 +221,37 @@ def test_findings_that_make_an_untouched_recording_worse_are_counted() -> None:
 
 
 def test_foreign_torque_may_be_claimed_by_its_mechanism_without_a_law() -> None:
-    t = truth([{**effect("foreign"), "mechanisms": ["dry_friction"]}], kind="foreign", verdict="unexplained")
+    t = truth(
+        [{**effect("foreign"), "mechanisms": ["dry_friction"]}],
+        kind="foreign",
+        verdict="unexplained",
+    )
     j = judge(t, Answer("missing", (found("unknown", mechanism="dry_friction"),)))
     assert j.refused is True and j.extra == 0 and j.confidences == ((0.95, True),)
-    assert judge(t, Answer("missing", (found("unknown", mechanism="fluid_friction"),))).refused is False
-    assert judge(t, Answer("missing", (found("unknown", joint=2, mechanism="dry_friction"),))).refused is False
+    assert (
+        judge(t, Answer("missing", (found("unknown", mechanism="fluid_friction"),))).refused
+        is False
+    )
+    assert (
+        judge(t, Answer("missing", (found("unknown", joint=2, mechanism="dry_friction"),))).refused
+        is False
+    )
     law = judge(t, Answer("missing", (found("position_friction"),)))
     assert law.refused is False and law.extra == 1 and law.sure_wrong
     assert judge(t, Answer("complete")).refused is False
     faint = {**effect("foreign"), "oracle": {"detectable": True, "torque_share": 0.004}}
-    assert judge(truth([faint], kind="foreign", verdict="unexplained"), Answer("complete")).refused is None
+    assert (
+        judge(truth([faint], kind="foreign", verdict="unexplained"), Answer("complete")).refused
+        is None
+    )
 
 
 def test_foreign_torque_of_time_may_be_called_a_disturbance() -> None:
-    t = truth([{**effect("foreign"), "mechanisms": ["disturbance"]}], kind="foreign", verdict="unexplained")
+    t = truth(
+        [{**effect("foreign"), "mechanisms": ["disturbance"]}],
+        kind="foreign",
+        verdict="unexplained",
+    )
     assert judge(t, Answer("missing", (found("disturbance"),))).refused is True
 
 
@@ -224,12 +267,15 @@ def test_parameter_errors_and_coverage() -> None:
     values = {"level": Estimate(0.052, 0.001), "angle": Estimate(-3.1, 0.1)}
     j = judge(t, Answer("missing", (found("coulomb", parameters=values),)))
     assert j.errors == {"coulomb.level": pytest.approx(0.04)}
-    assert j.covered == {"coulomb.level": False, "coulomb.angle": True}  # 3.1 and -3.1 rad are 0.08 apart
+    # 3.1 and -3.1 rad are 0.08 apart
+    assert j.covered == {"coulomb.level": False, "coulomb.angle": True}
 
 
 def test_gap_closed_is_between_calibrated_and_noise() -> None:
     t = truth([effect("coulomb")])
-    j = judge(t, Answer("missing", (found("coulomb"),), calibrated=1.1, improved=0.2, noise_floor=0.1))
+    j = judge(
+        t, Answer("missing", (found("coulomb"),), calibrated=1.1, improved=0.2, noise_floor=0.1)
+    )
     assert j.gap == pytest.approx(0.9)
 
 
@@ -237,7 +283,8 @@ def test_place_is_found_by_a_region_that_holds_it() -> None:
     t = truth([effect("stribeck")], where=[{"variable": "velocity", "joint": 1, "value": 0.0}])
     assert (
         judge(
-            t, Answer("missing", (found("stribeck"),), regions=(Region(1, "velocity", (-0.1, 0.1)),))
+            t,
+            Answer("missing", (found("stribeck"),), regions=(Region(1, "velocity", (-0.1, 0.1)),)),
         ).localised
         is True
     )
@@ -265,13 +312,36 @@ REPORT = {
     "verdict": "missing",
     "findings": [
         {
-            "effect": "coulomb", "joint": 1, "parameters": {"level": {"value": 0.05, "std": 0.001, "unit": "N m"}},
-            "confidence": 0.99, "share": 0.8, "indistinguishable": ["stribeck"], "replaces": ["viscous"], "sentence": "",
+            "effect": "coulomb",
+            "joint": 1,
+            "parameters": {"level": {"value": 0.05, "std": 0.001, "unit": "N m"}},
+            "confidence": 0.99,
+            "share": 0.8,
+            "indistinguishable": ["stribeck"],
+            "replaces": ["viscous"],
+            "sentence": "",
         }
     ],
-    "where": {"time": [[3.1, 3.4]], "state": [{"joint": 1, "variable": "velocity", "interval": [-0.05, 0.05], "share": 0.7, "time_share": 0.1}]},
-    "fit": {"quantity": "position", "unit": "rad", "estimation": {}, "heldout": {"given": 3.0, "calibrated": 2.0, "improved": 1.0}, "noise_floor": 0.9},
-}  # fmt: skip
+    "where": {
+        "time": [[3.1, 3.4]],
+        "state": [
+            {
+                "joint": 1,
+                "variable": "velocity",
+                "interval": [-0.05, 0.05],
+                "share": 0.7,
+                "time_share": 0.1,
+            }
+        ],
+    },
+    "fit": {
+        "quantity": "position",
+        "unit": "rad",
+        "estimation": {},
+        "heldout": {"given": 3.0, "calibrated": 2.0, "improved": 1.0},
+        "noise_floor": 0.9,
+    },
+}
 
 
 def test_report_of_the_contract_is_read(tmp_path: Path) -> None:
@@ -315,22 +385,29 @@ def stand_in(tmp_path: Path, body: str) -> tuple[str, ...]:
     """A command with the contract's options, whose behaviour `body` says."""
     script = tmp_path / "stand_in.py"
     script.write_text(
-        "import json, pathlib, sys\nout = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])\n" + body
+        "import json, pathlib, sys\nout = pathlib.Path(sys.argv[sys.argv.index('--out') + 1])\n"
+        + body
     )
     return (sys.executable, str(script))
 
 
 def test_command_is_run_as_a_process_and_its_report_read(tmp_path: Path) -> None:
-    command = stand_in(tmp_path, f"(out / 'report.json').write_text({json.dumps(json.dumps(REPORT))})\n")
+    command = stand_in(
+        tmp_path, f"(out / 'report.json').write_text({json.dumps(json.dumps(REPORT))})\n"
+    )
     answer = diagnose(case_folder(tmp_path / "cases"), tmp_path / "out", 30.0, command=command)
     assert answer.trouble == "" and answer.verdict == "missing" and answer.seconds > 0
 
 
 def test_command_that_fails_or_hangs_is_a_failure_not_a_crash(tmp_path: Path) -> None:
     folder = case_folder(tmp_path / "cases")
-    failed = diagnose(folder, tmp_path / "o1", 30.0, command=stand_in(tmp_path, "sys.exit('no such column')\n"))
+    failed = diagnose(
+        folder, tmp_path / "o1", 30.0, command=stand_in(tmp_path, "sys.exit('no such column')\n")
+    )
     assert "exit status 1: no such column" in failed.trouble
-    hung = diagnose(folder, tmp_path / "o2", 0.5, command=stand_in(tmp_path, "import time; time.sleep(60)\n"))
+    hung = diagnose(
+        folder, tmp_path / "o2", 0.5, command=stand_in(tmp_path, "import time; time.sleep(60)\n")
+    )
     assert "no answer within" in hung.trouble
     j = judge(truth([], kind="complete", verdict="complete"), failed)
     assert failures([j])
@@ -366,7 +443,10 @@ def test_answers_of_other_code_are_asked_again(tmp_path: Path) -> None:
 
 def test_scoreboard_prints_every_promise() -> None:
     judged = [
-        judge(truth([effect("coulomb", level=0.05)]), Answer("missing", (found("coulomb"),), seconds=2.0))
+        judge(
+            truth([effect("coulomb", level=0.05)]),
+            Answer("missing", (found("coulomb"),), seconds=2.0),
+        )
     ]
     printed = text(judged, "known")
     assert all(row[0].strip() in printed for row in headline(judged))

@@ -10,7 +10,16 @@ import pytest
 from zendsp.proof import shipped
 from zendsp.proof.case import Request
 from zendsp.proof.mechanisms import LAWS, MECHANISM
-from zendsp.proof.shipped import EFFECTS, FOREIGN, FOREIGN_MECHANISMS, PERIOD, RIGS, Rig, record, scale_of
+from zendsp.proof.shipped import (
+    EFFECTS,
+    FOREIGN,
+    FOREIGN_MECHANISMS,
+    PERIOD,
+    RIGS,
+    Rig,
+    record,
+    scale_of,
+)
 
 
 def rig(machine: str, seconds: float) -> Rig:
@@ -20,7 +29,9 @@ def rig(machine: str, seconds: float) -> Rig:
 
 
 def test_torque_of_the_planar_machine_is_its_models() -> None:
-    """M(q) qdd + C + friction along the true motion is the command of the row before, to a hundredth."""
+    """M(q) qdd + C + friction along the true motion is the command of the row before, to a
+    hundredth.
+    """
     r = rig("c_planar", 3.0)
     run = record(r, "sines", np.random.default_rng(1))
     q, v = 0.5 * (run.q[1:] + run.q[:-1]), 0.5 * (run.v[1:] + run.v[:-1])
@@ -47,14 +58,18 @@ def test_every_effect_is_taken_by_the_machine_and_named_by_the_contract(machine:
     for kind, names in (("single", EFFECTS), ("foreign", FOREIGN)):
         for name in names:
             changed = rig(machine, 0.05)
-            shipped.conceal(changed, Request(1, kind, machine, name, 0.1), 0, scale, np.random.default_rng(3))
+            shipped.conceal(
+                changed, Request(1, kind, machine, name, 0.1), 0, scale, np.random.default_rng(3)
+            )
             (truth,) = changed.truths
             assert truth["effect"] in MECHANISM or kind == "foreign"
             record(changed, "sines", np.random.default_rng(2))  # the machine knows its words
     assert all(set(m) <= set(LAWS) for m in FOREIGN_MECHANISMS)
 
 
-def test_same_seed_same_bits_and_the_truth_is_not_in_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_same_seed_same_bits_and_the_truth_is_not_in_the_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def short(make: Callable[[], Rig]) -> Callable[[], Rig]:
         def made() -> Rig:
             r = make()
@@ -66,7 +81,11 @@ def test_same_seed_same_bits_and_the_truth_is_not_in_the_model(monkeypatch: pyte
     monkeypatch.setattr(shipped, "RIGS", {name: short(make) for name, make in RIGS.items()})
     request = Request(5, "single", "c_planar", "coulomb", 0.2, "machines")
     a, b = (shipped.attempt_case(request, np.random.default_rng(5)) for _ in range(2))
-    assert np.array_equal(a.train.measured, b.train.measured) and a.model == b.model and a.truth == b.truth
+    assert (
+        np.array_equal(a.train.measured, b.train.measured)
+        and a.model == b.model
+        and a.truth == b.truth
+    )
     joint = a.truth["effects"][0]["joint"]
     assert ("coulomb", joint) not in {(e["kind"], e["joint"]) for e in a.model["effect"]}
     assert ("coulomb", 3 - joint) in {(e["kind"], e["joint"]) for e in a.model["effect"]}

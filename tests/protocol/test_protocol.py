@@ -1,4 +1,6 @@
-"""The wire contract: what is malformed is refused in words, what is documented is what the code does."""
+"""The wire contract: what is malformed is refused in words, what is documented is what the code
+does.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +24,33 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def test_a_request_survives_the_wire() -> None:
     data = codec.encode_request(
-        "update", {"values": {"Kp": 1.5, "on": True, "n": 3, "g": [1.0, 2.0]}, "at_tick": 7}, "anna@lab"
+        "update",
+        {"values": {"Kp": 1.5, "on": True, "n": 3, "g": [1.0, 2.0]}, "at_tick": 7},
+        "anna@lab",
     )
     verb, args, by = codec.decode_request(data, "sync")
     assert (verb.name, by, args.at_tick) == ("update", "anna@lab", 7)  # type: ignore[attr-defined]
-    assert args.values == {"Kp": 1.5, "on": True, "n": 3, "g": [1.0, 2.0]}  # type: ignore[attr-defined]
+    assert args.values == {"Kp": 1.5, "on": True, "n": 3,
+        "g": [1.0, 2.0]}  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     "value",
-    [1.5, 3, True, [1.0, 2.0], np.arange(3.0), np.arange(500.0), np.arange(500, dtype=np.int32), np.ones(99, np.bool_),
-     np.arange(200.0).reshape(100, 2), np.float32(2.5), np.int64(4), np.arange(99, dtype=np.float32)],
-)  # fmt: skip
+    [
+        1.5,
+        3,
+        True,
+        [1.0, 2.0],
+        np.arange(3.0),
+        np.arange(500.0),
+        np.arange(500, dtype=np.int32),
+        np.ones(99, np.bool_),
+        np.arange(200.0).reshape(100, 2),
+        np.float32(2.5),
+        np.int64(4),
+        np.arange(99, dtype=np.float32),
+    ],
+)
 def test_values_survive_the_wire(value: object) -> None:
     data = codec.encode(m.Reading(tick=1, values={"x": values.to_wire(value)}))
     back = values.from_wire(codec.decode(data, m.Reading).values["x"])
@@ -47,7 +64,9 @@ def test_what_is_not_a_number_is_no_value(value: object) -> None:
 
 
 def test_a_result_and_an_error_survive_the_wire() -> None:
-    assert codec.decode_reply(codec.encode_result(m.Applied(sequence=1, tick=2)), m.Applied).tick == 2
+    assert (
+        codec.decode_reply(codec.encode_result(m.Applied(sequence=1, tick=2)), m.Applied).tick == 2
+    )
     with pytest.raises(VariableError, match="Kp: too large"):
         codec.decode_reply(codec.encode_error(VariableError("Kp: too large")), m.Applied)
     with pytest.raises(errors.Refused, match="this is a bug"):
@@ -55,11 +74,24 @@ def test_a_result_and_an_error_survive_the_wire() -> None:
 
 
 @settings(max_examples=300, deadline=None)
-@given(st.one_of(st.binary(max_size=300), st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(max_size=9) | st.binary(max_size=9),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["v", "verb", "by", "args", "ok", "x"]), inner, max_size=5),
-    max_leaves=12,
-).map(msgspec.msgpack.encode)))  # fmt: skip
+@given(
+    st.one_of(
+        st.binary(max_size=300),
+        st.recursive(
+            st.none()
+            | st.booleans()
+            | st.integers(-(2**63), 2**64 - 1)
+            | st.floats()
+            | st.text(max_size=9)
+            | st.binary(max_size=9),
+            lambda inner: st.lists(inner, max_size=4)
+            | st.dictionaries(
+                st.sampled_from(["v", "verb", "by", "args", "ok", "x"]), inner, max_size=5
+            ),
+            max_leaves=12,
+        ).map(msgspec.msgpack.encode),
+    )
+)
 def test_no_bytes_whatever_get_past_the_decoder_or_break_it(data: bytes) -> None:
     for lane in keys.LANES:
         with pytest.raises(LinkError):
@@ -75,7 +107,9 @@ def test_versions_that_differ_say_which_side_to_upgrade() -> None:
     newer = codec.encode({"v": version.PROTOCOL + 1, "ok": True, "result": {"new": "form"}})
     with pytest.raises(
         VersionMismatch,
-        match=r"the target speaks protocol 2, the host speaks protocol 1: upgrade zendsp on the host",
+        match=(
+            r"the target speaks protocol 2, the host speaks protocol 1: upgrade zendsp on the host"
+        ),
     ):
         codec.decode_reply(newer, m.Status)
     # An old host reads the sentence of a new target, whatever else has changed.
@@ -90,7 +124,9 @@ def test_versions_that_differ_say_which_side_to_upgrade() -> None:
 
 
 def test_new_fields_of_a_newer_target_are_ignored() -> None:
-    reply = codec.encode({"v": 1, "ok": True, "result": {"sequence": 1, "tick": 5, "added_later": [1, 2]}})
+    reply = codec.encode(
+        {"v": 1, "ok": True, "result": {"sequence": 1, "tick": 5, "added_later": [1, 2]}}
+    )
     assert codec.decode_reply(reply, m.Applied).tick == 5
 
 
@@ -148,13 +184,17 @@ def test_an_entry_of_the_registry_counts_only_while_its_process_lives() -> None:
     assert registry.born(os.getpid())
     with subprocess.Popen(["true"]) as process:
         process.wait()
-    assert registry.born(process.pid) == "" or registry.born(process.pid) != registry.born(os.getpid())
+    assert registry.born(process.pid) == "" or registry.born(process.pid) != registry.born(
+        os.getpid()
+    )
     assert registry.folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == "/run/user/7/zendsp"
     assert registry.folder({"ZENDSP_RUNTIME_DIR": "/x", "XDG_RUNTIME_DIR": "/run/user/7"}) == "/x"
 
 
 def test_the_documentation_lists_every_verb_and_field_as_they_are() -> None:
-    spec = importlib.util.spec_from_file_location("generate_protocol", DOCS / "generate_protocol.py")
+    spec = importlib.util.spec_from_file_location(
+        "generate_protocol", DOCS / "generate_protocol.py"
+    )
     assert spec is not None and spec.loader is not None
     generate = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(generate)
@@ -162,6 +202,13 @@ def test_the_documentation_lists_every_verb_and_field_as_they_are() -> None:
     assert generate.updated(text) == text, (
         "docs/protocol.md is behind the code: run python docs/generate_protocol.py"
     )
-    for key in (keys.rpc("<target>", "<lane>"), keys.info("<target>"), keys.variable("<target>", "<name>"), keys.event("<target>"),
-                keys.live("<target>", "<n>"), keys.alive("<target>"), keys.host("<target>", "<host>")):  # fmt: skip
+    for key in (
+        keys.rpc("<target>", "<lane>"),
+        keys.info("<target>"),
+        keys.variable("<target>", "<name>"),
+        keys.event("<target>"),
+        keys.live("<target>", "<n>"),
+        keys.alive("<target>"),
+        keys.host("<target>", "<host>"),
+    ):
         assert f"`{key}`" in text, key

@@ -1,4 +1,6 @@
-"""Every kind: valid by default on every machine, derivatives that belong to the positions, and its own law."""
+"""Every kind: valid by default on every machine, derivatives that belong to the positions, and its
+own law.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def planned(machine: str, kind: str) -> Reference:
     return make_reference(kind, machine)
 
 
-PAIRS = [(m, k) for m in MACHINES for k in KINDS if k != "from_file" and KINDS[k].fits(load_machine(m))]
+PAIRS = [
+    (m, k) for m in MACHINES for k in KINDS if k != "from_file" and KINDS[k].fits(load_machine(m))
+]
 
 
 @pytest.mark.parametrize(("machine", "kind"), PAIRS)
@@ -49,20 +53,26 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(machine: str,
     reference = planned(machine, kind)
     dt = reference.sample_time
     for x, xd in ((reference.q, reference.qd), (reference.qd, reference.qdd)):
-        # what one sample of the derivative adds up to; the trapezoid rule errs by a jump of the derivative in one sample
+        # what one sample of the derivative adds up to; the trapezoid rule errs by a jump of the
+        # derivative in one sample
         grown = 0.5 * dt * (xd[1:] + xd[:-1])
         jump = np.abs(np.diff(xd, axis=0)).max(axis=0)
         assert np.all(np.abs(np.diff(x, axis=0) - grown) <= dt * jump + 1e-9)
 
 
 def test_lspb_of_the_wam_paper_cruises_at_0_083_rad_per_s() -> None:
-    reference = make_lspb(load_machine("wam7"), start=-0.55, goal=-0.05, duration=7.0, blend_time=1.0)
-    assert reference.qd.max() == pytest.approx(0.5 / 6.0, rel=1e-12)  # 4·0.5/(49 - 25), printed as 0.083
+    reference = make_lspb(
+        load_machine("wam7"), start=-0.55, goal=-0.05, duration=7.0, blend_time=1.0
+    )
+    # 4·0.5/(49 - 25), printed as 0.083
+    assert reference.qd.max() == pytest.approx(0.5 / 6.0, rel=1e-12)
     assert reference.q[-1] == pytest.approx(np.full(7, -0.05))
 
 
 def test_lspb_reaches_its_goal_for_any_blend_time() -> None:
-    reference = make_lspb(load_machine("pendulum"), start=0.0, goal=1.0, duration=4.0, blend_time=0.5)
+    reference = make_lspb(
+        load_machine("pendulum"), start=0.0, goal=1.0, duration=4.0, blend_time=0.5
+    )
     assert reference.q[-1, 0] == pytest.approx(1.0, abs=1e-12)
     assert reference.qdd.max() == pytest.approx(1.0 / (0.5 * 3.5))
 
@@ -72,19 +82,25 @@ def test_circle_keeps_its_radius_and_its_elbow(elbow: str) -> None:
     arm = load_machine("imi_planar")
     reference = make_circle(arm, radius=0.12, x=0.45, y=0.1, elbow=elbow)  # type: ignore[arg-type]
     tip = forward_kinematics(arm, reference.q)
-    assert np.hypot(tip[:, 0] - 0.45, tip[:, 1] - 0.1) == pytest.approx(np.full(len(tip), 0.12), abs=1e-12)
+    assert np.hypot(tip[:, 0] - 0.45, tip[:, 1] - 0.1) == pytest.approx(
+        np.full(len(tip), 0.12), abs=1e-12
+    )
     assert np.all(reference.q[:, 1] > 0) == (elbow == "positive")
 
 
 def test_trapezoid_returns_after_every_speed() -> None:
-    reference = make_trapezoid(load_machine("wam7"), joint=3, start=0.1, travel=0.4, speeds=[0.1, 0.3], acceleration=2.0)
+    reference = make_trapezoid(
+        load_machine("wam7"), joint=3, start=0.1, travel=0.4, speeds=[0.1, 0.3], acceleration=2.0
+    )
     assert reference.q[-1, 2] == pytest.approx(0.1, abs=1e-9)
     assert {round(float(v), 9) for v in np.abs(reference.qd[:, 2])} >= {0.1, 0.3}
     assert np.all(reference.q[:, [0, 1, 3, 4, 5, 6]] == 0.1)
 
 
 def test_trapezoid_says_which_speed_its_travel_cannot_reach() -> None:
-    with pytest.raises(ReferenceError_, match=r"travel of 0.1 rad .* reaches 0.4472 rad/s, not 1 rad/s"):
+    with pytest.raises(
+        ReferenceError_, match=r"travel of 0.1 rad .* reaches 0.4472 rad/s, not 1 rad/s"
+    ):
         make_trapezoid(load_machine("wam7"), start=0.0, travel=0.1, speeds=[1.0], acceleration=2.0)
 
 
@@ -98,7 +114,14 @@ def test_triangle_cycles_repeat_row_by_row() -> None:
 
 def test_multisine_has_low_crest_and_no_line_shared_by_two_joints() -> None:
     reference = make_multisine(
-        load_machine("imi_planar"), start=0.0, amplitude=0.3, period=10.0, f_min=0.1, f_max=3.0, spectrum="flat", fade_time=0.0
+        load_machine("imi_planar"),
+        start=0.0,
+        amplitude=0.3,
+        period=10.0,
+        f_min=0.1,
+        f_max=3.0,
+        spectrum="flat",
+        fade_time=0.0,
     )
     period = reference.q[:10000]
     # random phases of 15 lines have a crest factor of about 2.5; Schroeder's about 1.7
@@ -111,18 +134,24 @@ def test_multisine_has_low_crest_and_no_line_shared_by_two_joints() -> None:
 
 
 def test_prbs_has_the_autocorrelation_of_a_maximum_length_sequence() -> None:
-    reference = make_prbs(load_machine("pendulum"), quantity="torque", start=0.0, amplitude=0.2, order=6, clock=0.01)
+    reference = make_prbs(
+        load_machine("pendulum"), quantity="torque", start=0.0, amplitude=0.2, order=6, clock=0.01
+    )
     assert reference.tau is not None
     bits = reference.tau[:-1:10, 0] / 0.2
     correlation = np.fft.ifft(np.abs(np.fft.fft(bits)) ** 2).real
-    assert correlation[0] == pytest.approx(63.0) and correlation[1:] == pytest.approx(np.full(62, -1.0))
+    assert correlation[0] == pytest.approx(63.0) and correlation[1:] == pytest.approx(
+        np.full(62, -1.0)
+    )
 
 
 def test_torque_law_is_the_one_of_the_paper() -> None:
     reference = make_torque_law(load_machine("pendulum"), duration=2.0)
     assert reference.tau is not None and reference.mode == "torque"
     for t in (0.0, 0.5, 2.0):
-        law = 0.3 * (1 - np.exp(-1.8 * t)) + 0.1 * np.sin(26 * t + 0.08) + 0.1 * np.sin(12 * t + 0.34)
+        law = (
+            0.3 * (1 - np.exp(-1.8 * t)) + 0.1 * np.sin(26 * t + 0.08) + 0.1 * np.sin(12 * t + 0.34)
+        )
         assert reference.tau[round(t / 0.001), 0] == pytest.approx(law, abs=1e-12)
 
 
@@ -135,19 +164,34 @@ def test_swing_reaches_the_goal_when_an_adaptive_integrator_plays_its_torque() -
     p, dt = machine.parameters, reference.sample_time
 
     def rate(t: float, x: np.ndarray, tau: float) -> list[float]:  # type: ignore[type-arg]
-        resist = p["theta2"] * 9.81 * np.sin(x[0]) + p["theta3"] * np.tanh(p["beta"] * x[1]) + p["viscous"] * x[1]
+        resist = (
+            p["theta2"] * 9.81 * np.sin(x[0])
+            + p["theta3"] * np.tanh(p["beta"] * x[1])
+            + p["viscous"] * x[1]
+        )
         return [x[1], (tau - resist) / p["theta1"]]
 
     x = np.zeros(2)
     for k in range(0, reference.samples - 1, 10):  # an interval is 10 samples of equal torque
-        x = solve_ivp(rate, (0, 10 * dt), x, args=(reference.tau[k, 0],), method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1]
-    assert x == pytest.approx([2.0, 0.0], abs=0.02)  # rad, rad/s: what the collocation and the simulation differ by
+        x = solve_ivp(
+            rate,
+            (0, 10 * dt),
+            x,
+            args=(reference.tau[k, 0],),
+            method="LSODA",
+            rtol=1e-9,
+            atol=1e-11,
+        ).y[:, -1]
+    # rad, rad/s: what the collocation and the simulation differ by
+    assert x == pytest.approx([2.0, 0.0], abs=0.02)
 
 
 def test_time_optimal_swing_is_faster_with_more_torque_and_slower_with_friction() -> None:
     machine = load_machine("pendulum")
     durations = [
-        make_swing(machine, goal=2.0, objective="time", torque_limit=limit, friction=friction, intervals=20).duration
+        make_swing(
+            machine, goal=2.0, objective="time", torque_limit=limit, friction=friction, intervals=20
+        ).duration
         for limit, friction in ((0.5, 0.1), (0.8, 0.1), (0.5, 0.0))
     ]
     assert durations[1] < durations[0] and durations[2] < durations[0]
@@ -157,14 +201,19 @@ def test_time_optimal_swing_pushes_and_brakes_with_all_the_torque_that_is_allowe
     reference = make_swing(load_machine("pendulum"), objective="time", torque_limit=0.3)
     assert reference.tau is not None
     used = np.abs(reference.tau[:-1, 0])
-    # Bang-bang (Pontryagin), but for less than one held level of slack, which makes the switch softer.
+    # Bang-bang (Pontryagin), but for less than one held level of slack, which makes the switch
+    # softer.
     assert np.mean(used > 0.95 * 0.3) > 0.8
-    assert reference.tau[5, 0] > 0.29 and reference.tau[-10, 0] < -0.29 and reference.duration < 0.44
+    assert (
+        reference.tau[5, 0] > 0.29 and reference.tau[-10, 0] < -0.29 and reference.duration < 0.44
+    )
 
 
 def test_an_impossible_swing_is_refused_with_what_to_change() -> None:
     with pytest.raises(ReferenceError_, match="allow more torque, more time or a nearer goal"):
-        make_swing(load_machine("pendulum"), goal=3.0, duration=0.02, torque_limit=0.05, intervals=10)
+        make_swing(
+            load_machine("pendulum"), goal=3.0, duration=0.02, torque_limit=0.05, intervals=10
+        )
 
 
 def test_prediction_of_free_fall_matches_an_adaptive_integrator() -> None:
@@ -175,7 +224,9 @@ def test_prediction_of_free_fall_matches_an_adaptive_integrator() -> None:
     q, qd, _ = predict_motion(machine.dynamics, tau, 0.001, np.zeros(2))
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-        return np.concatenate([x[2:], machine.dynamics.acceleration(x[:2].tolist(), x[2:].tolist(), [30.0, -5.0])])
+        return np.concatenate(
+            [x[2:], machine.dynamics.acceleration(x[:2].tolist(), x[2:].tolist(), [30.0, -5.0])]
+        )
 
     end = solve_ivp(rate, (0, 0.5), np.zeros(4), method="LSODA", rtol=1e-10, atol=1e-12).y[:, -1]
     assert np.concatenate([q[-1], qd[-1]]) == pytest.approx(end, rel=1e-5, abs=1e-6)

@@ -1,4 +1,6 @@
-"""Limits are checked before anything is saved; files come back as they were; forms and options come from one registry."""
+"""Limits are checked before anything is saved; files come back as they were; forms and options come
+from one registry.
+"""
 
 from __future__ import annotations
 
@@ -34,17 +36,24 @@ from zendsp.reference import (
     [
         ({"position": 2.3}, r"joint 2: position 2.3 rad at t = 0.005 s, limit 2.15 rad"),
         ({"speed": -10.0}, r"joint 2: speed -10 rad/s at t = 0.005 s, limit -9.42 rad/s"),
-        ({"acceleration": 150.0}, r"joint 2: acceleration 150 rad/s\^2 at t = 0.005 s, limit 140 rad/s\^2"),
+        (
+            {"acceleration": 150.0},
+            r"joint 2: acceleration 150 rad/s\^2 at t = 0.005 s, limit 140 rad/s\^2",
+        ),
         ({"torque": 40.0}, r"joint 2: torque 40 N m at t = 0.005 s, limit 39.2 N m"),
     ],
 )
-def test_nothing_is_saved_beyond_a_limit_and_the_error_names_it(tmp_path: Path, change: dict[str, float], message: str) -> None:
+def test_nothing_is_saved_beyond_a_limit_and_the_error_names_it(
+    tmp_path: Path, change: dict[str, float], message: str
+) -> None:
     x = {name: np.zeros((10, 2)) for name in ("position", "speed", "acceleration", "torque")}
     for name, value in change.items():
         x[name][5, 1] = value
     mode = "torque" if "torque" in change else "position"
     tau = x["torque"] if mode == "torque" else None
-    reference = Reference(x["position"], 0.001, x["speed"], x["acceleration"], tau, machine="imi_planar", mode=mode)
+    reference = Reference(
+        x["position"], 0.001, x["speed"], x["acceleration"], tau, machine="imi_planar", mode=mode
+    )
     with pytest.raises(ReferenceError_, match=message):
         save_reference(reference, tmp_path / "no.mat")
     assert not list(tmp_path.iterdir())
@@ -52,8 +61,11 @@ def test_nothing_is_saved_beyond_a_limit_and_the_error_names_it(tmp_path: Path, 
 
 def test_torque_of_a_motion_is_limited_though_it_has_no_feed_forward() -> None:
     fast = np.zeros((10, 2))
-    fast[5, 0] = 54.0  # rad/s^2, below the limit of acceleration; 3.957 kg m^2 · 54 + nothing = 213.7 N m on joint 1
-    torque = load_machine("imi_planar").torque(Reference(np.zeros((10, 2)), 0.001, np.zeros((10, 2)), fast))
+    # rad/s^2, below the limit of acceleration; 3.957 kg m^2 · 54 + nothing = 213.7 N m on joint 1
+    fast[5, 0] = 54.0
+    torque = load_machine("imi_planar").torque(
+        Reference(np.zeros((10, 2)), 0.001, np.zeros((10, 2)), fast)
+    )
     assert torque[5] == pytest.approx([(3.473 + 2 * 0.242) * 54.0, (0.196 + 0.242) * 54.0])
 
 
@@ -92,14 +104,21 @@ def test_bad_files_get_one_clear_sentence(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("t,q1,q2\n0,1,1\n0,2,2\n")
     (tmp_path / "c.mat").write_bytes(b"this is no MAT file at all" * 20)
     arm = load_machine("imi_planar")
-    for name, words in (("a.csv", "no column q"), ("b.csv", "time does not increase at row 1"), ("c.mat", "cannot be read"), ("d.mat", "no such file")):
+    for name, words in (
+        ("a.csv", "no column q"),
+        ("b.csv", "time does not increase at row 1"),
+        ("c.mat", "cannot be read"),
+        ("d.mat", "no such file"),
+    ):
         with pytest.raises(ReferenceError_, match=words):
             make_from_file(arm, path=str(tmp_path / name))
 
 
 def test_out_of_reach_names_the_point_and_the_ring() -> None:
     arm = load_machine("imi_planar")
-    with pytest.raises(ReferenceError_, match=r"\(0.8, 0\) m is 0.8 m from the base .* from 0.02 to 0.7 m"):
+    with pytest.raises(
+        ReferenceError_, match=r"\(0.8, 0\) m is 0.8 m from the base .* from 0.02 to 0.7 m"
+    ):
         inverse_kinematics(arm, np.array([0.8, 0.0]), "positive")
     with pytest.raises(ReferenceError_, match="outstretched or folded"):
         make_circle(arm, radius=0.1, x=0.6, y=0.0)
@@ -107,7 +126,8 @@ def test_out_of_reach_names_the_point_and_the_ring() -> None:
 
 def test_two_elbow_solutions_reach_the_same_point_and_no_third_exists() -> None:
     arm = load_machine("imi_planar")
-    a, b = (inverse_kinematics(arm, np.array([0.3, 0.4]), elbow) for elbow in ("positive", "negative"))  # type: ignore[arg-type]
+    a, b = (inverse_kinematics(arm, np.array([0.3, 0.4]), elbow) for elbow in ("positive",
+        "negative"))  # type: ignore[arg-type]
     assert a[1] == pytest.approx(-b[1]) and a[0] != pytest.approx(b[0])
 
 
@@ -139,7 +159,18 @@ def test_every_parameter_of_every_kind_is_ready_for_a_form() -> None:
 def test_command_line_plans_saves_draws_and_refuses(tmp_path: Path) -> None:
     runner = CliRunner()
     out, picture = tmp_path / "c.mat", tmp_path / "c.png"
-    args = ["circle", "--machine", "imi_planar", "--radius", "0.1", "--out", str(out), "--plot", str(picture), "--json"]
+    args = [
+        "circle",
+        "--machine",
+        "imi_planar",
+        "--radius",
+        "0.1",
+        "--out",
+        str(out),
+        "--plot",
+        str(picture),
+        "--json",
+    ]
     result = runner.invoke(command, args, catch_exceptions=False)
     told = json.loads(result.output)
     assert told["samples"] == 4501 and load_reference(out).parameters["radius"] == 0.1
@@ -177,32 +208,54 @@ def _rnea(pin: Any, model: Any, data: Any, *motion: np.ndarray) -> np.ndarray:
 def test_a_machine_of_ones_own_is_a_toml_file_of_the_same_form(tmp_path: Path) -> None:
     file = tmp_path / "slow_arm.toml"
     file.write_text(
-        'name = "slow_arm"\nkind = "planar2r"\njoints = 2\nsample_time = 0.002\nhome = [0, 0]\n'
-        "[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [0.5, 0.5]\nacceleration = [2, 2]\ntorque = [50, 50]\n"
-        "[parameters]\np1 = 1.0\np2 = 0.2\np3 = 0.1\nl1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
+        'name = "slow_arm"\nkind = "planar2r"\njoints = 2\nsample_time = 0.002\nhome = [0,'
+        " 0]\n[limits]\nposition_min = [-1, -1]\nposition_max = [1, 1]\nspeed = [0.5,"
+        " 0.5]\nacceleration = [2, 2]\ntorque = [50, 50]\n[parameters]\np1 = 1.0\np2 = 0.2\np3 ="
+        " 0.1\nl1 = 0.5\nl2 = 0.5\nviscous = [0, 0]\ncoulomb = [0, 0]\n"
     )
     machine = load_machine(str(file))
     reference = make_reference("point_to_point", machine, headroom=1.0, goal=0.8)
     machine.check(reference)
-    assert reference.sample_time == 0.002 and 0.45 < abs(reference.qd).max() <= 0.5, "the shortest within its limits"
+    assert (
+        reference.sample_time == 0.002 and 0.45 < abs(reference.qd).max() <= 0.5
+    ), "the shortest within its limits"
     file.write_text(file.read_text().replace("coulomb", "colomb"))
     with pytest.raises(ReferenceError_, match="no machine"):
         load_machine(str(tmp_path / "other.toml"))
 
 
-@pytest.mark.parametrize(("line", "key", "meant"), [("torqe = [1.0, 1.0]", "torqe", "torque"), ("viscus = [0.1, 0.1]", "viscus", "viscous")])
-def test_a_key_of_a_machine_that_nobody_reads_is_refused(tmp_path: Path, line: str, key: str, meant: str) -> None:
-    shipped = resources.files("zendsp.reference").joinpath("machines", "imi_planar.toml").read_text()
+@pytest.mark.parametrize(
+    ("line", "key", "meant"),
+    [("torqe = [1.0, 1.0]", "torqe", "torque"), ("viscus = [0.1, 0.1]", "viscus", "viscous")],
+)
+def test_a_key_of_a_machine_that_nobody_reads_is_refused(
+    tmp_path: Path, line: str, key: str, meant: str
+) -> None:
+    shipped = (
+        resources.files("zendsp.reference").joinpath("machines", "imi_planar.toml").read_text()
+    )
     table = "[limits]" if meant == "torque" else "[parameters]"
     path = tmp_path / "mine.toml"
     path.write_text(shipped.replace(table, f"{table}\n{line}"))
-    with pytest.raises(ReferenceError_, match=rf"mine\.toml: \{table[:-1]}.*{key}.*did you mean {meant}\?"):
+    with pytest.raises(
+        ReferenceError_, match=rf"mine\.toml: \{table[:-1]}.*{key}.*did you mean {meant}\?"
+    ):
         load_machine(str(path))
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 1.0])
-@pytest.mark.parametrize(("machine", "kind"), [("imi_planar", "point_to_point"), ("imi_planar", "lspb"), ("pendulum", "lspb"), ("pendulum", "chirp")])
-def test_a_motion_leaves_the_rest_of_every_limit_to_the_controller(machine: str, kind: str, share: float) -> None:
+@pytest.mark.parametrize(
+    ("machine", "kind"),
+    [
+        ("imi_planar", "point_to_point"),
+        ("imi_planar", "lspb"),
+        ("pendulum", "lspb"),
+        ("pendulum", "chirp"),
+    ],
+)
+def test_a_motion_leaves_the_rest_of_every_limit_to_the_controller(
+    machine: str, kind: str, share: float
+) -> None:
     described = load_machine(machine)
     reference = make_reference(kind, described, headroom=share)
     used = {

@@ -28,7 +28,9 @@ def make_runtime() -> Iterator[Callable[..., Runtime]]:
     """A runtime with a program loaded: ``make_runtime(code, clock="fast", …)``."""
     made: list[Runtime] = []
 
-    def make(code: str, machine: str = "imi_planar", clock: str = "fast", **options: Any) -> Runtime:
+    def make(
+        code: str, machine: str = "imi_planar", clock: str = "fast", **options: Any
+    ) -> Runtime:
         runtime = Runtime(machine, clock=clock, **options)
         made.append(runtime)
         _load(runtime, code)
@@ -43,7 +45,9 @@ def make_runtime() -> Iterator[Callable[..., Runtime]]:
 def wait_for() -> Callable[..., None]:
     """Sleep until a condition holds: ``wait_for(condition, shown_on_failure)``."""
 
-    def wait(done: Callable[[], bool], shown: Callable[[], object] = str, timeout_s: float = 30.0) -> None:
+    def wait(
+        done: Callable[[], bool], shown: Callable[[], object] = str, timeout_s: float = 30.0
+    ) -> None:
         end = time.monotonic() + timeout_s
         while not done():
             assert time.monotonic() < end, f"waited {timeout_s} s in vain: {shown()}"

@@ -10,7 +10,14 @@ import pytest
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
 from zendsp_target import admission
-from zendsp_target.admission import Doors, access_control, check_role, read_roles, read_users, settle
+from zendsp_target.admission import (
+    Doors,
+    access_control,
+    check_role,
+    read_roles,
+    read_users,
+    settle,
+)
 from zendsp_target.endpoints import Security, check
 from zendsp_target.registration import own_folder, users_file
 
@@ -35,7 +42,9 @@ def write(path: Path, text: str) -> str:
         ("owner:secret\n", "is the target's own"),
     ],
 )
-def test_a_users_file_that_is_empty_cut_or_doubtful_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_a_users_file_that_is_empty_cut_or_doubtful_is_refused(
+    tmp_path: Path, text: str, words: str
+) -> None:
     with pytest.raises(Refused, match=words):
         settle("imi", [], [], Security(users=write(tmp_path / "users", text)))
 
@@ -43,7 +52,10 @@ def test_a_users_file_that_is_empty_cut_or_doubtful_is_refused(tmp_path: Path, t
 def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Refused, match="cannot be read"):
         read_users(str(tmp_path / "none"))
-    assert read_users(write(tmp_path / "users", "anna:secret\nbo:x:y\n")) == {"anna": "secret", "bo": "x:y"}
+    assert read_users(write(tmp_path / "users", "anna:secret\nbo:x:y\n")) == {
+        "anna": "secret",
+        "bo": "x:y",
+    }
 
 
 @pytest.mark.parametrize(
@@ -56,7 +68,9 @@ def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         ("[roles\n", "cannot be read"),
     ],
 )
-def test_a_roles_file_that_says_nothing_clear_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_a_roles_file_that_says_nothing_clear_is_refused(
+    tmp_path: Path, text: str, words: str
+) -> None:
     with pytest.raises(Refused, match=words):
         read_roles(write(tmp_path / "roles.toml", text))
 
@@ -75,20 +89,42 @@ def test_every_verb_needs_a_role() -> None:
 
 
 def test_what_runs_code_or_moves_the_machine_needs_the_role_for_it() -> None:
-    """Written out a second time on purpose: an entry of the table is not lowered by a slip of the pen."""
-    at_least = {role: {v.name for v in VERBS.values() if ROLES.index(v.role) >= n} for n, role in enumerate(ROLES)}
+    """Written out a second time on purpose: an entry of the table is not lowered by a slip of the
+    pen.
+    """
+    at_least = {
+        role: {v.name for v in VERBS.values() if ROLES.index(v.role) >= n}
+        for n, role in enumerate(ROLES)
+    }
     assert at_least["download"] == {"compile", "load", "unload"}
     assert at_least["command"] - at_least["download"] == {
-        "start", "pause", "set_limits", "set_drive", "set_ramp", "set_overrun", "set_inputs", "home", "acknowledge", "drive",
-    }  # fmt: skip
-    assert at_least["tune"] >= {"write", "update", "table_begin", "table_chunk", "table_commit", "acquire_configure"}
+        "start",
+        "pause",
+        "set_limits",
+        "set_drive",
+        "set_ramp",
+        "set_overrun",
+        "set_inputs",
+        "home",
+        "acknowledge",
+        "drive",
+    }
+    assert at_least["tune"] >= {
+        "write",
+        "update",
+        "table_begin",
+        "table_chunk",
+        "table_commit",
+        "acquire_configure",
+    }
 
 
 @pytest.mark.parametrize("verb", VERBS.values(), ids=lambda verb: verb.name)
 def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: object) -> None:
     needed = ROLES.index(verb.role)  # type: ignore[attr-defined]
     for role in ("", *ROLES):
-        allowed = verb.name in ("stop", "stopped", "status", "info") or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
+        allowed = verb.name in ("stop", "stopped", "status",
+            "info") or (role and ROLES.index(role) >= needed)  # type: ignore[attr-defined]
         if allowed:
             check_role("anna", role, verb)  # type: ignore[arg-type]
         else:
@@ -98,7 +134,11 @@ def test_a_role_includes_those_before_it_and_nobody_is_kept_from_stop(verb: obje
 
 def test_who_is_in_no_list_has_no_role() -> None:
     doors = Doors((), roles={"anna": "tune"})
-    assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == ("tune", "", "download")
+    assert (doors.role_of("anna"), doors.role_of("bo"), doors.role_of("")) == (
+        "tune",
+        "",
+        "download",
+    )
 
 
 @pytest.mark.parametrize(
@@ -106,8 +146,16 @@ def test_who_is_in_no_list_has_no_role() -> None:
     [
         (Doors(("unixsock-stream/run/imi.sock",)), "", True),
         (Doors(("tcp/127.0.0.1:7447",), users={"owner": "x"}, token=("owner", "x")), "owner", True),
-        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}), "", True),
-        (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}), "anna", False),
+        (
+            Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}),
+            "",
+            True,
+        ),
+        (
+            Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447"), users={"anna": "x"}),
+            "anna",
+            False,
+        ),
         (Doors(("tls/0.0.0.0:7447",), roles={"anna": "download"}), "anna", False),
         (Doors(("unixsock-stream/run/imi.sock", "tls/0.0.0.0:7447")), "", False),
         (Doors(("unixsock-stream/run/imi.sock",), routed=True), "", False),
@@ -136,9 +184,14 @@ def test_a_loopback_port_needs_a_token_that_only_this_user_can_read(tmp_path: Pa
     assert access_control("imi", doors)["default_permission"] == "deny"
 
 
-def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(tmp_path: Path) -> None:
+def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(
+    tmp_path: Path,
+) -> None:
     pems = [write(tmp_path / name, "") for name in ("one.pem", "one.key", "ca.pem")]
-    with pytest.raises(Refused, match=r"--tls-ca without --roles: whoever has a certificate.*'zendsp keys' makes it"):
+    with pytest.raises(
+        Refused,
+        match=r"--tls-ca without --roles: whoever has a certificate.*'zendsp keys' makes it",
+    ):
         settle("imi", ["tls/0.0.0.0:7447"], [], Security(*pems))
     files = Security(*pems, roles=write(tmp_path / "roles.toml", '[roles]\nanna = "tune"\n'))
     assert settle("imi", ["tls/0.0.0.0:7447"], [], files).sentence == "lets in: anna (tune)"
@@ -147,7 +200,9 @@ def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(tm
     assert settle("imi", ["tls/0.0.0.0:7447", "here"], [], files).token == ("", "")
 
 
-def test_a_folder_that_others_may_use_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_others_may_use_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     open_to_all = tmp_path / "open"
     open_to_all.mkdir()
     open_to_all.chmod(0o755)
@@ -165,7 +220,9 @@ def test_a_folder_that_others_may_use_is_refused(tmp_path: Path, monkeypatch: py
         (Security("one.pem", "one.key"), "needs --tls-ca or --users$"),
     ],
 )
-def test_what_others_can_reach_needs_encryption_and_hosts_that_say_who_they_are(security: Security, words: str) -> None:
+def test_what_others_can_reach_needs_encryption_and_hosts_that_say_who_they_are(
+    security: Security, words: str
+) -> None:
     for endpoint in ("tls/192.0.2.1:7447", "quic/[2001:db8::1]:7447", "tls/robot.lab:7447"):
         with pytest.raises(Refused, match=words):
             check([endpoint], security)

@@ -1,4 +1,6 @@
-"""Compiling what the host sends: messages in the user's lines, limits, the cache, and what may not be asked."""
+"""Compiling what the host sends: messages in the user's lines, limits, the cache, and what may not
+be asked.
+"""
 
 from __future__ import annotations
 
@@ -44,14 +46,20 @@ def test_a_warning_does_not_stop_and_is_kept_with_the_cached_result() -> None:
 def test_several_files_and_headers_make_one_program() -> None:
     sources = {
         "main.c": HEAD + '#include "gains.h"\nvoid UserISR_INT2(void) { x = law(GAIN); }\n',
-        "law.c": '#include "isr.h"\n#include "gains.h"\ndouble law(double u) { return u * SAMPLE_PERIOD; }\n',
+        "law.c": (
+            '#include "isr.h"\n#include "gains.h"\ndouble law(double u) { return u *'
+            " SAMPLE_PERIOD; }\n"
+        ),
         "gains.h": "#define GAIN 2.0\ndouble law(double u);\n",
     }
     assert compile_program(sources).ok
     broken = {**sources, "gains.h": "#define GAIN oops\ndouble law(double u);\n"}
     result = compile_program(broken)
     assert not result.ok
-    assert {d.file for d in result.diagnostics if d.severity in ("error", "note")} & {"gains.h", "main.c"}
+    assert {d.file for d in result.diagnostics if d.severity in ("error", "note")} & {
+        "gains.h",
+        "main.c",
+    }
 
 
 @pytest.mark.parametrize(
@@ -59,8 +67,16 @@ def test_several_files_and_headers_make_one_program() -> None:
     [
         ('#include "isr.h"\nvoid UserInit(void) {}\n', "lacks UserISR_INT2"),
         ("void UserInit(void) {}\nvoid UserISR_INT2(void) {}\n", 'does not include "isr.h"'),
-        (HEAD + "extern double missing(void);\nvoid UserISR_INT2(void) { x = missing(); }\n", "undefined reference"),
-        (HEAD + "static long l;\nvoid UserISR_INT2(void) { (void)l; }\nvoid f(void) { SIGNAL(l, \"\", \"\"); }\n", "_Generic"),
+        (
+            HEAD + "extern double missing(void);\nvoid UserISR_INT2(void) { x = missing(); }\n",
+            "undefined reference",
+        ),
+        (
+            HEAD
+            + 'static long l;\nvoid UserISR_INT2(void) { (void)l; }\nvoid f(void) { SIGNAL(l, "",'
+            ' ""); }\n',
+            "_Generic",
+        ),
     ],
 )
 def test_what_cannot_run_is_an_error_of_the_compilation(source: str, says: str) -> None:
@@ -72,22 +88,32 @@ def test_what_cannot_run_is_an_error_of_the_compilation(source: str, says: str) 
 def test_compiling_runs_nothing_of_the_program(tmp_path: Path) -> None:
     witness = tmp_path / "witness"
     source = HEAD + "#include <fcntl.h>\nvoid UserISR_INT2(void) {}\n"
-    source += f'__attribute__((constructor)) static void f(void) {{ open("{witness}", O_CREAT | O_WRONLY, 0600); }}\n'
+    source += (
+        f'__attribute__((constructor)) static void f(void) {{ open("{witness}", O_CREAT | O_WRONLY,'
+        " 0600); }\n"
+    )
     assert compile_program({"user.c": source}).ok
     assert not witness.exists()
 
 
 def test_an_undefined_function_is_told_with_its_line() -> None:
-    source = HEAD + "extern double missing(void);\nvoid UserISR_INT2(void) {\n    x = missing();\n}\n"
+    source = (
+        HEAD + "extern double missing(void);\nvoid UserISR_INT2(void) {\n    x = missing();\n}\n"
+    )
     errors = [d for d in compile_program({"user.c": source}).diagnostics if d.severity == "error"]
     assert ("user.c", 6) in [(d.file, d.line) for d in errors]
 
 
 def test_a_compilation_without_end_is_stopped() -> None:
     # an include that never ends: the compiler waits on a terminal that is not there, or on itself
-    deep = "#define A(x) x x x x x x x x x x\n#define B(x) A(A(A(A(A(A(A(A(x))))))))\nstatic double y[] = { B(1.0,) };\n"
+    deep = (
+        "#define A(x) x x x x x x x x x x\n#define B(x) A(A(A(A(A(A(A(A(x))))))))\nstatic double"
+        " y[] = { B(1.0,) };\n"
+    )
     began = time.monotonic()
-    result = compile_program({"user.c": HEAD + deep + "void UserISR_INT2(void) { x = y[0]; }\n"}, timeout_s=1.0)
+    result = compile_program(
+        {"user.c": HEAD + deep + "void UserISR_INT2(void) { x = y[0]; }\n"}, timeout_s=1.0
+    )
     assert not result.ok
     assert time.monotonic() - began < 20.0
     assert result.diagnostics
@@ -99,14 +125,31 @@ def test_names_that_reach_outside_are_refused(name: str) -> None:
         compile_program({name: "", "ok.c": program_text("template")})
 
 
-@pytest.mark.parametrize("flag", ["-fplugin=x.so", "-o/tmp/x", "@file", "-Wl,-x", "-Wp,-x", "-include/etc/passwd", "-B.", "x.c", "-I/etc"])
+@pytest.mark.parametrize(
+    "flag",
+    [
+        "-fplugin=x.so",
+        "-o/tmp/x",
+        "@file",
+        "-Wl,-x",
+        "-Wp,-x",
+        "-include/etc/passwd",
+        "-B.",
+        "x.c",
+        "-I/etc",
+    ],
+)
 def test_flags_that_reach_outside_are_refused(flag: str) -> None:
     with pytest.raises(Refused, match="not accepted"):
         compile_program({"ok.c": program_text("template")}, [flag])
 
 
 def test_flags_are_part_of_the_key_and_reach_the_compiler() -> None:
-    source = {"law.c": HEAD + "#ifndef MODE\n#error no MODE\n#endif\nvoid UserISR_INT2(void) { x = MODE; }\n"}
+    source = {
+        "law.c": (
+            HEAD + "#ifndef MODE\n#error no MODE\n#endif\nvoid UserISR_INT2(void) { x = MODE; }\n"
+        )
+    }
     assert not compile_program(source).ok
     one, two = compile_program(source, ["-DMODE=1"]), compile_program(source, ["-DMODE=2", "-O3"])
     assert one.ok and two.ok and one.key != two.key
@@ -125,7 +168,9 @@ def test_the_key_depends_on_everything_that_goes_in() -> None:
     assert len(keys) == 6
 
 
-def test_the_cache_keeps_what_is_used_and_drops_the_oldest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_keeps_what_is_used_and_drops_the_oldest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path))
     monkeypatch.setattr("zendsp_isr.build._KEPT", 2)
     sources = [{"law.c": HEAD + f"void UserISR_INT2(void) {{ x = {i}.0; }}\n"} for i in range(5)]
@@ -141,10 +186,16 @@ def test_the_cache_keeps_what_is_used_and_drops_the_oldest(tmp_path: Path, monke
 def test_a_program_made_for_another_header_is_refused_at_load() -> None:
     result = compile_program({"old.c": HEAD + "void UserISR_INT2(void) { x = 7.0; }\n"})
     old = program_path(result.key).read_bytes()
-    source = "const int zendsp_isr_abi = 99; void *zendsp; void UserInit(void) {} void UserISR_INT2(void) {}\n"
+    source = (
+        "const int zendsp_isr_abi = 99; void *zendsp; void UserInit(void) {} void"
+        " UserISR_INT2(void) {}\n"
+    )
     other = build("program", {"other.c": source.encode()}, [])
     assert other.path is not None and other.path.read_bytes() != old
-    with Runtime("imi_planar", clock="fast") as runtime, pytest.raises(Refused, match=r"another isr\.h"):
+    with (
+        Runtime("imi_planar", clock="fast") as runtime,
+        pytest.raises(Refused, match=r"another isr\.h"),
+    ):
         runtime.load(other.key)
 
 
@@ -153,10 +204,18 @@ def test_options_of_the_runtime_are_read_from_text_and_wrong_ones_are_named() ->
         {"realtime": False, "spin_us": 5.0, "cpu": 1},
         {"q1": "0.5"},
     )
-    for options, says in (({"spin": "5"}, "spin_us"), ({"cpu": "first"}, "a number"), ({"realtime": "maybe"}, "true or false")):
+    for options, says in (
+        ({"spin": "5"}, "spin_us"),
+        ({"cpu": "first"}, "a number"),
+        ({"realtime": "maybe"}, "true or false"),
+    ):
         with pytest.raises(Refused, match=says):
             split_options(options)
-    for settings, says in (({"rate_hz": 0.0}, "rate"), ({"clock": "slow"}, "clock"), ({"priority": 0}, "priority")):
+    for settings, says in (
+        ({"rate_hz": 0.0}, "rate"),
+        ({"clock": "slow"}, "clock"),
+        ({"priority": 0}, "priority"),
+    ):
         with pytest.raises(Refused, match=says):
             Settings("imi_planar", {}, **settings)  # type: ignore[arg-type]
 
@@ -168,15 +227,24 @@ def test_a_compiler_that_does_not_run_is_named(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_messages_of_clang_are_read_from_text() -> None:
-    text = "law.c:3:5: error: use of undeclared identifier 'y'\n    y = 1;\n    ^\nlaw.c:9:2: warning: unused [-Wx]\n1 error generated.\n"
-    assert [(m.severity, m.file, m.line, m.column) for m in parse_messages(text)] == [("error", "law.c", 3, 5), ("warning", "law.c", 9, 2)]
+    text = (
+        "law.c:3:5: error: use of undeclared identifier 'y'\n    y = 1;\n    ^\nlaw.c:9:2: warning:"
+        " unused [-Wx]\n1 error generated.\n"
+    )
+    assert [(m.severity, m.file, m.line, m.column) for m in parse_messages(text)] == [
+        ("error", "law.c", 3, 5),
+        ("warning", "law.c", 9, 2),
+    ]
 
 
 def test_the_target_imports_neither_textual_nor_scipy_nor_matplotlib() -> None:
     code = (
-        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.compile_service, zendsp_target.__main__, zendsp_target.layout\n"
-        "zendsp_target.layout.layout()\n"
-        "print([m for m in ('textual', 'scipy', 'matplotlib', 'pandas', 'click', 'rich', 'zendsp') if m in sys.modules])"
+        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.compile_service,"
+        " zendsp_target.__main__, zendsp_target.layout\nzendsp_target.layout.layout()\nprint([m for"
+        " m in ('textual', 'scipy', 'matplotlib', 'pandas', 'click', 'rich', 'zendsp') if m in"
+        " sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
     assert done.stdout.strip() == "[]"

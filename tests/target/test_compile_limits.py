@@ -1,4 +1,6 @@
-"""Compiling what a stranger sends takes no more than its limits, ends with all that it started, and shows no other file."""
+"""Compiling what a stranger sends takes no more than its limits, ends with all that it started, and
+shows no other file.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,10 @@ from zendsp_isr import compiler
 from zendsp_isr.confine import landlock_version
 from zendsp_target.compile_service import compile_program
 
-HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid UserISR_INT2(void) { x = 1.0; }\n'
+HEAD = (
+    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
+    " UserISR_INT2(void) { x = 1.0; }\n"
+)
 EXITING = 4  # PF_EXITING of the kernel
 SECRET = "root_x_secret_7113"
 
@@ -31,10 +36,14 @@ def secret(tmp_path: Path) -> Path:
 
 
 def test_a_bomb_of_macros_ends_at_its_time_with_all_that_it_started() -> None:
-    double = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
+    double = "".join(
+        f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12)
+    )
     began = time.monotonic()
     name = f"bomb_{os.getpid()}.c"  # of no other test that runs beside this one
-    result = compile_program({name: HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=1.5)
+    result = compile_program(
+        {name: HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=1.5
+    )
     assert not result.ok
     assert time.monotonic() - began < 10.0
     here = {p.parent for p in Path("/proc").glob("[0-9]*/cmdline") if _is_compiling(p, name)}
@@ -42,21 +51,28 @@ def test_a_bomb_of_macros_ends_at_its_time_with_all_that_it_started() -> None:
 
 
 def _is_compiling(path: Path, name: str) -> bool:
-    """Whether a process compiles the file; one that was killed and is not gone yet, on a busy computer, does not."""
+    """Whether a process compiles the file; one that was killed and is not gone yet, on a busy
+    computer, does not.
+    """
     try:
         words = path.read_bytes()
-        state = dict(line.split(":", 1) for line in (path.parent / "status").read_text().splitlines())
+        state = dict(
+            line.split(":", 1) for line in (path.parent / "status").read_text().splitlines()
+        )
         flags = int((path.parent / "stat").read_text().rpartition(")")[2].split()[6])
     except OSError:
         return False
-    killed = (int(state["SigPnd"], 16) | int(state["ShdPnd"], 16)) >> (signal.SIGKILL - 1) & 1 or flags & EXITING
+    killed = (int(state["SigPnd"], 16) | int(state["ShdPnd"], 16)) >> (
+        signal.SIGKILL - 1
+    ) & 1 or flags & EXITING
     return name.encode() in words and b"cc1" in words and not killed
 
 
 def test_a_bomb_of_memory_is_refused_its_memory() -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     eight = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(4))
-    string = f'#define A0 "{"x" * (900 << 10)}"\n{eight}const char y[] = A4;\n'  # 3.5 GB within seconds
+    # 3.5 GB within seconds
+    string = f'#define A0 "{"x" * (900 << 10)}"\n{eight}const char y[] = A4;\n'
     result = compile_program({"much.c": HEAD + string})
     assert not result.ok
     assert "needs more than the 2048 MB" in result.diagnostics[-1].message
@@ -73,7 +89,9 @@ def test_a_bomb_of_messages_is_cut() -> None:
 
 def test_of_many_messages_the_first_are_told() -> None:
     result = compile_program({"loud.c": HEAD + "".join(f"#warning w {i}\n" for i in range(1000))})
-    assert [d.message.partition("w ")[2].split()[0] for d in result.diagnostics] == [str(i) for i in range(200)]
+    assert [d.message.partition("w ")[2].split()[0] for d in result.diagnostics] == [
+        str(i) for i in range(200)
+    ]
 
 
 def test_a_huge_result_is_refused() -> None:
@@ -83,13 +101,24 @@ def test_a_huge_result_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("limit", "most", "said"),
-    [("_MAX_PROCESSES", 0, "more than 0 processes"), ("_MAX_MEMORY_ALL", 1 << 20, "took more than 1 MB"), ("_MAX_FOLDER", 10, "wrote files of more")],
-)  # fmt: skip
-def test_a_compilation_is_limited_as_a_whole(limit: str, most: int, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    [
+        ("_MAX_PROCESSES", 0, "more than 0 processes"),
+        ("_MAX_MEMORY_ALL", 1 << 20, "took more than 1 MB"),
+        ("_MAX_FOLDER", 10, "wrote files of more"),
+    ],
+)
+def test_a_compilation_is_limited_as_a_whole(
+    limit: str, most: int, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiler, limit, most)
-    double = "".join(f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12))
+    double = "".join(
+        f"#define A{i + 1} A{i} A{i} A{i} A{i} A{i} A{i} A{i} A{i}\n" for i in range(12)
+    )
     began = time.monotonic()
-    result = compile_program({f"{limit.lower()}.c": HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"}, timeout_s=20.0)
+    result = compile_program(
+        {f"{limit.lower()}.c": HEAD + f"#define A0 1.0,\n{double}double y[] = {{A12}};\n"},
+        timeout_s=20.0,
+    )
     assert not result.ok and said in result.diagnostics[0].message, result.diagnostics
     assert time.monotonic() - began < 10.0
 
@@ -102,7 +131,9 @@ WAYS = {
     "line": '#line 1 "{path}"\n#error here\n',
     "has_include": '#if __has_include("{path}")\n#error ' + SECRET + "\n#endif\n",
     "incbin": 'asm(".section .rodata\\n.global got\\ngot: .incbin \\"{path}\\"\\n.previous");\n',
-    "escaped": 'asm(".section .rodata\\n.global got\\ngot: .inc\\142in \\"{path}\\"\\n.previous");\n',
+    "escaped": (
+        'asm(".section .rodata\\n.global got\\ngot: .inc\\142in \\"{path}\\"\\n.previous");\n'
+    ),
     "assembler": 'asm(".include \\"{path}\\"");\n',
 }
 

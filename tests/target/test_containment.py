@@ -1,4 +1,5 @@
-"""User code starts nothing that outlives it, and nothing that could drive the machine in its place."""
+"""User code starts nothing that outlives it, and nothing that could drive the machine in its place.
+"""
 
 from __future__ import annotations
 
@@ -48,17 +49,31 @@ TRY = "{ errno = 0; answer = (double)attempt(); refused = errno; }"
 
 WAYS = {
     "fork": "const pid_t p = fork(); if (p == 0) started(); return p;",
-    "double_fork": "const pid_t p = fork(); if (p == 0) { setsid(); if (fork() == 0) started(); _exit(0); } return p;",
-    "vfork": "const pid_t p = vfork(); if (p == 0) { execvp(\"sleep\", sleeper); _exit(0); } return p;",
-    "raw_clone": "const long p = syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0); if (p == 0) started(); return p;",
-    "raw_clone3": "unsigned long a[8] = {0, 0, 0, 0, SIGCHLD}; const long p = syscall(SYS_clone3, a, sizeof a);"
-    " if (p == 0) started(); return p;",
-    "spawn": "pid_t p = -1; const int e = posix_spawnp(&p, \"sleep\", NULL, NULL, sleeper, environ);"
-    " if (e) errno = e; return e ? -1 : p;",
-    "system": "return system(\"sleep %(mark)s &\") == 0 ? 1 : -1;",
-    "exec": "return execvp(\"sleep\", sleeper);",
-    "bomb": "long n = 0; for (int i = 0; i < 50; i++) { const pid_t p = fork(); if (p == 0) started(); n += p; } return n;",
-}  # fmt: skip
+    "double_fork": (
+        "const pid_t p = fork(); if (p == 0) { setsid(); if (fork() == 0) started(); _exit(0); }"
+        " return p;"
+    ),
+    "vfork": (
+        'const pid_t p = vfork(); if (p == 0) { execvp("sleep", sleeper); _exit(0); } return p;'
+    ),
+    "raw_clone": (
+        "const long p = syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0); if (p == 0) started(); return p;"
+    ),
+    "raw_clone3": (
+        "unsigned long a[8] = {0, 0, 0, 0, SIGCHLD}; const long p = syscall(SYS_clone3, a, sizeof"
+        " a); if (p == 0) started(); return p;"
+    ),
+    "spawn": (
+        'pid_t p = -1; const int e = posix_spawnp(&p, "sleep", NULL, NULL, sleeper, environ);'
+        " if (e) errno = e; return e ? -1 : p;"
+    ),
+    "system": 'return system("sleep %(mark)s &") == 0 ? 1 : -1;',
+    "exec": 'return execvp("sleep", sleeper);',
+    "bomb": (
+        "long n = 0; for (int i = 0; i < 50; i++) { const pid_t p = fork(); if (p == 0) started();"
+        " n += p; } return n;"
+    ),
+}
 
 
 def _left(mark: str) -> list[int]:
@@ -75,7 +90,9 @@ def _left(mark: str) -> list[int]:
 
 def _program(how: str, mark: str, where: str) -> str:
     parts = {"constructor": "", "init": "", "isr": ""}
-    parts[where] = TRY if where != "constructor" else f"__attribute__((constructor)) static void c(void) {TRY}"
+    parts[where] = (
+        TRY if where != "constructor" else f"__attribute__((constructor)) static void c(void) {TRY}"
+    )
     return PROGRAM % {"how": how % {"mark": mark}, "mark": mark, **parts}
 
 
@@ -99,7 +116,10 @@ def test_user_code_starts_no_process(make_runtime: Make, way: str, where: str, m
 
 
 def test_user_code_starts_no_thread(make_runtime: Make, mark: str) -> None:
-    how = "static pthread_t t; return -(long)pthread_create(&t, NULL, (void *(*)(void *))started, NULL);"
+    how = (
+        "static pthread_t t; return -(long)pthread_create(&t, NULL, (void *(*)(void *))started,"
+        " NULL);"
+    )
     runtime = make_runtime(_program(how, mark, "init"))
     assert runtime.read(["answer"])[1]["answer"] < 0.0
 
@@ -107,7 +127,8 @@ def test_user_code_starts_no_thread(make_runtime: Make, mark: str) -> None:
 def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
     other = subprocess.Popen(["sleep", "300"])
     try:
-        # Signal 0 only asks for the right to send one: where nothing holds this program, everything else must live on.
+        # Signal 0 only asks for the right to send one: where nothing holds this program, everything
+        # else must live on.
         how = f"return kill({other.pid}, SIGKILL) & kill(getppid(), 0) & kill(-1, 0);"
         runtime = make_runtime(_program(how, mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
@@ -118,21 +139,45 @@ def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
 
 
 STRAYS = {
-    "session": 'if (fork_raw() == 0) { setsid(); if (fork_raw() == 0) execvp("sleep", sleeper); _exit(0); }',
-    "bare": 'if (fork_raw() == 0) { setsid(); if (fork_raw() == 0) execve("/bin/sleep", sleeper, nothing); _exit(0); }',
+    "session": (
+        'if (fork_raw() == 0) { setsid(); if (fork_raw() == 0) execvp("sleep", sleeper);'
+        " _exit(0); }"
+    ),
+    "bare": (
+        'if (fork_raw() == 0) { setsid(); if (fork_raw() == 0) execve("/bin/sleep", sleeper,'
+        " nothing); _exit(0); }"
+    ),
     "group": 'if (fork_raw() == 0) execvp("sleep", sleeper);',
 }
-RAW = "static char *const nothing[] = {NULL};\nstatic long fork_raw(void) { return syscall(SYS_clone, SIGCHLD, 0, 0, 0, 0); }\n"
+RAW = (
+    "static char *const nothing[] = {NULL};\nstatic long fork_raw(void) { return syscall(SYS_clone,"
+    " SIGCHLD, 0, 0, 0, 0); }\n"
+)
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="an ordinary user's program cannot start processes, filter or not")
+@pytest.mark.skipif(
+    os.getuid() != 0, reason="an ordinary user's program cannot start processes, filter or not"
+)
 @pytest.mark.parametrize("way", list(STRAYS))
 @pytest.mark.parametrize("end", ["close", "load", "crash", "orphan"])
-def test_without_a_filter_what_user_code_started_ends_with_it(tmp_path: Path, mark: str, way: str, end: str) -> None:
-    program = _program(f"{STRAYS[way]} return 1;", mark, "init").replace("static int started", RAW + "static int started")
-    (tmp_path / "user.c").write_text(program.replace("answer = (double)attempt()", "answer = (double)attempt(); (void)nothing"))
-    command = [sys.executable, str(Path(__file__).with_name("unfiltered.py")), str(tmp_path / "user.c"), end]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+def test_without_a_filter_what_user_code_started_ends_with_it(
+    tmp_path: Path, mark: str, way: str, end: str
+) -> None:
+    program = _program(f"{STRAYS[way]} return 1;", mark, "init").replace(
+        "static int started", RAW + "static int started"
+    )
+    (tmp_path / "user.c").write_text(
+        program.replace("answer = (double)attempt()", "answer = (double)attempt(); (void)nothing")
+    )
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name("unfiltered.py")),
+        str(tmp_path / "user.c"),
+        end,
+    ]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         assert process.stdin is not None and process.stdout is not None
         try:
             said = process.stdout.readline()

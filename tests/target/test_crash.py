@@ -30,7 +30,7 @@ void UserISR_INT2(void) {{
         {how}
     }}
 }}
-"""
+"""  # noqa: E501
 
 GOOD = """
 #include "isr.h"
@@ -114,14 +114,24 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
     ("init", "error", "says"),
     [
         ("*(volatile int *)8 = 1;", RunnerDied, "SIGSEGV in UserInit"),
-        ("for (volatile int i = 0;;) i = 0;", RunnerDied, "did not return within 0.5 s in UserInit"),
+        (
+            "for (volatile int i = 0;;) i = 0;",
+            RunnerDied,
+            "did not return within 0.5 s in UserInit",
+        ),
         ('SIGNAL(x, "", ""); SIGNAL(x, "", "");', Refused, "'x': declared twice"),
         ('static double t; SIGNAL(t, "", "");', Refused, "taken by a built-in"),
         ('PARAMETER(x, 5.0, "", 0.0, 1.0, "");', Refused, "outside its limits"),
     ],
 )
-def test_what_goes_wrong_in_userinit_is_told_at_load(init: str, error: type[Exception], says: str) -> None:
-    code = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { x = 0; ' + init + " }\nvoid UserISR_INT2(void) {}\n"
+def test_what_goes_wrong_in_userinit_is_told_at_load(
+    init: str, error: type[Exception], says: str
+) -> None:
+    code = (
+        '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { x = 0; '
+        + init
+        + " }\nvoid UserISR_INT2(void) {}\n"
+    )
     with Runtime("imi_planar", clock="fast", load_s=0.5) as runtime:
         result = runtime.compile({"user.c": code})
         assert result.ok, result.diagnostics
@@ -150,14 +160,19 @@ static void read_it(void *h, machine_sensors *s) { (void)h; s->enc[0] = 5; }
 static void write_it(void *h, const machine_actuators *a) { (void)h; (void)a; }
 static void safe(void *h) { FILE *f = fopen((char *)h, "a"); if (f) { fputs("safe\\n", f); fclose(f); } }
 const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it, .write = write_it, .safe = safe};
-"""
+"""  # noqa: E501
 
 
-def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(make_runtime: Make, wait_for: Wait, tmp_path: Path) -> None:
+def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
     source, said = tmp_path / "fake.c", tmp_path / "said"
     source.write_text(HARDWARE)
     runtime = make_runtime(
-        CRASHING.format(how="*nowhere = 1;"), machine=str(source), clock="real", machine_config={"path": str(said)}
+        CRASHING.format(how="*nowhere = 1;"),
+        machine=str(source),
+        clock="real",
+        machine_config={"path": str(said)},
     )
     assert not runtime.machine().simulated
     wait_for(said.exists)  # paused hardware is safe from the start
@@ -171,7 +186,9 @@ def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(make_runtime: Ma
 def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:
     source = tmp_path / "fake.c"
     source.write_text(HARDWARE)
-    with Runtime(str(source), clock="fast", machine_config={"path": str(tmp_path / "said")}) as runtime:
+    with Runtime(
+        str(source), clock="fast", machine_config={"path": str(tmp_path / "said")}
+    ) as runtime:
         result = runtime.compile({"user.c": GOOD})
         with pytest.raises(Refused, match="fast clock needs a simulated machine"):
             runtime.load(result.key)
@@ -188,13 +205,18 @@ time.sleep(600)
 """
 
 
-@pytest.mark.parametrize("code", [GOOD, GOOD.replace("x += 1.0;", "for (;;) x += 1.0;")], ids=["well", "hung"])
+@pytest.mark.parametrize(
+    "code", [GOOD, GOOD.replace("x += 1.0;", "for (;;) x += 1.0;")], ids=["well", "hung"]
+)
 def test_a_killed_monitor_leaves_no_runner_and_no_shared_memory(wait_for: Wait, code: str) -> None:
-    monitor = subprocess.Popen([sys.executable, "-c", ORPHAN, code], stdout=subprocess.PIPE, text=True)
+    monitor = subprocess.Popen(
+        [sys.executable, "-c", ORPHAN, code], stdout=subprocess.PIPE, text=True
+    )
     try:
         assert monitor.stdout is not None
         runner, folder = monitor.stdout.readline().split()
-        assert os.path.isdir(folder)  # not later: any target that starts on this computer clears up after dead ones
+        # not later: any target that starts on this computer clears up after dead ones
+        assert os.path.isdir(folder)
     finally:
         monitor.send_signal(signal.SIGKILL)
         monitor.wait()

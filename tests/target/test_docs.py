@@ -1,4 +1,6 @@
-"""What docs/isr.md and docs/machines.md print is true: the code in them compiles, runs, and does what it says."""
+"""What docs/isr.md and docs/machines.md print is true: the code in them compiles, runs, and does
+what it says.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ def first_code(page: str) -> str:
     return match[1]
 
 
-def test_the_program_of_the_page_controls_the_machine_of_the_page(make_runtime: Callable[..., Runtime], tmp_path: Path) -> None:
+def test_the_program_of_the_page_controls_the_machine_of_the_page(
+    make_runtime: Callable[..., Runtime], tmp_path: Path
+) -> None:
     machine = tmp_path / "my_axis.c"
     machine.write_text(first_code("machines.md"))
     runtime = make_runtime(first_code("isr.md"), machine=str(machine), machine_config={"q1": 0.5})
@@ -47,7 +51,9 @@ def test_a_machine_without_homing_is_homed_at_once(
     machine.write_text(first_code("machines.md"))
     runtime = make_runtime(first_code("isr.md"), machine=str(machine))
     runtime.home()
-    wait_for(lambda: runtime.status().tick > 0 and runtime.status().state == "loaded", runtime.status)
+    wait_for(
+        lambda: runtime.status().tick > 0 and runtime.status().state == "loaded", runtime.status
+    )
     assert runtime.status().homed
 
 
@@ -62,13 +68,21 @@ static int axis_home(void *h, const machine_sensors *s, machine_actuators *u) {
 const machine_ops"""
 
 
-def test_a_machine_may_home_in_torque_mode(make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path) -> None:
+def test_a_machine_may_home_in_torque_mode(
+    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], tmp_path: Path
+) -> None:
     machine = tmp_path / "homing_axis.c"
-    code = first_code("machines.md").replace("const machine_ops", HOMING, 1).replace(".safe = axis_safe", ".home = axis_home, .safe = axis_safe")
+    code = (
+        first_code("machines.md")
+        .replace("const machine_ops", HOMING, 1)
+        .replace(".safe = axis_safe", ".home = axis_home, .safe = axis_safe")
+    )
     machine.write_text(code)
     runtime = make_runtime(first_code("isr.md"), machine=str(machine), machine_config={"q1": 0.5})
     runtime.home()
-    wait_for(lambda: runtime.status().tick > 10 and runtime.status().state == "loaded", runtime.status)
+    wait_for(
+        lambda: runtime.status().tick > 10 and runtime.status().state == "loaded", runtime.status
+    )
     assert runtime.status().homed
     assert abs(runtime.status().io["enc"][0]) <= 3  # counts: it went there, by torque
 
@@ -76,7 +90,12 @@ def test_a_machine_may_home_in_torque_mode(make_runtime: Callable[..., Runtime],
 def test_every_name_of_the_header_is_on_the_page() -> None:
     header = (source_root() / "include" / "isr.h").read_text().split("/* ---- Beneath")[0]
     names = re.findall(r"^#define (\w+)", header, re.MULTILINE)
-    names = [name for name in names if name != "ZENDSP_ISR_H"] + ["TableValue", "UserInit", "UserISR_INT2", "UserBackground"]
+    names = [name for name in names if name != "ZENDSP_ISR_H"] + [
+        "TableValue",
+        "UserInit",
+        "UserISR_INT2",
+        "UserBackground",
+    ]
     page = (DOCS / "isr.md").read_text()
     assert [name for name in names if name not in page] == []
 

@@ -20,7 +20,19 @@ from zendsp_target.drives import Drives
 
 _NONE = np.zeros(0, dtype=np.int64)
 _STATUS = Status(
-    "empty", 0, 0.0, 1000.0, "fast", "", "m", 1, "", Timing(0, 0, 0, 0.0, 0, 0.0, 0, _NONE, _NONE, np.zeros(1)), "off", None, ""
+    "empty",
+    0,
+    0.0,
+    1000.0,
+    "fast",
+    "",
+    "m",
+    1,
+    "",
+    Timing(0, 0, 0, 0.0, 0, 0.0, 0, _NONE, _NONE, np.zeros(1)),
+    "off",
+    None,
+    "",
 )
 
 
@@ -75,7 +87,8 @@ def test_the_drives_start_softly(target: Target) -> None:
     target.power_on()
     target.enable()
     rec = target.acquire(["aout", "cmd"], seconds=0.3, start=True)
-    k = int(np.argmax(np.abs(rec["cmd"][:, 0]) > 50.0))  # an output acts one sample after it was computed, times the gain
+    # an output acts one sample after it was computed, times the gain
+    k = int(np.argmax(np.abs(rec["cmd"][:, 0]) > 50.0))
     gain = rec["aout"][k + 1 :, 0] / rec["cmd"][k:-1, 0]
     rising = (k + 1 + np.arange(len(gain))) < 95  # of 100 samples
     assert (gain[rising] < 0.99).all() and (np.diff(gain[rising]) > 0.0).all()
@@ -85,7 +98,9 @@ def test_the_drives_start_softly(target: Target) -> None:
 def test_each_refusal_names_what_fails(process: Target) -> None:
     process.unload()
     process.power_on()
-    with pytest.raises(Refused, match=r"enabling is refused: program: no code is loaded .* homed: "):
+    with pytest.raises(
+        Refused, match=r"enabling is refused: program: no code is loaded .* homed: "
+    ):
         process.enable()
     process.download("pd.c")
     process.power_off()
@@ -163,8 +178,17 @@ def test_the_right_to_command_is_exclusive_and_taken_over_deliberately(target: T
     target.power_on()
     assert target.drive_status().commander == target.link.author
     with connect(target.name) as other:
-        for forbidden in (other.start, other.pause, other.enable, other.power_off, other.acknowledge, other.release_command,
-                          lambda: other.update(Kp1=1.0), lambda: other.load("x"), lambda: other.set_ramp(0.1)):  # fmt: skip
+        for forbidden in (
+            other.start,
+            other.pause,
+            other.enable,
+            other.power_off,
+            other.acknowledge,
+            other.release_command,
+            lambda: other.update(Kp1=1.0),
+            lambda: other.load("x"),
+            lambda: other.set_ramp(0.1),
+        ):
             with pytest.raises(Refused, match="exclusive right"):
                 forbidden()
         assert other["Kp1"] == 2000.0
@@ -185,7 +209,9 @@ def test_the_right_falls_free_when_its_holder_leaves(target: Target) -> None:
 
 
 def test_managed_targets_enforce_the_sequence() -> None:
-    with local("imi_planar", clock="fast", options=["--speed", "20", "--managed"], timeout=60.0) as target:
+    with local(
+        "imi_planar", clock="fast", options=["--speed", "20", "--managed"], timeout=60.0
+    ) as target:
         target.download("pd.c")
         assert target.drive_status().state == "off"
         with pytest.raises(Refused, match="starting is refused: power"):
@@ -199,7 +225,15 @@ def test_managed_targets_enforce_the_sequence() -> None:
 
 
 def _cli(target: Target, *words: str) -> subprocess.CompletedProcess[str]:
-    call = [sys.executable, "-c", "from zendsp.cli import main; main()", "drive", *words, "--target", target.name]
+    call = [
+        sys.executable,
+        "-c",
+        "from zendsp.cli import main; main()",
+        "drive",
+        *words,
+        "--target",
+        target.name,
+    ]
     return subprocess.run(call, capture_output=True, text=True, timeout=100, check=False)
 
 

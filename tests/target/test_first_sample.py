@@ -1,4 +1,6 @@
-"""FIRST_SAMPLE: when a program is told that nothing it remembers holds, and that what it says then is not taken."""
+"""FIRST_SAMPLE: when a program is told that nothing it remembers holds, and that what it says then
+is not taken.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,10 @@ void UserISR_INT2(void) {
     WRITE_TORQUE(0, FIRST_SAMPLE ? 77.0 : 1.0);
 }
 void UserBackground(void) {}
-"""
+"""  # noqa: E501
 
-# An arm that somebody moves by a quarter of a radian whenever it is made safe, as at the begin of each pause.
+# An arm that somebody moves by a quarter of a radian whenever it is made safe, as at the begin of
+# each pause.
 PUSHED = """
 #include <stdio.h>
 #include "machine.h"
@@ -51,7 +54,7 @@ static void read_it(void *h, machine_sensors *s) { s->enc[0] = *(int *)h; s->adc
 static void write_it(void *h, const machine_actuators *a) { (void)h; if (a->aout[0] > most) most = a->aout[0]; }
 static void safe(void *h) { *(int *)h += 250; }
 const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read = read_it, .write = write_it, .safe = safe};
-"""
+"""  # noqa: E501
 NAMES = ["fresh", "fresh_tick", "fresh_enabled", "speed"]
 
 
@@ -61,13 +64,17 @@ def _run(runtime: Runtime, ticks: int = 50) -> dict[str, float]:
     return {name: float(value) for name, value in runtime.read(NAMES)[1].items()}  # type: ignore[arg-type]
 
 
-def test_a_program_begins_once_and_a_pause_of_a_simulated_machine_is_none(make_runtime: Make) -> None:
+def test_a_program_begins_once_and_a_pause_of_a_simulated_machine_is_none(
+    make_runtime: Make,
+) -> None:
     runtime = make_runtime(PROGRAM)
     assert _run(runtime)["fresh"] == 1.0
     assert _run(runtime)["fresh"] == 1.0, "time stood still"
 
 
-def test_after_an_acknowledged_stop_it_begins_afresh_and_its_first_output_is_not_taken(make_runtime: Make, wait_for: Wait) -> None:
+def test_after_an_acknowledged_stop_it_begins_afresh_and_its_first_output_is_not_taken(
+    make_runtime: Make, wait_for: Wait
+) -> None:
     runtime = make_runtime(PROGRAM)
     _run(runtime)
     runtime.stop()
@@ -96,4 +103,6 @@ def test_after_a_pause_of_hardware_it_begins_afresh_wherever_the_arm_was_pushed_
         assert found["fresh_enabled"] == 0.0
     assert found["speed"] == 0.0, "0.25 rad in a pause are no speed of 250 rad/s"
     assert runtime.status().trip is None, "nor for the limit of 10 rad/s"
-    assert runtime.read(["adc"])[1]["adc"] == pytest.approx(1.0), "the machine was never given the 77 N m of a first sample"
+    assert runtime.read(["adc"])[1]["adc"] == pytest.approx(
+        1.0
+    ), "the machine was never given the 77 N m of a first sample"

@@ -17,7 +17,10 @@ from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
-COUNT = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid UserISR_INT2(void) { x += 1.0; }\n'
+COUNT = (
+    '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
+    " UserISR_INT2(void) { x += 1.0; }\n"
+)
 CRASH = COUNT.replace("x += 1.0;", "x += 1.0; if (SAMPLE_TICK == 5) *(volatile int *)8 = 1;")
 
 
@@ -40,7 +43,11 @@ def test_many_loads_and_crashes_leak_neither_files_nor_threads_nor_memory(
     def counted() -> tuple[int, int, int]:
         gc.collect()
         folder = Path(runtime._folder.path)
-        return len(os.listdir("/proc/self/fd")), threading.active_count(), len(list(folder.iterdir()))
+        return (
+            len(os.listdir("/proc/self/fd")),
+            threading.active_count(),
+            len(list(folder.iterdir())),
+        )
 
     for number in range(5):
         life(number)
@@ -81,7 +88,8 @@ def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) 
         (AcquireConfig(()), "0 channels"),
         (AcquireConfig(("x",), seconds=0.0), "acquire longer"),
         (AcquireConfig(("x",), seconds=1e9), "shared memory"),
-        (AcquireConfig(("x",), seconds=3e5), "shared memory"),  # 2.4 GB: the computer could, and would stand still for it
+        # 2.4 GB: the computer could, and would stand still for it
+        (AcquireConfig(("x",), seconds=3e5), "shared memory"),
         (AcquireConfig(("x",), seconds=float("nan")), "finite"),
         (AcquireConfig(("x",), decimation=0), "decimation"),
     ):
@@ -94,7 +102,9 @@ def test_what_cannot_be_recorded_is_refused_with_the_reason(make_runtime: Make) 
     assert runtime.acquire_status(5).state == "idle"
 
 
-def test_recordings_survive_the_next_load(make_runtime: Make, load: Callable[[Runtime, str], None]) -> None:
+def test_recordings_survive_the_next_load(
+    make_runtime: Make, load: Callable[[Runtime, str], None]
+) -> None:
     runtime = make_runtime(COUNT)
     runtime.acquire_configure(0, AcquireConfig(("x",), seconds=0.05))
     runtime.acquire_start(0)
@@ -115,8 +125,15 @@ def test_timing_is_counted_for_every_sample(make_runtime: Make) -> None:
     assert timing.exec_histogram.sum() == timing.late_histogram.sum() == 300
     assert 0 < timing.exec_mean_ns <= timing.exec_max_ns
     highest = np.flatnonzero(timing.exec_histogram)[-1]
-    assert timing.histogram_edges_ns[highest] <= timing.exec_max_ns < timing.histogram_edges_ns[highest + 1]
-    assert "SCHED_RR" in runtime.status().scheduling or "normal scheduling" in runtime.status().scheduling
+    assert (
+        timing.histogram_edges_ns[highest]
+        <= timing.exec_max_ns
+        < timing.histogram_edges_ns[highest + 1]
+    )
+    assert (
+        "SCHED_RR" in runtime.status().scheduling
+        or "normal scheduling" in runtime.status().scheduling
+    )
 
 
 def test_acquire_stores_the_row_where_it_is_called(make_runtime: Make) -> None:
@@ -134,7 +151,9 @@ def test_acquire_stores_the_row_where_it_is_called(make_runtime: Make) -> None:
     assert np.all(runtime.acquire_read(0, 0, 10) == 1.0)
 
 
-def test_the_background_runs_beneath_the_loop(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+def test_the_background_runs_beneath_the_loop(
+    make_runtime: Make, wait_for: Callable[..., None]
+) -> None:
     code = COUNT.replace("static double x;", "static double x;\nstatic int32_t rounds;").replace(
         'SIGNAL(x, "", "");', 'SIGNAL(x, "", ""); SIGNAL(rounds, "", "");'
     )

@@ -1,4 +1,6 @@
-"""The compiled runtime and machine against an independent model: NumPy and SciPy, other equations' form, another integrator."""
+"""The compiled runtime and machine against an independent model: NumPy and SciPy, other equations'
+form, another integrator.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ SIGMA0, SIGMA1 = np.array([12000.0, 1500.0]), np.array([60.0, 6.0])
 
 
 def derivative(_t: float, state: Array, torque: Array) -> Array:
-    """Planar arm with LuGre friction, written from the Lagrangian: M qdd + Mdot qd - 1/2 d(qd' M qd)/dq = net torque."""
+    """Planar arm with LuGre friction, written from the Lagrangian: M qdd + Mdot qd - 1/2 d(qd' M
+    qd)/dq = net torque.
+    """
     q, qd, z = state[0:2], state[2:4], state[4:6]
     p1, p2, p3 = 3.473, 0.196, 0.242
     c, s = np.cos(q[1]), np.sin(q[1])
@@ -76,7 +80,9 @@ def simulate(samples: int, dt: float) -> tuple[Array, Array]:
         torques[k], _ = law(k, counts[k], dt)
         held = torques[k]
         # LSODA changes to an implicit method where the bristles are stiff
-        step = solve_ivp(derivative, (0.0, dt), state, method="LSODA", rtol=1e-9, atol=1e-12, args=(acting,))
+        step = solve_ivp(
+            derivative, (0.0, dt), state, method="LSODA", rtol=1e-9, atol=1e-12, args=(acting,)
+        )
         state = step.y[:, -1]
     return counts, torques
 
@@ -94,7 +100,8 @@ def test_the_closed_loop_agrees_with_an_independent_model(make_runtime: Make) ->
     assert np.ptp(counts[:, 1]) > 3000
     # the quantiser turns any difference into a count now and then, and the loop feeds it back
     assert np.max(np.abs(rows[:, 0:2] - counts)) <= 2.0
-    # one count through the derivative of joint 1: 120 N m s/rad · 0.395 · 4.1e-5 rad / 1 ms = 1.9 N m
+    # one count through the derivative of joint 1: 120 N m s/rad · 0.395 · 4.1e-5 rad / 1 ms = 1.9 N
+    # m
     assert np.max(np.abs(rows[:, 2:4] - torques)) < 2.1
     # and that in fewer than one sample in twenty
     assert np.sqrt(np.mean((rows[:, 2:4] - torques) ** 2)) < 1.9 / np.sqrt(20.0)
@@ -106,7 +113,9 @@ def test_both_clocks_give_identical_results(make_runtime: Make) -> None:
     found = []
     for clock, rate in (("fast", 1000.0), ("real", 1000.0)):
         runtime = make_runtime(program_text("pd"), clock=clock, rate_hz=rate)
-        runtime.acquire_configure(0, AcquireConfig(("tick", "t", "enc", "tau", "aout", "qd1"), seconds=0.8))
+        runtime.acquire_configure(
+            0, AcquireConfig(("tick", "t", "enc", "tau", "aout", "qd1"), seconds=0.8)
+        )
         runtime.acquire_start(0)
         runtime.write({"Kp1": 2500.0}, "me", at_tick=300)
         runtime.start(ticks=800)
@@ -128,7 +137,9 @@ def test_pauses_leave_no_trace_in_the_results(make_runtime: Make) -> None:
     assert np.array_equal(found[0], found[1])
 
 
-def test_halving_the_inner_step_moves_positions_by_less_than_a_count_in_ten_seconds(make_runtime: Make) -> None:
+def test_halving_the_inner_step_moves_positions_by_less_than_a_count_in_ten_seconds(
+    make_runtime: Make,
+) -> None:
     """Open loop, where nothing pulls two solutions together: torques that reverse and stick."""
     law = """
     #include "isr.h"
@@ -149,6 +160,7 @@ def test_halving_the_inner_step_moves_positions_by_less_than_a_count_in_ten_seco
         runtime.wait_paused(60.0)
         found.append(runtime.acquire_read(0, 0, 10_000))
     assert np.ptp(found[0][:, 0]) > 5000
-    # floor() may show a difference far below one count as one count, where a position passes an edge
+    # floor() may show a difference far below one count as one count, where a position passes an
+    # edge
     assert np.max(np.abs(found[0] - found[1])) <= 1.0
     assert np.mean(found[0] != found[1]) < 0.05

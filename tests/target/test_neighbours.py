@@ -20,13 +20,17 @@ void UserBackground(void) {{}}
 """
 
 
-def test_a_program_that_hangs_leaves_the_other_target_its_cpu(make_runtime: Make, wait_for: Wait) -> None:
+def test_a_program_that_hangs_leaves_the_other_target_its_cpu(
+    make_runtime: Make, wait_for: Wait
+) -> None:
     other = make_runtime(PROGRAM.format(what=""), clock="real")
     if "normal scheduling" in other.status().scheduling:
         pytest.skip("needs the right to real-time scheduling")
     other.start()
     for _ in range(3):
-        hanging = make_runtime(PROGRAM.format(what='if (n > 100.0) for (;;) __asm__ volatile("");'), clock="real")
+        hanging = make_runtime(
+            PROGRAM.format(what='if (n > 100.0) for (;;) __asm__ volatile("");'), clock="real"
+        )
         hanging.start()
         wait_for(lambda hanging=hanging: hanging.status().crash != "", hanging.status)
         assert "watchdog" in hanging.status().crash

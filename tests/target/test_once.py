@@ -1,4 +1,6 @@
-"""A request that changes something is carried out once, however often and in whatever order it arrives."""
+"""A request that changes something is carried out once, however often and in whatever order it
+arrives.
+"""
 
 from __future__ import annotations
 
@@ -108,11 +110,14 @@ def test_a_connection_is_forgotten_when_its_host_has_given_up_and_not_before() -
     assert once.begin(sent(once, 1, AGAIN, (3).to_bytes(8, "big")), None) == (None, YES)
     clock.now += 2.0
     once.begin(sent(once, 1, link=b"new-link"), None)
-    assert set(once.remembered()) == {LINK, b"new-link", (3).to_bytes(8, "big")}  # one has work under way, one asked again
+    # one has work under way, one asked again
+    assert set(once.remembered()) == {LINK, b"new-link", (3).to_bytes(8, "big")}
     assert once.finish(slow, YES) == [] and once.begin(sent(once, 1, AGAIN), None) == (None, YES)
 
 
-def test_who_opens_connections_without_end_breaks_no_retry_of_anybody_else_and_none_is_done_twice() -> None:
+def test_who_opens_connections_without_end_breaks_no_retry_of_anybody_else_and_none_is_done_twice() -> (  # noqa: E501
+    None
+):
     clock = Clock()
     once = Once(clock)
     busy, _ = once.begin(sent(once, 1), None, "anna")
@@ -121,7 +126,8 @@ def test_who_opens_connections_without_end_breaks_no_retry_of_anybody_else_and_n
     assert len(once.remembered("mallory")) == LINKS and len(once.remembered("anna")) == 4
     assert busy is not None and once.finish(busy, YES) == []
     assert once.begin(sent(once, 1, AGAIN), None, "anna") == (None, YES)
-    # Mallory's own first connection was dropped: whether its request was done is not known any more, so it is not done again.
+    # Mallory's own first connection was dropped: whether its request was done is not known any
+    # more, so it is not done again.
     new, reply = once.begin(sent(once, 1, AGAIN, bytes(8)), None, "mallory")
     assert new is None
     with pytest.raises(LinkError, match=r"more than 256 connections.*cannot be known"):

@@ -1,4 +1,6 @@
-"""Requests that come again: answered by a shorter way, with the same replies, the same refusals and the same log."""
+"""Requests that come again: answered by a shorter way, with the same replies, the same refusals and
+the same log.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ void UserInit(void) {
 }
 void UserISR_INT2(void) { n++; list[1] = 2.0 * a; }
 void UserBackground(void) {}
-"""
+"""  # noqa: E501
 OTHER = """
 #include "isr.h"
 static double first[7], a = 5.0;
@@ -107,8 +109,11 @@ def test_a_repeated_write_or_read_gets_the_reply_that_the_first_one_got(make_run
     assert desk.again == 4 * 4  # all but the first of each
     shown = [(c.tick, c.name, c.old, c.new, c.author) for c in runtime.log()]
     assert shown[:4] == [
-        (0, "a", 1.0, 0.25, "me"), (0, "b", 2.0, -1 / 3, "you"), (1, "a", 0.25, 0.5, "me"), (1, "b", -1 / 3, -2 / 3, "you"),
-    ]  # fmt: skip
+        (0, "a", 1.0, 0.25, "me"),
+        (0, "b", 2.0, -1 / 3, "you"),
+        (1, "a", 0.25, 0.5, "me"),
+        (1, "b", -1 / 3, -2 / 3, "you"),
+    ]
     assert len(shown) == 10 and all(abs(c.host_time - time.time()) < 60.0 for c in runtime.log())
 
 
@@ -126,7 +131,9 @@ def test_the_acknowledged_sample_of_an_update_follows_repeated_writes(make_runti
 
 
 @pytest.mark.parametrize("wrong", [10.5, -11.0, float("nan"), float("inf")])
-def test_a_repeated_write_of_a_wrong_value_is_refused_in_the_same_words(make_runtime: Make, wrong: float) -> None:
+def test_a_repeated_write_of_a_wrong_value_is_refused_in_the_same_words(
+    make_runtime: Make, wrong: float
+) -> None:
     runtime = make_runtime(PROGRAM)
     desk = desk_of(runtime)
     first = desk.refusal(a=wrong)
@@ -139,10 +146,15 @@ def test_a_repeated_write_of_a_wrong_value_is_refused_in_the_same_words(make_run
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf")])
-def test_what_is_not_finite_is_refused_also_where_there_are_no_limits(make_runtime: Make, wrong: float) -> None:
+def test_what_is_not_finite_is_refused_also_where_there_are_no_limits(
+    make_runtime: Make, wrong: float
+) -> None:
     desk = desk_of(make_runtime(PROGRAM))
     for _ in range(2):
-        assert desk.refusal(b=wrong) == f"VariableError: b: {wrong} is not a finite number; nothing was written"
+        assert (
+            desk.refusal(b=wrong)
+            == f"VariableError: b: {wrong} is not a finite number; nothing was written"
+        )
         desk.write(b=1.0)
 
 
@@ -201,7 +213,12 @@ def test_only_what_is_plainly_the_same_is_repeated(make_runtime: Make) -> None:
     assert desk.again == 0
     # whatever ends in eight bytes that are no value goes the whole way: here the author comes last
     for k in range(3):
-        body = {"v": codec.PROTOCOL, "verb": "write", "args": {"values": {"a": k + 0.5}}, "by": "somebody"}
+        body = {
+            "v": codec.PROTOCOL,
+            "verb": "write",
+            "args": {"values": {"a": k + 0.5}},
+            "by": "somebody",
+        }
         request = codec.encode(body)
         assert desk.repeats.answer(request) is None
         desk.repeats.learn(request, *codec.decode_request(request, "quick"), "somebody")
@@ -222,7 +239,9 @@ def test_a_repeated_write_for_a_runner_that_is_gone_says_how_it_died(make_runtim
     assert desk.again == 2
 
 
-def test_repeated_writes_of_several_threads_are_each_applied_once_and_numbered(make_runtime: Make) -> None:
+def test_repeated_writes_of_several_threads_are_each_applied_once_and_numbered(
+    make_runtime: Make,
+) -> None:
     runtime = make_runtime(PROGRAM, clock="real", realtime=False)
     service = desk_of(runtime).service
     runtime.start()
@@ -262,21 +281,49 @@ class LongWay(Desk):
 
 
 NAMES = ("a", "b", "k", "list[1]", "list", "n", "nope")
-VALUES = (0.0, -0.0, 1.5, -9.9, 10.0, 10.1, -1e300, 5e-324, float("nan"), float("inf"), 3, -3, 2**40, True, [1.0, 2.0, 3.0], [True])
+VALUES = (
+    0.0,
+    -0.0,
+    1.5,
+    -9.9,
+    10.0,
+    10.1,
+    -1e300,
+    5e-324,
+    float("nan"),
+    float("inf"),
+    3,
+    -3,
+    2**40,
+    True,
+    [1.0, 2.0, 3.0],
+    [True],
+)
 ASKED = st.one_of(
-    st.tuples(st.just("write"), st.dictionaries(st.sampled_from(NAMES[:3]), st.sampled_from(VALUES[:4]), min_size=1, max_size=1)),
-    st.tuples(st.just("write"), st.dictionaries(st.sampled_from(NAMES), st.sampled_from(VALUES), min_size=1, max_size=3)),
+    st.tuples(
+        st.just("write"),
+        st.dictionaries(
+            st.sampled_from(NAMES[:3]), st.sampled_from(VALUES[:4]), min_size=1, max_size=1
+        ),
+    ),
+    st.tuples(
+        st.just("write"),
+        st.dictionaries(st.sampled_from(NAMES), st.sampled_from(VALUES), min_size=1, max_size=3),
+    ),
     st.tuples(st.just("read"), st.lists(st.sampled_from(NAMES[:4]), min_size=1, max_size=3)),
     st.tuples(st.just("drive"), st.sampled_from(["take", "release"])),
     st.tuples(st.just("samples"), st.integers(1, 3)),
 )
 ARGUMENTS: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "write": lambda values: {"values": values}, "read": lambda names: {"names": names}, "drive": lambda action: {"action": action},
-}  # fmt: skip
+    "write": lambda values: {"values": values},
+    "read": lambda names: {"names": names},
+    "drive": lambda action: {"action": action},
+}
 
 
 def outcome(desk: Desk, verb: str, by: str, given: Any) -> object:
-    """What a host is told: the result, to the last bit, or the refusal; with the update in effect."""
+    """What a host is told: the result, to the last bit, or the refusal; with the update in effect.
+    """
     if verb == "samples":
         return samples(desk.service.runtime, given)  # type: ignore[arg-type, func-returns-value]
     try:
@@ -288,11 +335,15 @@ def outcome(desk: Desk, verb: str, by: str, given: Any) -> object:
     return repr(result)
 
 
-def test_random_requests_are_answered_alike_and_do_the_same_on_either_way(make_runtime: Make) -> None:
+def test_random_requests_are_answered_alike_and_do_the_same_on_either_way(
+    make_runtime: Make,
+) -> None:
     desks = desk_of(make_runtime(PROGRAM)), desk_of(make_runtime(PROGRAM), LongWay)
 
     # One pair of programs for all of them: what differs once is found in the log at the latest.
-    @hyp.settings(max_examples=60, deadline=None, derandomize=True, database=None, phases=[hyp.Phase.generate])
+    @hyp.settings(
+        max_examples=60, deadline=None, derandomize=True, database=None, phases=[hyp.Phase.generate]
+    )
     @hyp.given(st.lists(st.tuples(ASKED, st.sampled_from(["me", "you"])), min_size=10, max_size=30))
     def ask(requests: list[tuple[tuple[str, Any], str]]) -> None:
         for (verb, given), by in requests:
@@ -300,6 +351,9 @@ def test_random_requests_are_answered_alike_and_do_the_same_on_either_way(make_r
             assert short == long, (verb, by, given)
 
     ask()
-    short, long = ([(c.tick, c.name, str(c.old), str(c.new), c.author) for c in desk.service.runtime.log()] for desk in desks)
+    short, long = (
+        [(c.tick, c.name, str(c.old), str(c.new), c.author) for c in desk.service.runtime.log()]
+        for desk in desks
+    )
     assert short == long and len(short) > 100
     assert desks[0].again > 100 and desks[1].again == 0

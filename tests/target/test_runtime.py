@@ -1,4 +1,5 @@
-"""The runtime seam on the planar arm: compile, load, start, read, write, acquire, in both clocks."""
+"""The runtime seam on the planar arm: compile, load, start, read, write, acquire, in both clocks.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ def test_a_recording_has_one_row_a_sample_and_nothing_lost(runtime: Runtime) -> 
     assert np.array_equal(rows[:, 0], np.arange(300))
 
 
-def test_an_update_takes_effect_at_its_sample_and_is_logged_with_the_old_value(runtime: Runtime) -> None:
+def test_an_update_takes_effect_at_its_sample_and_is_logged_with_the_old_value(
+    runtime: Runtime,
+) -> None:
     runtime.acquire_configure(0, AcquireConfig(("Kp1", "Kd1"), seconds=0.2))
     runtime.acquire_start(0)
     sequence = runtime.write({"Kp1": 1234.0, "Kd1": 56.0}, "me", at_tick=100)
@@ -84,9 +87,27 @@ def test_a_table_switches_over_whole_at_one_sample_with_its_length(runtime: Runt
 
 def test_one_wrong_variable_stops_the_whole_update_and_each_is_named(runtime: Runtime) -> None:
     with pytest.raises(VariableError) as caught:
-        runtime.write({"Kp1": 1.0, "Kp2": -1.0, "Kd1": float("nan"), "none": 1, "q1": 1.0, "row_rate": 1.5, "use_table": 2}, "me")
+        runtime.write(
+            {
+                "Kp1": 1.0,
+                "Kp2": -1.0,
+                "Kd1": float("nan"),
+                "none": 1,
+                "q1": 1.0,
+                "row_rate": 1.5,
+                "use_table": 2,
+            },
+            "me",
+        )
     lines = str(caught.value).splitlines()
-    assert [line.split(":")[0] for line in lines] == ["Kp2", "Kd1", "none", "q1", "row_rate", "use_table"]
+    assert [line.split(":")[0] for line in lines] == [
+        "Kp2",
+        "Kd1",
+        "none",
+        "q1",
+        "row_rate",
+        "use_table",
+    ]
     assert "0 … 5000" in lines[0]
     assert runtime.read(["Kp1"])[1]["Kp1"] == 2000.0
     assert runtime.log() == ()
@@ -118,19 +139,28 @@ def runtime_state_is(runtime: Runtime, state: str) -> None:
 
 def test_a_trigger_keeps_what_came_before_it(runtime: Runtime) -> None:
     runtime.write({"approach_time": 0.2}, "me")
-    config = AcquireConfig(("tick", "t"), seconds=0.1, trigger=Trigger("t", 0.2, "rising", pre_s=0.04))
+    config = AcquireConfig(
+        ("tick", "t"), seconds=0.1, trigger=Trigger("t", 0.2, "rising", pre_s=0.04)
+    )
     runtime.acquire_configure(3, config)
     runtime.acquire_start(3)
     runtime.start(ticks=400)
     runtime.wait_paused()
     status = runtime.acquire_status(3)
-    assert (status.state, status.wanted, status.trigger_row, status.first) == ("done", 100, 200, 160)
+    assert (status.state, status.wanted, status.trigger_row, status.first) == (
+        "done",
+        100,
+        200,
+        160,
+    )
     rows = runtime.acquire_read(3, status.first, status.wanted)
     assert np.array_equal(rows[:, 0], np.arange(160, 260))
 
 
 def test_a_forced_trigger_fires_once_and_only_the_armed_acquisition(runtime: Runtime) -> None:
-    config = AcquireConfig(("tick",), seconds=0.02, trigger=Trigger("t", 1e6, "rising", pre_s=0.005))
+    config = AcquireConfig(
+        ("tick",), seconds=0.02, trigger=Trigger("t", 1e6, "rising", pre_s=0.005)
+    )
     runtime.acquire_configure(2, config)
     runtime.acquire_start(2)
     runtime.start(ticks=50)
@@ -149,7 +179,9 @@ def test_a_forced_trigger_fires_once_and_only_the_armed_acquisition(runtime: Run
 
 
 def test_a_ring_keeps_the_newest_rows_and_counts_what_a_reader_missed(runtime: Runtime) -> None:
-    runtime.acquire_configure(1, AcquireConfig(("tick",), seconds=0.1, continuous=True, decimation=2))
+    runtime.acquire_configure(
+        1, AcquireConfig(("tick",), seconds=0.1, continuous=True, decimation=2)
+    )
     runtime.acquire_start(1)
     runtime.start(ticks=600)
     runtime.wait_paused()
@@ -162,12 +194,17 @@ def test_a_ring_keeps_the_newest_rows_and_counts_what_a_reader_missed(runtime: R
     assert runtime.acquire_status(1).lost > 0
 
 
-def test_rows_are_folded_into_their_checksum_on_the_way_also_across_the_end_of_a_ring(runtime: Runtime) -> None:
-    runtime.acquire_configure(1, AcquireConfig(("tick", "t", "exec_us"), seconds=0.3, continuous=True))
+def test_rows_are_folded_into_their_checksum_on_the_way_also_across_the_end_of_a_ring(
+    runtime: Runtime,
+) -> None:
+    runtime.acquire_configure(
+        1, AcquireConfig(("tick", "t", "exec_us"), seconds=0.3, continuous=True)
+    )
     runtime.acquire_start(1)
     runtime.start(ticks=600)
     runtime.wait_paused()
-    for first, count in ((300, 300), (300, 2), (301, 171), (370, 200)):  # the ring holds 364 rows: row 364 follows the last place
+    # the ring holds 364 rows: row 364 follows the last place
+    for first, count in ((300, 300), (300, 2), (301, 171), (370, 200)):
         fold = bytearray(FOLD)
         rows = runtime.acquire_read(1, first, count, fold=fold)
         assert np.array_equal(rows[:, 0], np.arange(first, first + count))

@@ -1,4 +1,6 @@
-"""Below the user's code, every sample: STOP, limits, drive modes, soft start. Outputs are judged by what acts on the machine."""
+"""Below the user's code, every sample: STOP, limits, drive modes, soft start. Outputs are judged by
+what acts on the machine.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,17 @@ void UserISR_INT2(void) {
     IOGP_FU1_WRITE_AOUT_ENGU(0) = u[0];
     IOGP_FU1_WRITE_AOUT_ENGU(1, bad > 0.0 ? u[1] / 0.0 : u[1]);
 }
-"""
+"""  # noqa: E501
 MV_PER_NM = (10000.0 / 245.0, 10000.0 / 39.2)
 CHANNELS = ("tick", "aout", "drive", "enc", "cmd", "enabled")
 
 
-def record(runtime: Runtime, ticks: int, at: dict[int, dict[str, object]]) -> npt.NDArray[np.float64]:
-    """Run so many samples with updates at given ticks; columns: tick, aout 0, 1, drive, enc 0, 1, cmd 0, 1, enabled."""
+def record(
+    runtime: Runtime, ticks: int, at: dict[int, dict[str, object]]
+) -> npt.NDArray[np.float64]:
+    """Run so many samples with updates at given ticks; columns: tick, aout 0, 1, drive, enc 0, 1,
+    cmd 0, 1, enabled.
+    """
     for tick, values in at.items():
         runtime.write(values, "test", at_tick=tick)  # type: ignore[arg-type]
     runtime.acquire_configure(0, AcquireConfig(CHANNELS, seconds=ticks / 1000.0))
@@ -77,7 +83,9 @@ def test_stop_zeroes_output_within_two_samples_and_forces_velocity_mode(make_run
     assert np.all(rows[(rows[:, 0] > 5) & (rows[:, 0] < trip.tick), 1] == 2000.0)
 
 
-def test_loading_another_program_does_not_lift_a_stop(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+def test_loading_another_program_does_not_lift_a_stop(
+    make_runtime: Make, wait_for: Callable[..., None]
+) -> None:
     runtime = make_runtime(CONSTANT)
     runtime.start()
     runtime.stop()
@@ -107,7 +115,9 @@ def test_the_stop_input_of_the_machine_stops(make_runtime: Make) -> None:
     assert runtime.status().trip is None
 
 
-def test_a_stopped_arm_comes_to_rest_and_the_fast_clock_pauses_by_itself(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+def test_a_stopped_arm_comes_to_rest_and_the_fast_clock_pauses_by_itself(
+    make_runtime: Make, wait_for: Callable[..., None]
+) -> None:
     runtime = make_runtime(CONSTANT)
     rows = record(runtime, 300, {0: {"u": [3000.0, 0.0]}})
     assert rows[-1, 4] - rows[-2, 4] > 100.0  # counts a sample: it moves
@@ -141,7 +151,9 @@ def test_a_torque_beyond_its_limit_trips_before_it_acts(make_runtime: Make, join
     assert trip.value == pytest.approx(-limit - 0.1)
     assert trip.limit == limit
     assert f"joint {joint + 1}" in trip.text
-    assert np.array_equal(rows[:, 1 + joint], np.where((rows[:, 0] >= 6) & (rows[:, 0] <= 10), inside, 0.0))
+    assert np.array_equal(
+        rows[:, 1 + joint], np.where((rows[:, 0] >= 6) & (rows[:, 0] <= 10), inside, 0.0)
+    )
     assert np.array_equal(rows[:, 8], rows[:, 0] <= 10)
 
 
@@ -192,7 +204,11 @@ def test_a_joint_too_fast_trips(make_runtime: Make) -> None:
 
 def test_limits_are_only_tightened(make_runtime: Make) -> None:
     runtime = make_runtime(CONSTANT)
-    for changes, names in (({"torque_max": 300.0}, "joint 1"), ({"position_min": [-1.0, -3.0]}, "joint 2"), ({"power": 1.0}, "power")):
+    for changes, names in (
+        ({"torque_max": 300.0}, "joint 1"),
+        ({"position_min": [-1.0, -3.0]}, "joint 2"),
+        ({"power": 1.0}, "power"),
+    ):
         with pytest.raises(Refused, match=names):
             runtime.set_limits("test", **changes)
     runtime.wait_applied(runtime.set_limits("test", torque_max=[10.0, 5.0]), 10.0)
@@ -221,7 +237,8 @@ def test_soft_start_and_soft_stop_ramp_the_output(make_runtime: Make) -> None:
     runtime = make_runtime(CONSTANT)
     runtime.set_ramp(0.1)
     rows = record(runtime, 150, {0: {"u": [300.0, 0.0]}})
-    assert np.max(np.abs(np.diff(rows[:, 1]))) <= 3.0 + 1e-9 + 3.0  # 1 % a sample; two where the first command arrives
+    # 1 % a sample; two where the first command arrives
+    assert np.max(np.abs(np.diff(rows[:, 1]))) <= 3.0 + 1e-9 + 3.0
     assert rows[50, 1] == pytest.approx(0.51 * 300.0)
     assert rows[-1, 1] == 300.0
     runtime.set_drive("off")
@@ -231,16 +248,23 @@ def test_soft_start_and_soft_stop_ramp_the_output(make_runtime: Make) -> None:
     assert rows[-1, 3] == 0.0
 
 
-def test_homing_moves_to_the_home_position(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+def test_homing_moves_to_the_home_position(
+    make_runtime: Make, wait_for: Callable[..., None]
+) -> None:
     runtime = make_runtime(CONSTANT, machine_config={"q1": 0.3, "q2": -0.2})
     runtime.home()
-    wait_for(lambda: runtime.status().tick > 100 and runtime.status().state == "loaded", runtime.status)
+    wait_for(
+        lambda: runtime.status().tick > 100 and runtime.status().state == "loaded", runtime.status
+    )
     position = runtime.status().io["enc"] / (153600.0 / (2.0 * np.pi))
-    assert np.all(np.abs(position) < 2e-3)  # the machine's own homing tolerance is 1e-3 rad, and it coasts a little
+    # the machine's own homing tolerance is 1e-3 rad, and it coasts a little
+    assert np.all(np.abs(position) < 2e-3)
     assert runtime.status().homed
 
 
-def test_overruns_trip_after_so_many_in_a_row(make_runtime: Make, wait_for: Callable[..., None]) -> None:
+def test_overruns_trip_after_so_many_in_a_row(
+    make_runtime: Make, wait_for: Callable[..., None]
+) -> None:
     slow = """
     #include "isr.h"
     static volatile double work;
@@ -265,7 +289,7 @@ def test_skipped_samples_are_counted_and_time_stays_true(make_runtime: Make) -> 
     static volatile double work;
     void UserInit(void) {}
     void UserISR_INT2(void) { if (SAMPLE_TICK == 20) for (int i = 0; i < 30000000; i++) work = work + 1e-3; }
-    """
+    """  # noqa: E501
     runtime = make_runtime(stall, clock="real")
     runtime.set_overrun("skip")
     runtime.acquire_configure(0, AcquireConfig(("tick",), seconds=5.0))

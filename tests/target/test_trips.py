@@ -1,4 +1,6 @@
-"""What trips below the user's code, what stays latched, and what a program sees when it begins afresh."""
+"""What trips below the user's code, what stays latched, and what a program sees when it begins
+afresh.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ void UserISR_INT2(void) {
     if (FIRST_SAMPLE) { firsts += 1.0; with_drives += DRIVE_ENABLED; }
     IOGP_FU1_WRITE_AOUT_ENGU(0) = u;
 }
-"""
+"""  # noqa: E501
 # the shipped pendulum with another sensor and another way home
 OTHER = """
 #include <math.h>
@@ -57,7 +59,7 @@ static int other_home(void *h, const machine_sensors *s, machine_actuators *u) {
 }
 const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = other_open, .read = other_read, .write = other_write,
     .step = other_step, .safe = other_safe, .home = other_home};
-"""
+"""  # noqa: E501
 
 
 def run(runtime: Runtime, ticks: int) -> None:
@@ -98,10 +100,18 @@ def test_a_command_beyond_what_the_drive_takes_trips_before_it_acts(make_runtime
     runtime.write({"u[1]": -501.0}, "test", at_tick=10)
     run(runtime, 20)
     trip = trip_of(runtime)
-    assert (trip.reason, trip.joint, trip.tick, trip.value, trip.limit) == ("command", 2, 10, -501.0, 500.0)
+    assert (trip.reason, trip.joint, trip.tick, trip.value, trip.limit) == (
+        "command",
+        2,
+        10,
+        -501.0,
+        500.0,
+    )
 
 
-def test_a_sensor_that_reports_a_fault_trips_in_that_sample(make_runtime: Make, tmp_path: Path) -> None:
+def test_a_sensor_that_reports_a_fault_trips_in_that_sample(
+    make_runtime: Make, tmp_path: Path
+) -> None:
     runtime = make_runtime(CONSTANT, machine=other(tmp_path, "reads >= 20"))
     runtime.write({"u[0]": 300.0}, "test")
     runtime.acquire_configure(0, AcquireConfig(("tick", "aout"), seconds=0.05))
@@ -113,7 +123,9 @@ def test_a_sensor_that_reports_a_fault_trips_in_that_sample(make_runtime: Make, 
     assert np.all(rows[rows[:, 0] >= trip.tick, 1] == 0.0) and rows[trip.tick - 1, 1] == 300.0
 
 
-def test_homing_is_held_to_the_limits_too(make_runtime: Make, wait_for: Wait, tmp_path: Path) -> None:
+def test_homing_is_held_to_the_limits_too(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
     runtime = make_runtime(CONSTANT, machine=other(tmp_path, "0"))
     runtime.home()
     wait_for(lambda: runtime.status().trip is not None, runtime.status)
@@ -146,11 +158,15 @@ def test_a_joint_stopped_beyond_its_limit_goes_no_further_out(make_runtime: Make
     run(runtime, 1500)
     again = trip_of(runtime)
     assert again.reason == "position"
-    # 0.02 rad of room for the soft start, where it came to rest after the first trip, and a sample's motion
+    # 0.02 rad of room for the soft start, where it came to rest after the first trip, and a
+    # sample's motion
     assert again.value < stopped.value + 0.1
 
 
-SLOW = '#include "isr.h"\n#include <time.h>\nvoid UserInit(void) { struct timespec t = {2, 0}; nanosleep(&t, 0); }\nvoid UserISR_INT2(void) {}\n'
+SLOW = (
+    '#include "isr.h"\n#include <time.h>\nvoid UserInit(void) { struct timespec t = {2, 0};'
+    " nanosleep(&t, 0); }\nvoid UserISR_INT2(void) {}\n"
+)
 
 
 def test_stop_does_not_wait_behind_a_load(make_runtime: Make) -> None:
@@ -175,7 +191,9 @@ def test_stop_does_not_wait_behind_a_load(make_runtime: Make) -> None:
     assert took < 0.5
 
 
-def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(make_runtime: Make, wait_for: Wait) -> None:
+def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(
+    make_runtime: Make, wait_for: Wait
+) -> None:
     runtime = make_runtime(FIRST)
     runtime.write({"u": 10.0}, "test")
 
@@ -186,7 +204,10 @@ def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(make_runtime
     def home() -> None:
         before = runtime.status().tick
         runtime.home()
-        wait_for(lambda: runtime.status().tick > before and runtime.status().state != "running", runtime.status)
+        wait_for(
+            lambda: runtime.status().tick > before and runtime.status().state != "running",
+            runtime.status,
+        )
 
     def stopped() -> None:
         runtime.start()
@@ -208,6 +229,7 @@ def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(make_runtime
         rows = runtime.acquire_read(0, 0, 20)
         assert rows[-1, 1] == 10.0, "the drives are on again"
         if count:
-            assert rows[0, 0] == firsts + count and np.all(rows[:2, 1] == 0.0), "its first command does not act"
+            assert rows[0, 0] == firsts + count and np.all(
+                rows[:2, 1] == 0.0
+            ), "its first command does not act"
         firsts += count
-

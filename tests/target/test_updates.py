@@ -21,7 +21,8 @@ from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]
 
-# Every update gives all 32 scalars, the array and the table the same number; the ISR counts samples in which two of them differ.
+# Every update gives all 32 scalars, the array and the table the same number; the ISR counts samples
+# in which two of them differ.
 WITNESS = (
     '#include "isr.h"\n'
     + "static double "
@@ -67,7 +68,9 @@ def values(number: float, with_table: bool) -> dict[str, object]:
 
 
 def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Make) -> None:
-    """One writer updates 32 scalars, an array and a table; two more crowd it; a fourth scribbles over uncommitted batches."""
+    """One writer updates 32 scalars, an array and a table; two more crowd it; a fourth scribbles
+    over uncommitted batches.
+    """
     runtime = make_runtime(WITNESS)
     stop = threading.Event()
     sent = [0, 0, 0]
@@ -75,7 +78,8 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
     def everything() -> None:
         while not stop.is_set():
             try:
-                runtime.write(values(float(sent[0]), with_table=True), "a")  # type: ignore[arg-type]
+                runtime.write(values(float(sent[0]), with_table=True),
+                    "a")  # type: ignore[arg-type]
             except Refused:
                 continue  # the last table is not in effect yet
             sent[0] += 1
@@ -89,7 +93,9 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
                 continue
 
     def garbage() -> None:
-        """Scribble over batches that were never committed, as a writer that dies half-way leaves them."""
+        """Scribble over batches that were never committed, as a writer that dies half-way leaves
+        them.
+        """
         session = runtime._session
         assert session is not None
         updates = session.updates
@@ -155,10 +161,13 @@ def test_many_readers_see_whole_samples_while_the_loop_runs_free(make_runtime: M
 
 
 def test_a_copy_that_was_overtaken_by_the_loop_is_made_again() -> None:
-    """The reader's half of the seqlock, with samples so large that each copy takes milliseconds and is nearly always overtaken."""
+    """The reader's half of the seqlock, with samples so large that each copy takes milliseconds and
+    is nearly always overtaken.
+    """
     ffi, lib = layout()
     words, rewrites = 2 << 20, 60
-    slot = np.zeros(2 + words, dtype=np.uint64)  # sequence, tick, values; every sample in the same place: the stride is 0
+    # sequence, tick, values; every sample in the same place: the stride is 0
+    slot = np.zeros(2 + words, dtype=np.uint64)
     newest = np.zeros(1, dtype=np.uint64)
     over = threading.Event()
 
@@ -175,9 +184,14 @@ def test_a_copy_that_was_overtaken_by_the_loop_is_made_again() -> None:
     values = np.empty(words, dtype=np.uint64)
     tick = ffi.new("uint64_t *")
     arguments = (
-        ffi.cast("uint64_t *", ffi.from_buffer(newest)), ffi.cast("unsigned char *", ffi.from_buffer(slot)), 0, 0, 8 * words,
-        ffi.cast("unsigned char *", ffi.from_buffer(values)), tick,
-    )  # fmt: skip
+        ffi.cast("uint64_t *", ffi.from_buffer(newest)),
+        ffi.cast("unsigned char *", ffi.from_buffer(slot)),
+        0,
+        0,
+        8 * words,
+        ffi.cast("unsigned char *", ffi.from_buffer(values)),
+        tick,
+    )
     thread = threading.Thread(target=loop)
     thread.start()
     while not over.is_set():
@@ -196,12 +210,20 @@ def test_updates_for_later_samples_do_not_hold_up_earlier_ones(make_runtime: Mak
     runtime.acquire_start(0)
     runtime.start(ticks=400)
     runtime.wait_paused()
-    assert [runtime.wait_applied(sequence, 10.0) for sequence in (early, same, late)] == [100, 100, 300]
+    assert [runtime.wait_applied(sequence, 10.0) for sequence in (early, same, late)] == [
+        100,
+        100,
+        300,
+    ]
     rows = runtime.acquire_read(0, 0, 400)[:, 0]
-    assert np.array_equal(rows, np.where(np.arange(400) < 100, 0.0, np.where(np.arange(400) < 300, 2.0, 3.0)))
+    assert np.array_equal(
+        rows, np.where(np.arange(400) < 100, 0.0, np.where(np.arange(400) < 300, 2.0, 3.0))
+    )
 
 
-def test_more_updates_than_fit_are_refused_and_those_that_fit_are_all_applied(make_runtime: Make) -> None:
+def test_more_updates_than_fit_are_refused_and_those_that_fit_are_all_applied(
+    make_runtime: Make,
+) -> None:
     runtime = make_runtime(WITNESS)
     sequences = []
     for number in range(1000):
@@ -232,10 +254,12 @@ def test_elements_and_types_are_written_as_declared(make_runtime: Make) -> None:
         PARAMETER(i, -7, "", -100, 100, "whole"); PARAMETER(b, true, "", 0, 1, "flags");
     }
     void UserISR_INT2(void) {}
-    """
+    """  # noqa: E501
     runtime = make_runtime(code)
     infos = {info.name: info for info in runtime.variables()}
-    assert [(n, v.type, v.length, v.unit, v.minimum, v.maximum, v.description) for n, v in infos.items()] == [
+    assert [
+        (n, v.type, v.length, v.unit, v.minimum, v.maximum, v.description) for n, v in infos.items()
+    ] == [
         ("d", "double", 3, "rad", -10.0, 10.0, "array"),
         ("f", "float", 1, "V", -1.0, 1.0, "single"),
         ("i", "int32", 1, "", -100.0, 100.0, "whole"),
@@ -245,7 +269,9 @@ def test_elements_and_types_are_written_as_declared(make_runtime: Make) -> None:
     assert (infos["f"].initial, infos["i"].initial) == (0.25, -7)
     assert np.array_equal(np.asarray(infos["b"].initial), [True, True])
     assert len({info.address for info in infos.values()}) == 4
-    runtime.wait_applied(runtime.write({"d[1]": -2.0, "f": 0.5, "i": 42, "b[0]": False}, "me"), 10.0)
+    runtime.wait_applied(
+        runtime.write({"d[1]": -2.0, "f": 0.5, "i": 42, "b[0]": False}, "me"), 10.0
+    )
     _, found = runtime.read(["d", "d[1]", "f", "i", "b"])
     assert np.array_equal(np.asarray(found["d"]), [1.5, -2.0, 3.5])
     assert (found["d[1]"], found["f"], found["i"]) == (-2.0, 0.5, 42)
@@ -266,11 +292,18 @@ void UserISR_INT2(void) { n++; list[1] = a; }
 """
 
 
-def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_first(make_runtime: Make) -> None:
+def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_first(
+    make_runtime: Make,
+) -> None:
     runtime = make_runtime(LIMITED)
     wrong: list[dict[str, object]] = [
-        {"a": 10.5, "b": 0.0}, {"a": True, "b": 0.0}, {"a": float("nan"), "b": 0.0}, {"a": 0.0, "b": float("inf")}, {"a": "1", "b": 0.0}, {"a": [1.0, 2.0], "b": 0.0},
-    ]  # fmt: skip
+        {"a": 10.5, "b": 0.0},
+        {"a": True, "b": 0.0},
+        {"a": float("nan"), "b": 0.0},
+        {"a": 0.0, "b": float("inf")},
+        {"a": "1", "b": 0.0},
+        {"a": [1.0, 2.0], "b": 0.0},
+    ]
 
     def refusals() -> list[str]:
         said = []
@@ -289,14 +322,18 @@ def test_an_update_of_the_same_names_is_checked_and_logged_each_time_as_the_firs
     shown = [(c.name, c.old, c.new, c.author) for c in runtime.log()]
     pairs = [(1.0, 2.0), (0.0, -0.0), (1.0, -1.0), (2.0, -2.0)]
     expected = [
-        line for (a, b), (a2, b2) in pairwise(pairs) for line in (("a", a, a2, "me"), ("b", b, b2, "me"))
+        line
+        for (a, b), (a2, b2) in pairwise(pairs)
+        for line in (("a", a, a2, "me"), ("b", b, b2, "me"))
     ]
     assert shown == [*expected, ("a", 2.0, 7.0, "you"), ("b", -2.0, 1.0, "you")]
     with pytest.raises(Refused, match="at_tick -1"):
         runtime.write({"a": 1.0, "b": 1.0}, "me", at_tick=-1)
 
 
-def test_a_reading_of_the_same_names_is_fresh_and_in_the_order_asked_for(make_runtime: Make) -> None:
+def test_a_reading_of_the_same_names_is_fresh_and_in_the_order_asked_for(
+    make_runtime: Make,
+) -> None:
     runtime = make_runtime(LIMITED)
     for k in range(1, 4):
         runtime.wait_applied(runtime.write({"a": float(k)}, "me"), 10.0)
@@ -335,14 +372,17 @@ def test_the_log_keeps_its_newest_lines_and_their_numbers(
 
     def come(first: int, last: int) -> None:
         for k in range(first, last):
-            log.append(Flight(0, (("a", place),), 24, lambda k=k: batch(k), "me", 0.0), k, batch(k - 1))  # type: ignore[misc]
+            log.append(Flight(0, (("a", place),), 24, lambda k=k: batch(k), "me", 0.0), k,
+                batch(k - 1))  # type: ignore[misc]
 
     come(0, 4)
     log.settle(2)
     assert [c.new for c in log.since(1)] == [1.0, 2.0, 3.0]
     come(4, 40)
     log.settle(1)
-    assert [(c.tick, c.old, c.new) for c in log.since(0)] == [(k, k - 1.0, k) for k in range(30, 40)]
+    assert [(c.tick, c.old, c.new) for c in log.since(0)] == [
+        (k, k - 1.0, k) for k in range(30, 40)
+    ]
     assert [c.new for c in log.since(38)] == [38.0, 39.0]
     assert log.since(40) == ()
 
@@ -353,10 +393,12 @@ static const table *a, *b;
 static double x, y;
 void UserInit(void) { TABLE(a, 8, 1, "", ""); TABLE(b, 8, 1, "", ""); PARAMETER(x, 0, "V", -1.0, 1.0, ""); }
 void UserISR_INT2(void) { y = a->rows + b->rows + x; }
-"""
+"""  # noqa: E501
 
 
-def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_alone(make_runtime: Make) -> None:
+def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_alone(
+    make_runtime: Make,
+) -> None:
     runtime = make_runtime(TABLES)
     rows = {k: np.full((4, 1), float(k)) for k in range(5)}
     runtime.wait_applied(runtime.write({"a": rows[1], "b": rows[1]}, "me"), 10.0)
@@ -366,7 +408,8 @@ def test_an_update_that_is_refused_for_one_table_leaves_the_bank_of_the_other_al
     with pytest.raises(VariableError, match=r"x: 2 V is outside its limits"):
         runtime.write({"a": rows[3], "x": 2.0}, "me")
     runtime.write({"a": rows[4]}, "me", at_tick=60)
-    assert np.array_equal(runtime.read(["a"])[1]["a"], rows[1])  # what the loop uses now is never written over
+    # what the loop uses now is never written over
+    assert np.array_equal(runtime.read(["a"])[1]["a"], rows[1])
     runtime.start(ticks=100)
     runtime.wait_paused()
     found = runtime.read(["a", "b"])[1]

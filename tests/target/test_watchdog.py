@@ -1,4 +1,5 @@
-"""The machine's own watchdog is kept alive by healthy samples only, so that it acts when they stop."""
+"""The machine's own watchdog is kept alive by healthy samples only, so that it acts when they stop.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from zendsp_target.runtime import Runtime
 Make = Callable[..., Runtime]
 Wait = Callable[..., None]
 
-# The shipped pendulum, with a card that counts; the count stands in a file that the test sees as hardware would.
+# The shipped pendulum, with a card that counts; the count stands in a file that the test sees as
+# hardware would.
 CARD = """
 #include <fcntl.h>
 #include <sys/mman.h>
@@ -39,7 +41,7 @@ static void card_safe(void *h) { pendulum_machine.safe(h); }
 static void card_alive(void *h) { (void)h; card[0]++; }
 const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = card_open, .read = card_read, .write = card_write,
     .step = card_step, .safe = card_safe, .keep_alive = card_alive};
-"""
+"""  # noqa: E501
 PROGRAM = """
 #include "isr.h"
 #include <time.h>
@@ -92,7 +94,9 @@ def card(tmp_path: Path) -> Card:
 
 def _running(make_runtime: Make, wait_for: Wait, card: Card, **options: float) -> Runtime:
     machine = str(card.path.with_name("guarded.c"))
-    runtime = make_runtime(PROGRAM, machine=machine, clock="real", rate_hz=100.0, realtime=False, **options)
+    runtime = make_runtime(
+        PROGRAM, machine=machine, clock="real", rate_hz=100.0, realtime=False, **options
+    )
     runtime.start()
     wait_for(lambda: runtime.status().tick > 20)
     return runtime
@@ -103,21 +107,27 @@ def _pid(runtime: Runtime) -> int:
     return runtime._session.process.pid
 
 
-def test_every_sample_keeps_it_alive_after_its_outputs(make_runtime: Make, wait_for: Wait, card: Card) -> None:
+def test_every_sample_keeps_it_alive_after_its_outputs(
+    make_runtime: Make, wait_for: Wait, card: Card
+) -> None:
     runtime = _running(make_runtime, wait_for, card)
     assert not card.fires()
     runtime.pause()
     assert not card.fires(), "a pause is healthy"
 
 
-def test_it_fires_when_a_sample_does_not_return(make_runtime: Make, wait_for: Wait, card: Card) -> None:
+def test_it_fires_when_a_sample_does_not_return(
+    make_runtime: Make, wait_for: Wait, card: Card
+) -> None:
     runtime = _running(make_runtime, wait_for, card, hang_s=20.0)
     runtime.write({"hang": 1}, "me")
     wait_for(lambda: card.fires())
     assert runtime.status().crash == "", "before our own watchdog noticed"
 
 
-def test_it_fires_when_samples_are_too_late_again_and_again(make_runtime: Make, wait_for: Wait, card: Card) -> None:
+def test_it_fires_when_samples_are_too_late_again_and_again(
+    make_runtime: Make, wait_for: Wait, card: Card
+) -> None:
     runtime = _running(make_runtime, wait_for, card)
     runtime.write({"late": 1}, "me")
     wait_for(lambda: card.fires())

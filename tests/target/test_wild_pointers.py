@@ -1,4 +1,6 @@
-"""User code with a wild pointer may write over all shared memory: the monitor survives it, and the next load is as good as new."""
+"""User code with a wild pointer may write over all shared memory: the monitor survives it, and the
+next load is as good as new.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from zendsp_protocol.errors import RunnerDied, ZendspError
 from zendsp_target.api import AcquireConfig, Trigger
 from zendsp_target.runtime import Runtime
 
-# Finds the shared mappings in /proc/self/maps, and fills them at sample 50 with a byte, or with noise.
+# Finds the shared mappings in /proc/self/maps, and fills them at sample 50 with a byte, or with
+# noise.
 WILD = """
 #include "isr.h"
 #include <stdio.h>
@@ -43,16 +46,21 @@ void UserISR_INT2(void) {
         for (size_t k = 0; k < bytes[i]; k++) { noise = noise * 1664525u + 1013904223u; from[i][k] = FILL; }
     for (;;) noise++;
 }
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.parametrize("fill", ["0x00", "0xff", "0x01", "(unsigned char)(noise >> 24)"])
 def test_the_monitor_survives_shared_memory_full_of_rubbish(
-    make_runtime: Callable[..., Runtime], wait_for: Callable[..., None], load: Callable[[Runtime, str], None], fill: str
+    make_runtime: Callable[..., Runtime],
+    wait_for: Callable[..., None],
+    load: Callable[[Runtime, str], None],
+    fill: str,
 ) -> None:
     runtime = make_runtime(WILD.replace("FILL", fill), hang_s=0.2)
     runtime.acquire_configure(0, AcquireConfig(("x", "enc"), seconds=0.2, continuous=True))
-    runtime.acquire_configure(1, AcquireConfig(("x",), seconds=0.2, trigger=Trigger("x", 10.0, "rising", 0.005)))
+    runtime.acquire_configure(
+        1, AcquireConfig(("x",), seconds=0.2, trigger=Trigger("x", 10.0, "rising", 0.005))
+    )
     for stream in (0, 1):
         runtime.acquire_start(stream)
     runtime.write({"gain": 2.0, "ref": np.ones((10, 2))}, "me")
@@ -91,7 +99,11 @@ def test_the_monitor_survives_shared_memory_full_of_rubbish(
             continue
     assert runtime.status().state == "crashed"
     assert runtime.machine().name == "imi_planar"
-    load(runtime, '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid UserISR_INT2(void) { x += 1.0; }\n')
+    load(
+        runtime,
+        '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
+        " UserISR_INT2(void) { x += 1.0; }\n",
+    )
     runtime.start(ticks=10)
     runtime.wait_paused()
     assert runtime.read(["x"])[1]["x"] == 10.0

@@ -1,4 +1,5 @@
-"""Run a program where the system refuses a filter of system calls: python unfiltered.py FILE.c END"""
+"""Run a program where the system refuses a filter of system calls: python unfiltered.py FILE.c END
+"""
 
 from __future__ import annotations
 
@@ -16,7 +17,12 @@ X86_64, AARCH64 = 317, 277  # number of seccomp(2)
 def refuse_filters() -> None:
     """Have seccomp(2) fail with ENOSYS from now on, in this process and all that it starts."""
     number = X86_64 if os.uname().machine == "x86_64" else AARCH64
-    code = [(0x20, 0, 0, 0), (0x15, 0, 1, number), (0x06, 0, 0, 0x00050000 | 38), (0x06, 0, 0, 0x7FFF0000)]
+    code = [
+        (0x20, 0, 0, 0),
+        (0x15, 0, 1, number),
+        (0x06, 0, 0, 0x00050000 | 38),
+        (0x06, 0, 0, 0x7FFF0000),
+    ]
     program = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *line) for line in code))
 
     class Filter(ctypes.Structure):

@@ -23,9 +23,11 @@ Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 @pytest.fixture(autouse=True)
 def _no_waiting_for_an_idle_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Textual's Pilot waits after each key until the process is idle, which it never is while curves roll.
+    """Textual's Pilot waits after each key until the process is idle, which it never is while
+    curves roll.
 
-    A key is done when its messages have been handed on, and that takes turns of the event loop, not time.
+    A key is done when its messages have been handed on, and that takes turns of the event loop, not
+    time.
     """
 
     async def turns(min_sleep: float = 0.0, max_sleep: float = 0.0) -> None:
@@ -38,7 +40,9 @@ def _no_waiting_for_an_idle_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "covers(*names): actions of the table that a test carries out")
+    config.addinivalue_line(
+        "markers", "covers(*names): actions of the table that a test carries out"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +76,9 @@ def folder(tmp_path: Path) -> Path:
     from importlib import resources
 
     (tmp_path / "references").mkdir()
-    save_reference(make_reference("circle", "imi_planar", duration=3.0), tmp_path / "references" / "circle.mat")
+    save_reference(
+        make_reference("circle", "imi_planar", duration=3.0), tmp_path / "references" / "circle.mat"
+    )
     source = resources.files("zendsp_isr").joinpath("programs", "pd.c").read_text()
     (tmp_path / "pd.c").write_text(source)
     return tmp_path
@@ -96,7 +102,11 @@ def until() -> Until:
         while not condition():
             if time.monotonic() > deadline:
                 app = pilot.app
-                events = [e.text for e in app.session.events.since(0)[1]] if isinstance(app, ZendspApp) else []
+                events = (
+                    [e.text for e in app.session.events.since(0)[1]]
+                    if isinstance(app, ZendspApp)
+                    else []
+                )
                 raise AssertionError(f"did not happen: {what}; events: {events[-8:]}")
             await pilot.pause(0.02)
 
@@ -110,20 +120,30 @@ def built(until: Until) -> Callable[[ZendspApp, Pilot[None]], Awaitable[None]]:
     async def run(app: ZendspApp, pilot: Pilot[None]) -> None:
         await until(pilot, lambda: app.session.snapshot.link == "up", "the link is up")
         await pilot.press("b")
-        await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables, "built")
+        await until(
+            pilot,
+            lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables,
+            "built",
+        )
         await until(pilot, lambda: app.session.channels, "the usual curves are followed")
 
     return run
 
 
 @pytest.fixture
-def enabled(built: Callable[[ZendspApp, Pilot[None]], Awaitable[None]], until: Until) -> Callable[[ZendspApp, Pilot[None]], Awaitable[None]]:
+def enabled(
+    built: Callable[[ZendspApp, Pilot[None]], Awaitable[None]], until: Until
+) -> Callable[[ZendspApp, Pilot[None]], Awaitable[None]]:
     """Power and enable as well."""
 
     async def run(app: ZendspApp, pilot: Pilot[None]) -> None:
         await built(app, pilot)
         await pilot.press("o")
-        await until(pilot, lambda: app.session.snapshot.drive == "homed" and app.session.snapshot.explicit, "powered")
+        await until(
+            pilot,
+            lambda: app.session.snapshot.drive == "homed" and app.session.snapshot.explicit,
+            "powered",
+        )
         await pilot.press("e")
         await until(pilot, lambda: app.session.snapshot.drive == "enabled", "enabled")
 

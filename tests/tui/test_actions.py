@@ -42,7 +42,9 @@ def app(tmp_path: Path) -> ZendspApp:
 
 def test_no_key_has_two_meanings_on_a_screen() -> None:
     for screen in SCREENS:
-        keys = Counter(key for a in ACTIONS if a.scope in ("app", screen) for key in a.keys.split(","))
+        keys = Counter(
+            key for a in ACTIONS if a.scope in ("app", screen) for key in a.keys.split(",")
+        )
         assert not [key for key, n in keys.items() if n > 1]
 
 
@@ -62,7 +64,9 @@ async def test_footer_help_and_palette_come_from_the_table(app: ZendspApp, scree
             if a.scope in ("app", screen):
                 node = app if a.scope == "app" else app.screen
                 assert hasattr(node, f"action_{a.name.split('(')[0]}"), a
-        shown = {b.binding.description for b in app.screen.active_bindings.values() if b.binding.show}
+        shown = {
+            b.binding.description for b in app.screen.active_bindings.values() if b.binding.show
+        }
         assert {a.label for a in ACTIONS if a.scope in ("app", screen) and a.footer} <= shown
         text = app.screen.help_text().plain
         assert all(a.help in text for a in ACTIONS if a.scope in ("app", screen))
@@ -76,7 +80,9 @@ def test_stop_has_priority_and_is_always_in_the_footer() -> None:
     assert stop.priority and stop.footer and "f9" in stop.keys.split(",")
 
 
-async def test_stop_works_under_every_dialog(app: ZendspApp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_stop_works_under_every_dialog(
+    app: ZendspApp, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pressed: list[str] = []
     monkeypatch.setattr(app.session, "stop", lambda: pressed.append(over))
     source = tmp_path / "pd.c"
@@ -125,10 +131,20 @@ async def test_screens_cannot_be_left_while_a_dialog_asks(app: ZendspApp) -> Non
 async def test_a_form_says_what_is_wrong_and_waits(app: ZendspApp, until: Until) -> None:
     results: list[object] = []
     async with app.run_test() as pilot:
-        app.push_screen(Form("f", [Field("x", "Level", "1", unit="[V]", check=float)]), results.append)
-        await until(pilot, lambda: app.focused is not None and app.focused.id == "f-x" and app.focused.has_focus, "the form is open")
+        app.push_screen(
+            Form("f", [Field("x", "Level", "1", unit="[V]", check=float)]), results.append
+        )
+        await until(
+            pilot,
+            lambda: app.focused is not None and app.focused.id == "f-x" and app.focused.has_focus,
+            "the form is open",
+        )
         await pilot.press("end", "x", "enter")
-        await until(pilot, lambda: "Level" in str(app.screen.query_one("#problem").render()), "what is wrong is said")
+        await until(
+            pilot,
+            lambda: "Level" in str(app.screen.query_one("#problem").render()),
+            "what is wrong is said",
+        )
         assert results == []
         assert "[V]" in "".join(str(w.render()) for w in app.screen.query(".unit"))
         await pilot.press("backspace", "enter")
@@ -152,15 +168,26 @@ async def test_every_screen_fits_from_80_by_24_up(app: ZendspApp, until: Until) 
             for size in ((80, 24), (100, 30), (160, 48), (220, 60), (80, 24)):
                 await pilot.resize_terminal(*size)
                 bar, footer = app.screen.query_one("StatusBar"), app.screen.query_one("Footer")
-                await until(pilot, lambda bar=bar, wide=size[0]: bar.region.width == wide, f"{screen} is laid out for {size}")  # type: ignore[misc]
+                await until(pilot, lambda bar=bar, wide=size[0]: bar.region.width == wide,
+                    f"{screen} is laid out for {size}")  # type: ignore[misc]
                 await pilot.pause()
                 assert bar.region.y == 0
                 assert footer.region.bottom == size[1]
-                body = [w for w in app.screen.children if w not in (bar, footer) and w.region.height and w.display]
+                body = [
+                    w
+                    for w in app.screen.children
+                    if w not in (bar, footer) and w.region.height and w.display
+                ]
                 assert body, screen
-                assert all(w.region.y >= bar.region.bottom and w.region.bottom <= footer.region.y for w in body), (screen, size)
+                assert all(
+                    w.region.y >= bar.region.bottom and w.region.bottom <= footer.region.y
+                    for w in body
+                ), (screen, size)
                 assert app.screen.query_one("StopButton").region.width >= 12
-                assert all(w.region.height >= 5 for w in app.screen.query("Scope") if w.display), (screen, size)
+                assert all(w.region.height >= 5 for w in app.screen.query("Scope") if w.display), (
+                    screen,
+                    size,
+                )
 
 
 async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:
@@ -179,13 +206,25 @@ async def test_themes_change_and_the_scope_follows(app: ZendspApp) -> None:
 
 async def test_what_is_not_seen_cannot_take_the_focus(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
-        await until(pilot, lambda: app.focused is app.screen.query_one("#variables"), "the screen is ready")
+        await until(
+            pilot, lambda: app.focused is app.screen.query_one("#variables"), "the screen is ready"
+        )
         seen = {w.id for w in app.screen.focus_chain}
-        assert "variables" in seen and not {i for i in seen if (i or "").startswith("step-")}, "no hidden Power button under Enter"
+        assert "variables" in seen and not {
+            i for i in seen if (i or "").startswith("step-")
+        }, "no hidden Power button under Enter"
         await pilot.press("E")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#events-box"), "the arrows scroll the events")
+        await until(
+            pilot,
+            lambda: app.focused is app.screen.query_one("#events-box"),
+            "the arrows scroll the events",
+        )
         await pilot.press("E")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#variables"), "the arrows work again")
+        await until(
+            pilot,
+            lambda: app.focused is app.screen.query_one("#variables"),
+            "the arrows work again",
+        )
 
 
 def test_times_of_execution_carry_the_unit_that_is_meant() -> None:
@@ -216,9 +255,13 @@ def test_whole_numbers_and_reals_are_refused_in_words() -> None:
 
 def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
     def advice(drive: str, explicit: bool) -> str:
-        found = preflight(Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False, Trial(), None)
+        found = preflight(
+            Snapshot(drive=drive, explicit=explicit), (), (), Setup(), False, Trial(), None
+        )
         return next(c.advice for c in found if c.text == "drives enabled")
 
     assert advice("off", True).endswith("power (o), home (h), enable (e)")
-    assert advice("homed", False).endswith("power (o), home (h), enable (e)"), "automatic: the sequence begins with power"
+    assert advice("homed", False).endswith(
+        "power (o), home (h), enable (e)"
+    ), "automatic: the sequence begins with power"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"

@@ -51,24 +51,45 @@ async def _type(pilot: Pilot[None], text: str) -> None:
 
 
 @pytest.mark.covers(
-    "app.command", "app.acknowledge", "console.power", "console.home", "console.enable", "console.start", "console.pause",
-    "console.host_lost", "console.build",
-)  # fmt: skip
-async def test_the_safe_sequence_by_keys(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
+    "app.command",
+    "app.acknowledge",
+    "console.power",
+    "console.home",
+    "console.enable",
+    "console.start",
+    "console.pause",
+    "console.host_lost",
+    "console.build",
+)
+async def test_the_safe_sequence_by_keys(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         snap = lambda: lab.session.snapshot  # noqa: E731
         await pilot.press("o")
         await until(pilot, lambda: snap().explicit and snap().mine, "powered; who powers, commands")
         await pilot.press("s")
-        await until(pilot, lambda: "starting is refused: enabled" in _events(lab), "start without enable is refused by name")
+        await until(
+            pilot,
+            lambda: "starting is refused: enabled" in _events(lab),
+            "start without enable is refused by name",
+        )
         await pilot.press("h")
-        await until(pilot, lambda: "home: homed" in _events(lab) or "homed" in _events(lab).split("\n")[-1], "homed")
+        await until(
+            pilot,
+            lambda: "home: homed" in _events(lab) or "homed" in _events(lab).split("\n")[-1],
+            "homed",
+        )
         assert target.status().homed
         await pilot.press("e")
         await until(pilot, lambda: snap().drive == "enabled", "enabled")
         await pilot.press("s")
-        await until(pilot, lambda: snap().drive == "running" and target.status().state == "running", "running")
+        await until(
+            pilot,
+            lambda: snap().drive == "running" and target.status().state == "running",
+            "running",
+        )
         await pilot.press("p")
         await until(pilot, lambda: snap().state == "paused", "paused")
         await pilot.press("e")
@@ -80,7 +101,9 @@ async def test_the_safe_sequence_by_keys(lab: ZendspApp, target: Target, built: 
         target.take_command()
         await until(pilot, lambda: snap().commander and not snap().mine, "somebody else commands")
         await pilot.press("e")
-        await until(pilot, lambda: "exclusive right" in _events(lab), "refused, and it says who commands")
+        await until(
+            pilot, lambda: "exclusive right" in _events(lab), "refused, and it says who commands"
+        )
         await pilot.press("ctrl+r")
         await pilot.pause()
         assert isinstance(lab.screen, Message)
@@ -94,7 +117,9 @@ async def test_the_safe_sequence_by_keys(lab: ZendspApp, target: Target, built: 
         await until(pilot, lambda: snap().drive == "off", "power off")
 
 
-async def test_a_refused_enable_names_each_condition(lab: ZendspApp, target: Target, until: Until) -> None:
+async def test_a_refused_enable_names_each_condition(
+    lab: ZendspApp, target: Target, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
         await pilot.press("o")
@@ -102,12 +127,24 @@ async def test_a_refused_enable_names_each_condition(lab: ZendspApp, target: Tar
         await pilot.press("e")
         await until(pilot, lambda: "enabling is refused" in _events(lab), "refused")
         text = _events(lab)
-        assert "program: no code is loaded" in text and "homed: known once a program is loaded" in text
+        assert (
+            "program: no code is loaded" in text and "homed: known once a program is loaded" in text
+        )
         assert target.drive_status().state in ("ready", "off")
 
 
-@pytest.mark.covers("console.filter", "console.edit", "console.stage", "console.update", "console.undo", "console.initial", "console.initial_all")
-async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
+@pytest.mark.covers(
+    "console.filter",
+    "console.edit",
+    "console.stage",
+    "console.update",
+    "console.undo",
+    "console.initial",
+    "console.initial_all",
+)
+async def test_variables_edit_stage_update_undo(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         console = _console(lab)
@@ -116,10 +153,16 @@ async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, 
         await pilot.pause()
         assert isinstance(lab.screen, Form)
         await _type(pilot, "99999")
-        assert isinstance(lab.screen, Form) and "outside" in str(lab.screen.query_one("#problem").render())
+        assert isinstance(lab.screen, Form) and "outside" in str(
+            lab.screen.query_one("#problem").render()
+        )
         await _type(pilot, "1500")
         await until(pilot, lambda: target["Kp1"] == 1500.0, "written at once")
-        await until(pilot, lambda: console.key_to_applied_s == console.key_to_applied_s, "the sample is reported")
+        await until(
+            pilot,
+            lambda: console.key_to_applied_s == console.key_to_applied_s,
+            "the sample is reported",
+        )
 
         for name, value in (("Kp2", "250"), ("Kd2", "10")):
             await _mark(lab, pilot, name)
@@ -136,7 +179,9 @@ async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, 
         assert len(ticks) == 1, "both in one sample"
 
         await pilot.press("z")
-        await until(pilot, lambda: target["Kp2"] == 300.0 and target["Kd2"] == 12.0, "undone together")
+        await until(
+            pilot, lambda: target["Kp2"] == 300.0 and target["Kd2"] == 12.0, "undone together"
+        )
         await until(pilot, lambda: lab.session.snapshot.values["Kp2"] == 300.0, "seen")
         await pilot.press("z")
         await until(pilot, lambda: target["Kp1"] == 2000.0, "and the one before")
@@ -151,13 +196,21 @@ async def test_variables_edit_stage_update_undo(lab: ZendspApp, target: Target, 
         assert console.staged == {"Kd1": 120.0}, "only what differs"
 
         await pilot.press("slash", *"gain")
-        await until(pilot, lambda: console.variables.table.row_count == 4, "four gains by their description")
+        await until(
+            pilot, lambda: console.variables.table.row_count == 4, "four gains by their description"
+        )
         await pilot.press("enter", "slash")
         lab.screen.query_one("#filter", Input).value = ""
-        await until(pilot, lambda: console.variables.table.row_count == len(lab.session.snapshot.variables), "all again")
+        await until(
+            pilot,
+            lambda: console.variables.table.row_count == len(lab.session.snapshot.variables),
+            "all again",
+        )
 
 
-async def test_a_signal_cannot_be_written_and_units_stay_whole(lab: ZendspApp, built: Step, until: Until) -> None:
+async def test_a_signal_cannot_be_written_and_units_stay_whole(
+    lab: ZendspApp, built: Step, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         await _mark(lab, pilot, "q1")
@@ -167,7 +220,9 @@ async def test_a_signal_cannot_be_written_and_units_stay_whole(lab: ZendspApp, b
 
 
 @pytest.mark.covers("console.sets")
-async def test_parameter_sets_save_diff_and_stage(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
+async def test_parameter_sets_save_diff_and_stage(
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         await until(pilot, lambda: "Kp1" in lab.session.snapshot.values, "values")
@@ -192,9 +247,14 @@ async def test_parameter_sets_save_diff_and_stage(lab: ZendspApp, target: Target
 
 
 @pytest.mark.covers("console.open_source", "console.source")
-async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
+async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
+) -> None:
     bad = folder / "bad.c"
-    bad.write_text('#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\nvoid UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n')
+    bad.write_text(
+        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { a = 1.0 }\nvoid'
+        " UserISR_INT2(void) {}\nvoid UserBackground(void) {}\n"
+    )
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         before = target.status().program
@@ -212,16 +272,33 @@ async def test_a_compile_error_is_shown_at_its_line_and_mended_in_place(lab: Zen
         area = lab.screen.query_one(TextArea)
         area.text = area.text.replace("a = 1.0 }", "a = 1.0; }")
         await pilot.press("ctrl+b")
-        await until(pilot, lambda: target.status().program not in ("", before), "built and downloaded")
+        await until(
+            pilot, lambda: target.status().program not in ("", before), "built and downloaded"
+        )
         assert "a = 1.0; }" in bad.read_text()
 
 
 @pytest.mark.covers(
-    "console.plot", "console.channels", "console.mode", "console.trigger", "console.single", "console.freeze",
-    "console.autoscale", "console.lanes", "console.cursors", "console.swap_cursor", "console.next_curve",
-    "console.zoom(-1)", "console.zoom(1)", "console.pan(0.25)", "console.pan(-0.25)", "console.events",
-)  # fmt: skip
-async def test_every_key_of_the_scope(lab: ZendspApp, target: Target, built: Step, until: Until) -> None:
+    "console.plot",
+    "console.channels",
+    "console.mode",
+    "console.trigger",
+    "console.single",
+    "console.freeze",
+    "console.autoscale",
+    "console.lanes",
+    "console.cursors",
+    "console.swap_cursor",
+    "console.next_curve",
+    "console.zoom(-1)",
+    "console.zoom(1)",
+    "console.pan(0.25)",
+    "console.pan(-0.25)",
+    "console.events",
+)
+async def test_every_key_of_the_scope(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         target.start()
@@ -290,7 +367,9 @@ async def test_every_key_of_the_scope(lab: ZendspApp, target: Target, built: Ste
 
 
 @pytest.mark.covers("console.record", "console.simulate", "console.diagnose")
-async def test_record_then_open_simulation_and_diagnosis(lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path) -> None:
+async def test_record_then_open_simulation_and_diagnosis(
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         target.start()
@@ -309,18 +388,28 @@ async def test_record_then_open_simulation_and_diagnosis(lab: ZendspApp, target:
             await _type(pilot, str(folder / "arm.toml"))
             view = lab.screen
             assert isinstance(view, ProcessView)
-            await until(pilot, lambda view=view: view.status is not None, "the worker process ends and says so")  # type: ignore[misc]
+            await until(pilot, lambda view=view: view.status is not None,
+                "the worker process ends and says so")  # type: ignore[misc]
             await pilot.press("escape")
             await pilot.pause()
 
 
-@pytest.mark.covers("app.show('console')", "app.show('execute')", "app.show('reference')", "app.help", "app.next_theme", "app.command_palette", "app.quit")
+@pytest.mark.covers(
+    "app.show('console')",
+    "app.show('execute')",
+    "app.show('reference')",
+    "app.help",
+    "app.next_theme",
+    "app.command_palette",
+    "app.quit",
+)
 async def test_keys_that_work_everywhere(lab: ZendspApp, until: Until) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
         for key, name in (("f3", "execute"), ("f4", "reference"), ("f2", "console")):
             await pilot.press(key)
-            await until(pilot, lambda name=name: lab.current_mode == name, name)  # type: ignore[misc]
+            await until(pilot, lambda name=name: lab.current_mode == name,
+                name)  # type: ignore[misc]
         await pilot.press("f1")
         await pilot.pause()
         assert isinstance(lab.screen, Message)
@@ -336,20 +425,37 @@ async def test_keys_that_work_everywhere(lab: ZendspApp, until: Until) -> None:
 
 
 @pytest.mark.covers("app.connect")
-async def test_connect_offers_running_targets_and_machines(lab: ZendspApp, target: Target, until: Until) -> None:
+async def test_connect_offers_running_targets_and_machines(
+    lab: ZendspApp, target: Target, until: Until
+) -> None:
     lab._target = ""
     async with lab.run_test(size=(100, 30)) as pilot:
         await pilot.press("ctrl+o")
-        await until(pilot, lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList), "the list")
+        await until(
+            pilot,
+            lambda: isinstance(lab.screen, Choose) and isinstance(lab.focused, OptionList),
+            "the list",
+        )
         await pilot.press("slash", *target.name)
-        await until(pilot, lambda: lab.screen.query_one(OptionList).option_count == 1, "the filter leaves one")
+        await until(
+            pilot,
+            lambda: lab.screen.query_one(OptionList).option_count == 1,
+            "the filter leaves one",
+        )
         await pilot.press("enter")
         await until(pilot, lambda: isinstance(lab.focused, OptionList), "the list again")
         await pilot.press("enter")
-        await until(pilot, lambda: lab.session.snapshot.link == "up" and lab.session.snapshot.target == target.name, "connected")
+        await until(
+            pilot,
+            lambda: lab.session.snapshot.link == "up"
+            and lab.session.snapshot.target == target.name,
+            "connected",
+        )
 
 
-async def test_a_second_host_cannot_command_what_the_terminal_commands(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
+async def test_a_second_host_cannot_command_what_the_terminal_commands(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
         with connect(target.name) as other:

@@ -10,7 +10,12 @@ from zendsp.tui.actions import ACTIONS
 def test_every_action_is_carried_out_by_some_test(request: pytest.FixtureRequest) -> None:
     items = request.session.items
     modules = {item.nodeid.split("::")[0].rsplit("/", 1)[-1] for item in items}
-    needed = {"test_console.py", "test_execute.py", "test_reference_screen.py", "test_stop_and_loss.py"}
+    needed = {
+        "test_console.py",
+        "test_execute.py",
+        "test_reference_screen.py",
+        "test_stop_and_loss.py",
+    }
     if not needed <= modules:
         pytest.skip("only part of the terminal's tests was collected")
     covered = {name for item in items for mark in item.iter_markers("covers") for name in mark.args}

@@ -1,4 +1,5 @@
-"""Execute: every action of its table, and that a stored run holds all that is needed to repeat it."""
+"""Execute: every action of its table, and that a stored run holds all that is needed to repeat it.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +46,9 @@ def _conditions(screen: ExecuteScreen) -> str:
     return "\n".join(f"{'+' if c.met else '-'} {c.text}: {c.advice}" for c in screen.conditions)
 
 
-async def test_the_trial_is_shown_before_start(lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path) -> None:
+async def test_the_trial_is_shown_before_start(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
+) -> None:
     hasty = folder / "references" / "hasty.mat"
     save_reference(make_reference("point_to_point", "imi_planar", headroom=1.0), hasty)
     gentle = folder / "references" / "gentle.mat"
@@ -54,22 +57,37 @@ async def test_the_trial_is_shown_before_start(lab: ZendspApp, target: Target, e
         await enabled(lab, pilot)
         screen = await _open(lab, pilot, until)
         lab.chosen = (gentle,)
-        await until(pilot, lambda: "tried on a simulated twin" in _unmet(screen), "Start waits for the trial")
+        await until(
+            pilot,
+            lambda: "tried on a simulated twin" in _unmet(screen),
+            "Start waits for the trial",
+        )
         before = target.status().tick
         await until(pilot, lambda: screen.references and not _unmet(screen), "tried")
         shown = _conditions(screen)
         assert "+ no limit is passed in the simulation" in shown
         assert "of 245 N m (joint " in shown and "rad/s (joint " in shown and " %)" in shown, shown
         await pilot.press("s")
-        await until(pilot, lambda: screen.job is not None and screen.job.progress.phase not in ("starting", "simulating"), "it starts")
+        await until(
+            pilot,
+            lambda: screen.job is not None
+            and screen.job.progress.phase not in ("starting", "simulating"),
+            "it starts",
+        )
         events = [e.text for e in lab.session.events.since(0)[1]]
         assert any("no limit is passed in the simulation" in text for text in events)
         await until(pilot, lambda: screen.runs and screen.job is None, "played")
         assert target.status().tick > before
 
         lab.chosen = (hasty,)
-        await until(pilot, lambda: "no limit is passed" in _unmet(screen), "what would trip is said before Start")
-        assert "in the simulation" in _conditions(screen) and "plan it slower" in _conditions(screen)
+        await until(
+            pilot,
+            lambda: "no limit is passed" in _unmet(screen),
+            "what would trip is said before Start",
+        )
+        assert "in the simulation" in _conditions(screen) and "plan it slower" in _conditions(
+            screen
+        )
         assert screen.query_one("#run-start", Button).disabled
         tick = target.status().tick
         await pilot.press("s")
@@ -77,10 +95,21 @@ async def test_the_trial_is_shown_before_start(lab: ZendspApp, target: Target, e
         assert screen.job is None and target.status().tick == tick, "and Start does nothing"
 
         lab.session.do("gain", lambda port: port.update({"Kp1": 1200.0}))
-        await until(pilot, lambda: "tried on a simulated twin" in _unmet(screen), "another gain is another run")
+        await until(
+            pilot,
+            lambda: "tried on a simulated twin" in _unmet(screen),
+            "another gain is another run",
+        )
 
 
-@pytest.mark.covers("execute.choose", "execute.start", "execute.overlay", "execute.cyclic", "execute.settings", "execute.note")
+@pytest.mark.covers(
+    "execute.choose",
+    "execute.start",
+    "execute.overlay",
+    "execute.cyclic",
+    "execute.settings",
+    "execute.note",
+)
 async def test_a_reference_is_played_and_the_run_can_be_repeated(
     lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
 ) -> None:
@@ -94,8 +123,12 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         await pilot.pause()
         assert isinstance(lab.screen, Choose)
         await pilot.press("enter")
-        await until(pilot, lambda: screen.references and not _unmet(screen), "every condition is met")
-        await until(pilot, lambda: not screen.query_one("#run-start", Button).disabled, "Start is enabled")
+        await until(
+            pilot, lambda: screen.references and not _unmet(screen), "every condition is met"
+        )
+        await until(
+            pilot, lambda: not screen.query_one("#run-start", Button).disabled, "Start is enabled"
+        )
         assert screen.query_one("#run-preview", Scope).limits["rad"] == [-2.15, 2.15]
 
         await pilot.press("n")
@@ -116,10 +149,18 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         await pilot.press("enter")
         await pilot.pause()
         assert screen.setup == replace(
-            Setup(), cycles=2, channels=("q", "e", "tau", "r1", "r2"), decimation=2, name="first circle",
+            Setup(),
+            cycles=2,
+            channels=("q", "e", "tau", "r1", "r2"),
+            decimation=2,
+            name="first circle",
             note="gains as shipped [N m/rad]",
-        )  # fmt: skip
-        await until(pilot, lambda: all(c.met for c in screen.look(lab.session.snapshot)), "tried with two cycles")
+        )
+        await until(
+            pilot,
+            lambda: all(c.met for c in screen.look(lab.session.snapshot)),
+            "tried with two cycles",
+        )
         await pilot.press("s")
         await until(pilot, lambda: screen.job is not None, "the run begins")
         await until(pilot, lambda: list_runs(folder / "runs"), "the run is stored")
@@ -131,7 +172,11 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         recording = run.recording()
         planned = load_reference(run.folder / "reference.mat")
         assert recording.note == "gains as shipped [N m/rad]"
-        assert recording.parameters["Kp1"] == 2000.0 and "pd.c" in recording.sources and recording.flags
+        assert (
+            recording.parameters["Kp1"] == 2000.0
+            and "pd.c" in recording.sources
+            and recording.flags
+        )
         assert (run.folder / "pd.c").read_text() == (folder / "pd.c").read_text()
         assert len(recording) == pytest.approx(2 * planned.samples / 2, abs=3)
         # what the program followed is what was planned: two turns, rows interpolated on the target
@@ -152,18 +197,27 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
         assert target.status().state == "paused", "the fast clock ends with the run"
 
 
-async def test_a_run_of_seven_joints_begins_where_the_arm_stands(until: Until, tmp_path: Path) -> None:
-    # the arm stands at (0, −1.9, 0, 3, …) rad; the program's own q is still 0 before its first sample
+async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
+    until: Until, tmp_path: Path
+) -> None:
+    # the arm stands at (0, −1.9, 0, 3, …) rad; the program's own q is still 0 before its first
+    # sample
     machine = load_machine("wam7")
     (tmp_path / "references").mkdir()
-    path = save_reference(make_reference("lspb", machine, duration=2.0), tmp_path / "references" / "lspb.mat")
+    path = save_reference(
+        make_reference("lspb", machine, duration=2.0), tmp_path / "references" / "lspb.mat"
+    )
     with local("wam7", clock="fast", options=["--speed", "20"], timeout=60.0) as target:
         app = ZendspApp(open_port, target=target.name, folder=tmp_path, frames=4.0)
         app.source = next(p for p in app.examples() if p.name == "wam_pd_gravity.c")
         async with app.run_test(size=(100, 30)) as pilot:
             await until(pilot, lambda: app.session.snapshot.link == "up", "link")
             await pilot.press("b")
-            await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables, "built with motion.h beside it")
+            await until(
+                pilot,
+                lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables,
+                "built with motion.h beside it",
+            )
             await pilot.press("o", "e")
             await until(pilot, lambda: app.session.snapshot.drive == "enabled", "enabled")
             assert app.session.snapshot.position[1] == pytest.approx(-1.9, abs=1e-3)
@@ -179,7 +233,9 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(until: Until, t
 
 
 @pytest.mark.covers("execute.abort")
-async def test_abort_keeps_what_was_acquired(lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path) -> None:
+async def test_abort_keeps_what_was_acquired(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
+) -> None:
     slow = make_reference("circle", "imi_planar", duration=40.0)
     save_reference(slow, folder / "references" / "slow.mat")
     async with lab.run_test(size=(100, 30)) as pilot:
@@ -188,7 +244,11 @@ async def test_abort_keeps_what_was_acquired(lab: ZendspApp, target: Target, ena
         lab.chosen = (folder / "references" / "slow.mat",)
         await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
         await pilot.press("s")
-        await until(pilot, lambda: screen.job is not None and screen.job.progress.phase == "play", "it plays")
+        await until(
+            pilot,
+            lambda: screen.job is not None and screen.job.progress.phase == "play",
+            "it plays",
+        )
         await pilot.press("b")
         await until(pilot, lambda: screen.job is None and screen.runs, "it ends and is stored")
         run = screen.runs[0]
@@ -196,7 +256,9 @@ async def test_abort_keeps_what_was_acquired(lab: ZendspApp, target: Target, ena
         assert target.status().trip is None, "an abort is no STOP"
 
 
-async def test_start_stays_disabled_and_says_why(lab: ZendspApp, until: Until, folder: Path) -> None:
+async def test_start_stays_disabled_and_says_why(
+    lab: ZendspApp, until: Until, folder: Path
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
         screen = await _open(lab, pilot, until)
@@ -208,14 +270,28 @@ async def test_start_stays_disabled_and_says_why(lab: ZendspApp, until: Until, f
         assert screen.job is None
         text = str(screen.query_one("#preflight").render())
         assert "program loaded: build one on Console" in text
-        # the drives would go on by themselves (automatic), but Execute wants them enabled on purpose
+        # the drives would go on by themselves (automatic), but Execute wants them enabled on
+        # purpose
         assert "drives enabled" in _unmet(screen)
 
 
-@pytest.mark.covers("execute.rename", "execute.compare", "execute.export", "execute.delete", "execute.simulate", "execute.diagnose")
+@pytest.mark.covers(
+    "execute.rename",
+    "execute.compare",
+    "execute.export",
+    "execute.delete",
+    "execute.simulate",
+    "execute.diagnose",
+)
 async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> None:
     for name, gain in (("soft", 100.0), ("stiff", 400.0)):
-        store_run(folder / "runs", name, _recording(gain), references=[folder / "references" / "circle.mat"], sources={"pd.c": "int a;"})
+        store_run(
+            folder / "runs",
+            name,
+            _recording(gain),
+            references=[folder / "references" / "circle.mat"],
+            sources={"pd.c": "int a;"},
+        )
     async with lab.run_test(size=(100, 30)) as pilot:
         screen = await _open(lab, pilot, until)
         await until(pilot, lambda: len(screen.runs) == 2, "two runs")
@@ -244,8 +320,11 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
             lab.screen.query_one("#f-path", Input).value = str(folder / "out" / "run")
             lab.screen.query_one("#f-path", Input).focus()
             await pilot.press("enter")
-            await until(pilot, lambda suffix=suffix: (folder / "out" / f"run{suffix}").is_file(), f"exported {suffix}")  # type: ignore[misc]
-            assert np.allclose(Recording.load(folder / "out" / f"run{suffix}")["e"], _recording(1.0)["e"])
+            await until(pilot, lambda suffix=suffix: (folder / "out" / f"run{suffix}").is_file(),
+                f"exported {suffix}")  # type: ignore[misc]
+            assert np.allclose(
+                Recording.load(folder / "out" / f"run{suffix}")["e"], _recording(1.0)["e"]
+            )
         (folder / "arm.toml").write_text('name = "arm"\n')
         for key in ("S", "D"):
             await pilot.press(key)
@@ -267,22 +346,46 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
 
 def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Path) -> None:
     circle = folder / "references" / "circle.mat"
-    taken = replace(_recording(300.0), parameters={"Kp1": 300.0, "hold": False, "Kp": [1.0, 2.0], "use_table": True, "row_rate": 1000})
-    run = store_run(folder / "runs", "circle", taken, references=[circle], sources={"pd.c": "int a;"})
+    taken = replace(
+        _recording(300.0),
+        parameters={
+            "Kp1": 300.0,
+            "hold": False,
+            "Kp": [1.0, 2.0],
+            "use_table": True,
+            "row_rate": 1000,
+        },
+    )
+    run = store_run(
+        folder / "runs", "circle", taken, references=[circle], sources={"pd.c": "int a;"}
+    )
     words, keep = simulation_of(run, folder / "runs")
     pairs = [words[k + 1] for k, word in enumerate(words) if word == "--set"]
-    assert pairs == ["Kp1=300.0", "hold=false", "Kp=[1.0, 2.0]"], "what the reference sets by itself is left to it"
-    assert words[words.index("--channels") + 1] == "q,e" and words[-2:] == ["--reference", str(run.folder / "reference.mat")]
+    assert pairs == [
+        "Kp1=300.0",
+        "hold=false",
+        "Kp=[1.0, 2.0]",
+    ], "what the reference sets by itself is left to it"
+    assert words[words.index("--channels") + 1] == "q,e" and words[-2:] == [
+        "--reference",
+        str(run.folder / "reference.mat"),
+    ]
     t = np.arange(900) * 1e-3
-    simulated = Recording.from_columns({"q": t, "e": 0.0 * t}, 1e-3, parameters={"approach_time": 0.2}, machine="imi_planar")
+    simulated = Recording.from_columns(
+        {"q": t, "e": 0.0 * t}, 1e-3, parameters={"approach_time": 0.2}, machine="imi_planar"
+    )
     simulated.save(Path(words[words.index("--out") + 1]))
     assert "circle simulated" in keep()
     newest = list_runs(folder / "runs")[0]
     assert newest.outcome == SIMULATED and len(newest.recording()) == len(taken)
-    assert newest.recording()["q"][0] == pytest.approx(0.2), "from the first row of the reference on, as in the run"
+    assert newest.recording()["q"][0] == pytest.approx(
+        0.2
+    ), "from the first row of the reference on, as in the run"
 
 
-def test_a_process_that_is_watched_says_each_stage_as_a_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_process_that_is_watched_says_each_stage_as_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("ZENDSP_PROGRESS", "lines")
     for quiet, seen in ((False, "fitting\nwriting\n"), (True, "")):
         with stages(quiet=quiet) as tell:
@@ -293,14 +396,18 @@ def test_a_process_that_is_watched_says_each_stage_as_a_line(monkeypatch: pytest
 
 def _recording(gain: float) -> Recording:
     t = np.arange(500) * 1e-3
-    columns = {"q": np.stack((np.sin(t), np.cos(t)), axis=1), "e": np.stack((0.01 * t, 0.02 * t), axis=1)}
+    columns = {
+        "q": np.stack((np.sin(t), np.cos(t)), axis=1),
+        "e": np.stack((0.01 * t, 0.02 * t), axis=1),
+    }
     return Recording.from_columns(
         columns, 1e-3, units={"q": "rad", "e": "rad"}, parameters={"Kp1": gain, "Kd1": 5.0},
         sources={"pd.c": f"/* {gain} */"}, machine="imi_planar", note="n",
     )  # fmt: skip
 
 
-# -- without a terminal ---------------------------------------------------------------------------------------------------
+# -- without a terminal
+# --------------------------------------------------------------------------------------------------
 
 
 def _player(capacity: int = 10**6, torque: str = "") -> Player:
@@ -329,9 +436,15 @@ def test_a_playlist_has_no_jump_and_keeps_within_the_limits() -> None:
     fastest = np.maximum(np.abs(reference.qd).max(axis=0), 0.25 * machine.limits.speed)
     assert (speed <= fastest * 1.01).all()
     names = [name for name, _, _ in playlist.phases]
-    assert names[0] == "pre-position" and names[-1] == "go home" and sum(n.startswith("play") for n in names) == 6
+    assert (
+        names[0] == "pre-position"
+        and names[-1] == "go home"
+        and sum(n.startswith("play") for n in names) == 6
+    )
     begin, end = playlist.play
-    assert playlist.phase(begin + 0.01).startswith("play") and playlist.phase(end + 1e3) == "holding"
+    assert (
+        playlist.phase(begin + 0.01).startswith("play") and playlist.phase(end + 1e3) == "holding"
+    )
 
 
 def test_a_move_between_positions_is_at_rest_at_both_ends() -> None:
@@ -340,19 +453,26 @@ def test_a_move_between_positions_is_at_rest_at_both_ends() -> None:
     speed = np.gradient(rows, 1e-3, axis=0)
     assert np.abs(speed[[0, -1]]).max() < 0.01 * np.abs(speed).max()
     assert (np.abs(speed) <= 0.5 * machine.limits.speed * 1.001).all()
-    assert (np.abs(np.gradient(speed, 1e-3, axis=0))[2:-2] <= 0.5 * machine.limits.acceleration * 1.01).all()
+    assert (
+        np.abs(np.gradient(speed, 1e-3, axis=0))[2:-2] <= 0.5 * machine.limits.acceleration * 1.01
+    ).all()
 
 
 def test_rows_that_do_not_fit_are_thinned_not_cut() -> None:
     machine = load_machine("imi_planar")
     reference = make_reference("circle", machine)
     full = make_playlist([reference], machine, reference.q[0], Setup(), _player())
-    small = make_playlist([reference], machine, reference.q[0], Setup(), _player(len(full.rows) // 3))
+    small = make_playlist(
+        [reference], machine, reference.q[0], Setup(), _player(len(full.rows) // 3)
+    )
     assert len(small.rows) <= len(full.rows) // 3 and small.rate == round(small.rate)
     assert small.duration == pytest.approx(full.duration, abs=4 / small.rate)
     assert np.allclose(small.rows[-1], full.rows[-1])
     at = np.arange(len(small.rows) - 1) / small.rate
-    again = np.stack([np.interp(at, np.arange(len(full.rows)) / full.rate, full.rows[:, j]) for j in range(2)], axis=1)
+    again = np.stack(
+        [np.interp(at, np.arange(len(full.rows)) / full.rate, full.rows[:, j]) for j in range(2)],
+        axis=1,
+    )
     assert np.abs(small.rows[:-1] - again).max() < 1e-12
 
 
@@ -360,7 +480,9 @@ def test_without_pre_positioning_an_arm_elsewhere_is_refused() -> None:
     machine = load_machine("imi_planar")
     reference = make_reference("circle", machine)
     with pytest.raises(ReferenceError_, match="rad away from the start"):
-        make_playlist([reference], machine, reference.q[0] + 0.1, Setup(preposition=False), _player())
+        make_playlist(
+            [reference], machine, reference.q[0] + 0.1, Setup(preposition=False), _player()
+        )
 
 
 def test_runs_survive_renaming_and_a_broken_neighbour(tmp_path: Path) -> None:
@@ -393,10 +515,14 @@ async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
         await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
         screen = await _open(lab, pilot, until)
         lab.chosen = (folder / "references" / "circle.mat",)
-        await until(pilot, lambda: screen.references and not _unmet(screen), "every condition is met")
+        await until(
+            pilot, lambda: screen.references and not _unmet(screen), "every condition is met"
+        )
         await pilot.press("s")
         await until(
-            pilot, lambda: any("nothing was moved" in e.text for e in lab.session.events.since(0)[1]), "the run is refused"
+            pilot,
+            lambda: any("nothing was moved" in e.text for e in lab.session.events.since(0)[1]),
+            "the run is refused",
         )
         status = target.status()
         assert status.state == "paused" and status.trip is None and not target["use_table"]

@@ -48,10 +48,11 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
         await until(pilot, lambda: screen.plan is not None, "the first motion is planned")
         for name, kind in KINDS.items():
             if name in ("from_file", "swing") or not kind.fits(screen.machine):
-                continue  # the one needs a file, the other solves an optimal control problem for seconds
+                # the one needs a file, the other solves an optimal control problem for seconds
+                continue
             screen.query_one("#kind", Select).value = name
-            await until(pilot, lambda name=name: screen.kind == name and len(screen.query("#fields .parameter")) == len(KINDS[name].parameters) + 1, f"form of {name}")  # type: ignore[misc]
-            await until(pilot, lambda name=name: screen.plan is not None and screen.plan.reference.kind == name, f"{name} planned")  # type: ignore[misc]
+            await until(pilot, lambda name=name: screen.kind == name and len(screen.query("#fields .parameter")) == len(KINDS[name].parameters) + 1, f"form of {name}")  # type: ignore[misc]  # noqa: E501
+            await until(pilot, lambda name=name: screen.plan is not None and screen.plan.reference.kind == name, f"{name} planned")  # type: ignore[misc]  # noqa: E501
             units = [str(w.render()) for w in screen.query("#fields .unit").results(Static)]
             assert units == [*(p.unit for p in kind.parameters), ""]
         await pilot.press("escape")
@@ -70,20 +71,33 @@ async def test_forms_of_every_kind_have_units_and_plan(app: ZendspApp, until: Un
         assert screen.query_one("#machine", Select).expanded
         await pilot.press("escape")
         screen.query_one("#machine", Select).value = "wam7"
-        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.joints == 7, "seven joints planned")
+        await until(
+            pilot,
+            lambda: screen.plan is not None and screen.plan.reference.joints == 7,
+            "seven joints planned",
+        )
         assert "all" not in views_of(screen.plan.reference)
         screen.view = "path"
         screen.refresh_plan()
         await pilot.pause()
-        assert screen.query_one("#path", PathPlot).render_line(5).cell_length == screen.query_one("#path", PathPlot).size.width
+        assert (
+            screen.query_one("#path", PathPlot).render_line(5).cell_length
+            == screen.query_one("#path", PathPlot).size.width
+        )
 
 
 @pytest.mark.covers("reference.save", "reference.load", "reference.execute")
-async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(app: ZendspApp, until: Until, tmp_path: Path) -> None:
+async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(
+    app: ZendspApp, until: Until, tmp_path: Path
+) -> None:
     async with app.run_test(size=(160, 48)) as pilot:
         screen = _screen(app)
         screen.query_one("#kind", Select).value = "circle"
-        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "circle", "planned")
+        await until(
+            pilot,
+            lambda: screen.plan is not None and screen.plan.reference.kind == "circle",
+            "planned",
+        )
         assert screen.plan is not None
         planned = screen.plan.reference
         await pilot.press("ctrl+s")
@@ -96,22 +110,40 @@ async def test_a_saved_reference_is_what_was_planned_and_goes_to_execute(app: Ze
         assert np.array_equal(saved.q, planned.q) and saved.machine == "imi_planar"
         screen.query_one("#curves", Scope).focus()
         screen.query_one("#kind", Select).value = "lspb"
-        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "lspb", "another is planned")
+        await until(
+            pilot,
+            lambda: screen.plan is not None and screen.plan.reference.kind == "lspb",
+            "another is planned",
+        )
         await pilot.press("l", "enter")
         await until(pilot, lambda: screen.kind == "circle", "loaded with its kind")
         screen.query_one("#curves", Scope).focus()
-        await until(pilot, lambda: screen.plan is not None and screen.plan.reference.kind == "circle", "planned anew")
-        assert screen.plan is not None and np.allclose(screen.plan.reference.q, planned.q, atol=1e-9)
+        await until(
+            pilot,
+            lambda: screen.plan is not None and screen.plan.reference.kind == "circle",
+            "planned anew",
+        )
+        assert screen.plan is not None and np.allclose(
+            screen.plan.reference.q, planned.q, atol=1e-9
+        )
         await pilot.press("x", "enter")
-        await until(pilot, lambda: app.current_mode == "execute" and len(app.chosen) == 1, "on Execute")
+        await until(
+            pilot, lambda: app.current_mode == "execute" and len(app.chosen) == 1, "on Execute"
+        )
 
 
-async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(app: ZendspApp, until: Until) -> None:
+async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(
+    app: ZendspApp, until: Until
+) -> None:
     async with app.run_test(size=(160, 48)) as pilot:
         screen = _screen(app)
         await until(pilot, lambda: screen.plan is not None, "planned")
         _field(screen, "goal").value = "3.0 0"
-        await until(pilot, lambda: screen.plan is not None and screen.plan.violations, "the violation is found")
+        await until(
+            pilot,
+            lambda: screen.plan is not None and screen.plan.violations,
+            "the violation is found",
+        )
         text = str(screen.query_one("#check", Static).render())
         assert "joint 1: position 3 rad" in text and "limit 2.15 rad" in text
         assert screen.query_one("#save", Button).disabled
@@ -120,12 +152,18 @@ async def test_a_motion_beyond_a_limit_is_named_and_cannot_be_saved(app: ZendspA
         assert app.screen is screen, "no dialog asks for a name"
 
 
-async def test_a_mistyped_number_is_named_and_nothing_is_planned(app: ZendspApp, until: Until) -> None:
+async def test_a_mistyped_number_is_named_and_nothing_is_planned(
+    app: ZendspApp, until: Until
+) -> None:
     async with app.run_test(size=(160, 48)) as pilot:
         screen = _screen(app)
         await until(pilot, lambda: screen.plan is not None, "planned")
         _field(screen, "goal").value = "1.0 zwei"
-        await until(pilot, lambda: "goal" in str(screen.query_one("#problem", Static).render()), "the field is named")
+        await until(
+            pilot,
+            lambda: "goal" in str(screen.query_one("#problem", Static).render()),
+            "the field is named",
+        )
         assert screen.plan is None and screen.query_one("#save", Button).disabled
 
 
@@ -143,7 +181,9 @@ def test_peaks_are_shares_of_the_machine_s_limits() -> None:
 def test_saving_checks_the_limits_below_the_screen_as_well(tmp_path: Path) -> None:
     machine = load_machine("imi_planar")
     with pytest.raises(ValueError, match="limit"):
-        save_reference(make_reference("point_to_point", machine, goal=[3.0, 0.0]), tmp_path / "x.mat", machine)
+        save_reference(
+            make_reference("point_to_point", machine, goal=[3.0, 0.0]), tmp_path / "x.mat", machine
+        )
 
 
 def test_the_path_of_a_serial_arm_is_that_of_pinocchio(wam_of_pinocchio: Any) -> None:

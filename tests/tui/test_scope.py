@@ -19,7 +19,16 @@ from zendsp.tui.scope.trigger import last_crossing
 
 
 def test_each_dot_is_the_braille_dot_that_unicode_names() -> None:
-    numbers = {(0, 0): 1, (1, 0): 2, (2, 0): 3, (0, 1): 4, (1, 1): 5, (2, 1): 6, (3, 0): 7, (3, 1): 8}
+    numbers = {
+        (0, 0): 1,
+        (1, 0): 2,
+        (2, 0): 3,
+        (0, 1): 4,
+        (1, 1): 5,
+        (2, 1): 6,
+        (3, 0): 7,
+        (3, 1): 8,
+    }
     for (row, column), n in numbers.items():
         dots = np.zeros((4, 2), dtype=bool)
         dots[row, column] = True
@@ -42,7 +51,9 @@ def test_a_curve_of_few_samples_is_drawn_without_holes() -> None:
     low, high = envelope(t, np.array([[0.0], [10.0], [-5.0]]), 0.0, 2.0, 100)
     assert np.isfinite(low).all()
     # neighbouring columns share a value: no gap between them anywhere
-    assert (np.maximum(low[1:, 0], low[:-1, 0]) <= np.minimum(high[1:, 0], high[:-1, 0]) + 1e-12).all()
+    assert (
+        np.maximum(low[1:, 0], low[:-1, 0]) <= np.minimum(high[1:, 0], high[:-1, 0]) + 1e-12
+    ).all()
     dots = fill(low[:, 0], high[:, 0], -6.0, 11.0, 40)
     assert dots.any(axis=0).all()
 
@@ -83,13 +94,18 @@ def test_where_traces_cross_both_stay_whole() -> None:
         one = compose(t, alone, channels, fixed, (0.0, 1.0, 0.0), ranges, (40, 10))
         mine = one.owner == k
         assert mine.any()
-        assert (both.codes[mine] & one.codes[mine] == one.codes[mine]).all(), "dots of one trace were lost under the other"
+        assert (
+            both.codes[mine] & one.codes[mine] == one.codes[mine]
+        ).all(), "dots of one trace were lost under the other"
 
 
 def test_units_get_lanes_and_a_low_screen_overlays_them() -> None:
     channels = [Channel("q", "rad"), Channel("tau", "N m"), Channel("e", "rad")]
     lanes = arrange(channels, ScopeSettings(), 20)
-    assert [(lane.unit, lane.channels, lane.row) for lane in lanes] == [("rad", (0, 2), 0), ("N m", (1,), 10)]
+    assert [(lane.unit, lane.channels, lane.row) for lane in lanes] == [
+        ("rad", (0, 2), 0),
+        ("N m", (1,), 10),
+    ]
     assert {lane.row for lane in arrange(channels, ScopeSettings(), 6)} == {0}
 
 
@@ -106,9 +122,13 @@ def test_the_axis_grows_at_once_and_shrinks_late() -> None:
 def test_limits_are_drawn_where_they_are_in_sight() -> None:
     t = np.linspace(0.0, 1.0, 100)
     y = np.sin(6 * t)[:, None]
-    seen = compose(t, y, [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}, (40, 10), {"rad": [0.9, 50.0]})
+    seen = compose(
+        t, y, [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}, (40, 10), {"rad": [0.9, 50.0]}
+    )
     assert (seen.owner == LIMIT).any()
-    unseen = compose(t, y, [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}, (40, 10), {"rad": [50.0]})
+    unseen = compose(
+        t, y, [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}, (40, 10), {"rad": [50.0]}
+    )
     assert not (unseen.owner == LIMIT).any()
 
 
@@ -117,7 +137,9 @@ def test_the_newest_crossing_is_found_between_samples() -> None:
     y = np.sin(2 * np.pi * 5 * t)
     assert last_crossing(t, y, 0.0, "rising", 0.95) == pytest.approx(0.8, abs=1e-6)
     assert last_crossing(t, y, 0.0, "falling", 0.95) == pytest.approx(0.9, abs=1e-6)
-    assert last_crossing(t, y, 0.5, "rising", 0.05) == pytest.approx(np.arcsin(0.5) / (10 * np.pi), abs=1e-5)
+    assert last_crossing(t, y, 0.5, "rising", 0.05) == pytest.approx(
+        np.arcsin(0.5) / (10 * np.pi), abs=1e-5
+    )
     assert last_crossing(t, y, 2.0, "both", 1.0) is None
 
 
@@ -147,14 +169,22 @@ def test_numbers_on_axes_are_round_and_short() -> None:
     assert [label(v, 0.5) for v in (-0.5, 0.0, 1.5)] == ["-0.5", "0", "1.5"]
     assert label(123456.0, 1000.0) == "1.23e5"
     assert (duration(0.25), duration(2e-5), duration(300.0)) == ("250 ms", "20 µs", "5 min")
-    assert (number(0.0), number(-0.0), number(float("nan")), number(3.14159265)) == ("0", "0", "—", "3.1416")
+    assert (number(0.0), number(-0.0), number(float("nan")), number(3.14159265)) == (
+        "0",
+        "0",
+        "—",
+        "3.1416",
+    )
 
 
 def _contrast(a: str, b: str) -> float:
     la, lb = (Color.parse(c).rgb for c in (a, b))
 
     def luminance(rgb: tuple[int, int, int]) -> float:
-        parts = [c / 255 / 12.92 if c / 255 <= 0.03928 else ((c / 255 + 0.055) / 1.055) ** 2.4 for c in rgb]
+        parts = [
+            c / 255 / 12.92 if c / 255 <= 0.03928 else ((c / 255 + 0.055) / 1.055) ** 2.4
+            for c in rgb
+        ]
         return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2]
 
     high, low = sorted((luminance(la), luminance(lb)), reverse=True)
@@ -167,28 +197,46 @@ def test_traces_stand_out_from_dark_and_light_backgrounds() -> None:
 
 
 def _machado(rgb: np.ndarray, kind: str) -> np.ndarray:
-    """Colours as seen with full dichromacy (Machado, Oliveira, Fernandes 2009, table 1, severity 1.0), linear RGB."""
+    """Colours as seen with full dichromacy (Machado, Oliveira, Fernandes 2009, table 1, severity
+    1.0), linear RGB.
+    """
     matrix = {
-        "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
-        "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+        "protan": [
+            [0.152286, 1.052583, -0.204868],
+            [0.114503, 0.786281, 0.099216],
+            [-0.003882, -0.048116, 1.051998],
+        ],
+        "deutan": [
+            [0.367322, 0.860646, -0.227968],
+            [0.280085, 0.672501, 0.047413],
+            [-0.011820, 0.042940, 0.968881],
+        ],
     }[kind]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return np.clip(linear @ np.array(matrix).T, 0.0, 1.0)
 
 
 def _lab(linear: np.ndarray) -> np.ndarray:
-    xyz = linear @ np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]).T
+    xyz = (
+        linear
+        @ np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]).T
+    )
     f = np.cbrt(xyz / np.array([0.9505, 1.0, 1.089]))
-    return np.stack((116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])), axis=1)
+    return np.stack(
+        (116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])), axis=1
+    )
 
 
 @pytest.mark.parametrize("kind", ["protan", "deutan"])
 @pytest.mark.parametrize("palette", [DARK, LIGHT], ids=["dark", "light"])
-def test_all_eight_traces_stay_apart_for_colour_blind_eyes(kind: str, palette: tuple[str, ...]) -> None:
+def test_all_eight_traces_stay_apart_for_colour_blind_eyes(
+    kind: str, palette: tuple[str, ...]
+) -> None:
     rgb = np.array([Color.parse(c).rgb for c in palette]) / 255.0
     lab = _lab(_machado(rgb, kind))
     apart = np.linalg.norm(lab[:, None] - lab[None], axis=2) + 1e3 * np.eye(8)
-    assert apart.min() > 15.0  # CIE 1976: 2.3 is just noticeable; lines of dots need a few times that
+    # CIE 1976: 2.3 is just noticeable; lines of dots need a few times that
+    assert apart.min() > 15.0
 
 
 class _Bench(App[None]):
@@ -246,7 +294,9 @@ async def test_the_trigger_stands_where_the_pre_trigger_says_and_single_freezes(
     async with app.run_test(size=(109, 30)) as pilot:
         scope = app.query_one(Scope)
         scope.show_channels([Channel("a"), Channel("b")])
-        scope.set(replace(scope.settings, mode="trigger", window=0.5, pre=0.3, level=0.5, edge="rising"))
+        scope.set(
+            replace(scope.settings, mode="trigger", window=0.5, pre=0.3, level=0.5, edge="rising")
+        )
         ticks_, y = _wave(3000)
         scope.history.append(ticks_, y, 0.001)
         scope.redraw()
@@ -255,7 +305,10 @@ async def test_the_trigger_stands_where_the_pre_trigger_says_and_single_freezes(
         assert picture is not None
         at = picture.start + 0.3 * 0.5
         assert picture.zero == pytest.approx(at)
-        assert np.sin(at * 1000 / 159.2) == pytest.approx(0.5, abs=0.01) and np.cos(at * 1000 / 159.2) > 0
+        assert (
+            np.sin(at * 1000 / 159.2) == pytest.approx(0.5, abs=0.01)
+            and np.cos(at * 1000 / 159.2) > 0
+        )
         scope.arm_single()
         await pilot.pause()
         assert not scope.paused, "crossings before arming do not count"

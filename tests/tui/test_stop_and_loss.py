@@ -1,4 +1,6 @@
-"""STOP during a motion from each screen, a target killed while running, and a terminal that disappears."""
+"""STOP during a motion from each screen, a target killed while running, and a terminal that
+disappears.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,11 @@ async def test_stop_makes_outputs_safe_within_two_samples(
             await lab.push_screen(Form("Note", [Field("note", "Note", "")]))
         await pilot.press("f9")
         await until(pilot, lambda: target.status().trip is not None, "latched on the target")
-        await until(pilot, lambda: target.status().tick > (target.status().trip or pytest.fail("trip")).tick + 50, "time goes on after it")
+        await until(
+            pilot,
+            lambda: target.status().tick > (target.status().trip or pytest.fail("trip")).tick + 50,
+            "time goes on after it",
+        )
         record, latched = _judge(target)
         tick = record["tick"]
         before, after = tick < latched, tick >= latched + 2
@@ -65,10 +71,14 @@ async def test_stop_makes_outputs_safe_within_two_samples(
         assert not record["aout"][after].any(), "zero reference"
         assert (record["drive"][after] == VELOCITY).all(), "in velocity mode"
         assert record.lost == 0
-        await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "and every screen shows it")
+        await until(
+            pilot, lambda: lab.session.snapshot.drive == "stopped", "and every screen shows it"
+        )
 
 
-async def test_a_click_on_the_red_field_stops_as_well(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
+async def test_a_click_on_the_red_field_stops_as_well(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until
+) -> None:
     async with lab.run_test(size=(80, 24)) as pilot:
         await enabled(lab, pilot)
         await pilot.press("s")
@@ -76,10 +86,14 @@ async def test_a_click_on_the_red_field_stops_as_well(lab: ZendspApp, target: Ta
         await pilot.click("StopButton")
         await until(pilot, lambda: target.drive_status().state == "stopped", "stopped")
         await pilot.click("Tabs", offset=(22, 0))
-        await until(pilot, lambda: lab.current_mode == "execute", "a click on its name opens a screen")
+        await until(
+            pilot, lambda: lab.current_mode == "execute", "a click on its name opens a screen"
+        )
 
 
-async def test_after_stop_nothing_moves_until_somebody_enables(lab: ZendspApp, target: Target, enabled: Step, until: Until) -> None:
+async def test_after_stop_nothing_moves_until_somebody_enables(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until
+) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
         await pilot.press("s")
@@ -87,8 +101,12 @@ async def test_after_stop_nothing_moves_until_somebody_enables(lab: ZendspApp, t
         await pilot.press("f9")
         await until(pilot, lambda: lab.session.snapshot.drive == "stopped", "stopped")
         await pilot.press("e", "s")
-        refused = lambda: [e.text for e in lab.session.events.since(0)[1] if "refused" in e.text]  # noqa: E731
-        await until(pilot, lambda: len(refused()) == 2, "enable and start are refused while latched")
+        refused = lambda: [  # noqa: E731
+            e.text for e in lab.session.events.since(0)[1] if "refused" in e.text
+        ]
+        await until(
+            pilot, lambda: len(refused()) == 2, "enable and start are refused while latched"
+        )
         await pilot.press("ctrl+k")
         await until(pilot, lambda: lab.session.snapshot.drive == "homed", "acknowledged")
         await pilot.press("s")
@@ -107,22 +125,47 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
         await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute")
         screen = lab.screen
         assert isinstance(screen, ExecuteScreen)
-        slow = folder / "references" / "slow.mat"  # 40 s are two of this clock: long enough to be caught in the act on a busy computer
+        # 40 s are two of this clock: long enough to be caught in the act on a busy computer
+        slow = folder / "references" / "slow.mat"
         save_reference(make_reference("circle", "imi_planar", duration=40.0), slow)
         lab.chosen = (slow,)
-        await until(pilot, lambda: screen.references and screen.conditions and all(c.met for c in screen.conditions), "ready")
+        await until(
+            pilot,
+            lambda: screen.references
+            and screen.conditions
+            and all(c.met for c in screen.conditions),
+            "ready",
+        )
         await pilot.press("s")
-        await until(pilot, lambda: screen.job is not None and screen.job.progress.phase == "play", "it plays")
+        await until(
+            pilot,
+            lambda: screen.job is not None and screen.job.progress.phase == "play",
+            "it plays",
+        )
         await pilot.press("f9")
         await until(pilot, lambda: screen.runs, "the run is kept")
         assert screen.runs[0].outcome.startswith(("tripped", "stopped")) and screen.runs[0].rows > 0
 
 
-# -- loss -----------------------------------------------------------------------------------------------------------------
+# -- loss
+# --------------------------------------------------------------------------------------------------
 
 
 def _spawn(name: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "zendsp_target", "--machine", "imi_planar", "--name", name, "--clock", "fast", "--speed", "20", "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "zendsp_target",
+        "--machine",
+        "imi_planar",
+        "--name",
+        name,
+        "--clock",
+        "fast",
+        "--speed",
+        "20",
+        "--json",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None and json.loads(process.stdout.readline())["name"] == name
     return process
@@ -155,7 +198,9 @@ async def test_a_killed_target_is_shown_nothing_freezes_and_the_link_comes_back(
     async with app.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: app.session.snapshot.link == "up", "link")
         await pilot.press("b")
-        await until(pilot, lambda: app.session.snapshot.state == "loaded" and app.session.channels, "built")
+        await until(
+            pilot, lambda: app.session.snapshot.state == "loaded" and app.session.channels, "built"
+        )
         await pilot.press("s")
         await until(pilot, lambda: app.session.history.count > 200, "live")
         process.send_signal(signal.SIGKILL)
@@ -164,31 +209,48 @@ async def test_a_killed_target_is_shown_nothing_freezes_and_the_link_comes_back(
         assert "LINK LOST" in app.screen.bar.where(app.session.snapshot).plain  # type: ignore[attr-defined]
         begin = time.monotonic()
         await pilot.press("f9")  # STOP without a link says so, at once
-        await until(pilot, lambda: any("NOT STOPPED" in e.text for e in app.session.events.since(0)[1]), "told")
+        await until(
+            pilot,
+            lambda: any("NOT STOPPED" in e.text for e in app.session.events.since(0)[1]),
+            "told",
+        )
         await pilot.press("f4")
-        await until(pilot, lambda: isinstance(app.screen, ReferenceScreen) and app.screen.plan is not None, "Reference works")
+        await until(
+            pilot,
+            lambda: isinstance(app.screen, ReferenceScreen) and app.screen.plan is not None,
+            "Reference works",
+        )
         assert time.monotonic() - begin < 20.0
         await pilot.press("f2")
         start()
         await until(pilot, lambda: app.session.snapshot.link == "up", "reconnected by itself")
         await pilot.press("b")
-        await until(pilot, lambda: app.session.snapshot.state == "loaded", "and it can be used again")
+        await until(
+            pilot, lambda: app.session.snapshot.state == "loaded", "and it can be used again"
+        )
         await pilot.press("s")
         count = app.session.history.count
         await until(pilot, lambda: app.session.history.count > count + 100, "curves are live again")
 
 
-async def test_a_runner_that_crashes_is_shown_with_its_signal(lab: ZendspApp, built: Step, until: Until, folder: Path) -> None:
+async def test_a_runner_that_crashes_is_shown_with_its_signal(
+    lab: ZendspApp, built: Step, until: Until, folder: Path
+) -> None:
     crash = folder / "crash.c"
     crash.write_text(
-        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { SIGNAL(a, "", ""); }\n'
-        "void UserISR_INT2(void) { a += 1.0; if (a > 500.0) *(volatile int *)8 = 1; }\nvoid UserBackground(void) {}\n"
+        '#include "isr.h"\nstatic double a;\nvoid UserInit(void) { SIGNAL(a, "", ""); }\nvoid'
+        " UserISR_INT2(void) { a += 1.0; if (a > 500.0) *(volatile int *)8 = 1; }\nvoid"
+        " UserBackground(void) {}\n"
     )
     async with lab.run_test(size=(100, 30)) as pilot:
         await built(lab, pilot)
         lab.source = crash
         await pilot.press("b")
-        await until(pilot, lambda: [v.name for v in lab.session.snapshot.variables][:1] == ["a"], "downloaded")
+        await until(
+            pilot,
+            lambda: [v.name for v in lab.session.snapshot.variables][:1] == ["a"],
+            "downloaded",
+        )
         await pilot.press("s")
         await until(pilot, lambda: lab.session.snapshot.state == "crashed", "crashed")
         assert "SIGSEGV" in lab.session.snapshot.crash
@@ -209,9 +271,13 @@ with connect(sys.argv[1]) as t:
 
 
 @pytest.mark.parametrize("policy", ["stop", "hold", "finish"])
-def test_when_the_commanding_host_disappears_the_policy_decides(target: Target, folder: Path, policy: str) -> None:
+def test_when_the_commanding_host_disappears_the_policy_decides(
+    target: Target, folder: Path, policy: str
+) -> None:
     target.download(folder / "pd.c")
-    host = subprocess.Popen([sys.executable, "-c", _HOST, target.name, policy], stdout=subprocess.PIPE)
+    host = subprocess.Popen(
+        [sys.executable, "-c", _HOST, target.name, policy], stdout=subprocess.PIPE
+    )
     try:
         assert host.stdout is not None and host.stdout.readline() == b"running\n"
         assert target.drive_status().state == "running" and target.drive_status().commander

@@ -1,4 +1,6 @@
-"""Which bytes of a terminal are STOP, and which are not; and keys typed before their dialog is there."""
+"""Which bytes of a terminal are STOP, and which are not; and keys typed before their dialog is
+there.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ F9 = b"\x1b[20~"
 
 
 def _stops(*parts: bytes, web: bool = False) -> bool:
-    return any(stopper.is_stop(press) for press in _presses(*parts, web=web) if isinstance(press, str))
+    return any(
+        stopper.is_stop(press) for press in _presses(*parts, web=web) if isinstance(press, str)
+    )
 
 
 def _presses(*parts: bytes, web: bool = False) -> list[object]:
@@ -29,13 +33,24 @@ def _presses(*parts: bytes, web: bool = False) -> list[object]:
 
 @pytest.mark.parametrize(
     "parts",
-    [(F9,), (b"\x1b[2", b"0~"), (b"\x1b\x1b[20~",), (b"\x1b[20;2~",), (b"\x1b[20;1:1~",), (b"\0",), (b"\x1b[32;5u",), (b"s" + F9 + b"s",)],
-)  # fmt: skip
+    [
+        (F9,),
+        (b"\x1b[2", b"0~"),
+        (b"\x1b\x1b[20~",),
+        (b"\x1b[20;2~",),
+        (b"\x1b[20;1:1~",),
+        (b"\0",),
+        (b"\x1b[32;5u",),
+        (b"s" + F9 + b"s",),
+    ],
+)
 def test_the_sequences_of_all_terminals_stop(parts: tuple[bytes, ...]) -> None:
     assert _stops(*parts)
 
 
-@pytest.mark.parametrize("part", [b"\x1b[200~" + F9 + b"\x1b[201~", b"\x1b[19~", b"\x1b[21~", b"20~", b"9"])
+@pytest.mark.parametrize(
+    "part", [b"\x1b[200~" + F9 + b"\x1b[201~", b"\x1b[19~", b"\x1b[21~", b"20~", b"9"]
+)
 def test_other_keys_and_pasted_text_do_not(part: bytes) -> None:
     assert not _stops(part)
 
@@ -55,18 +70,29 @@ def test_a_paste_that_never_ends_does_not_take_stop_away(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("report", "stops"),
     [
-        (b"\x1b[<0;68;1M", True), (b"\x1b[<0;80;3M", True), (b"\x1b[<0;67;1M", False), (b"\x1b[<0;70;4M", False),
-        (b"\x1b[<2;70;2M", False), (b"\x1b[<0;70;2m", False), (b"\x1b[<35;70;2M", False), (b"\x1b[<64;70;2M", False),
+        (b"\x1b[<0;68;1M", True),
+        (b"\x1b[<0;80;3M", True),
+        (b"\x1b[<0;67;1M", False),
+        (b"\x1b[<0;70;4M", False),
+        (b"\x1b[<2;70;2M", False),
+        (b"\x1b[<0;70;2m", False),
+        (b"\x1b[<35;70;2M", False),
+        (b"\x1b[<64;70;2M", False),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("web", [False, True])
 def test_a_click_stops_where_the_red_field_is(report: bytes, stops: bool, web: bool) -> None:
     field = stopper.Field(67, 0, 13, 3)
     sent = b"D" + len(report).to_bytes(4, "big") + report if web else report
-    assert any(field.holds(press) for press in _presses(sent, web=web) if isinstance(press, MouseDown)) is stops
+    assert (
+        any(field.holds(press) for press in _presses(sent, web=web) if isinstance(press, MouseDown))
+        is stops
+    )
 
 
-async def test_what_is_typed_before_a_dialog_opens_is_no_command(lab: ZendspApp, until: Until) -> None:
+async def test_what_is_typed_before_a_dialog_opens_is_no_command(
+    lab: ZendspApp, until: Until
+) -> None:
     asked: list[str] = []
 
     def do(label: str, job: object) -> Future[None]:
@@ -85,7 +111,11 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(lab: ZendspApp,
         asked.clear()
         await pilot.press("ctrl+o", "b", "s", "o")
         assert not isinstance(lab.screen, Choose), "typed before the dialog was there"
-        await until(pilot, lambda: isinstance(lab.screen, Choose) and lab.screen.opened and not lab._held, "handed over")
+        await until(
+            pilot,
+            lambda: isinstance(lab.screen, Choose) and lab.screen.opened and not lab._held,
+            "handed over",
+        )
         assert not asked
         await pilot.press("escape", "b")
         await until(pilot, lambda: bool(asked), "a command once more")

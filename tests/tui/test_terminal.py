@@ -13,12 +13,17 @@ CALL = "from zendsp.cli import main; main()"
 LIMIT = 30.0  # s
 
 
-def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(tmp_path: Path) -> None:
+def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
+    tmp_path: Path,
+) -> None:
     pid, terminal = pty.fork()
     if pid == 0:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
         os.environ["TERM"] = "xterm-256color"
-        os.execv(sys.executable, [sys.executable, "-c", CALL, "tui", "--folder", str(tmp_path), "--screen", "reference"])
+        os.execv(
+            sys.executable,
+            [sys.executable, "-c", CALL, "tui", "--folder", str(tmp_path), "--screen", "reference"],
+        )
     deadline, seen = time.monotonic() + LIMIT, b""
     while b"Reference" not in seen and time.monotonic() < deadline:
         seen += os.read(terminal, 1 << 16)

@@ -32,9 +32,21 @@ def _served(folder: Path, *options: str) -> Iterator[int]:
         number: int = probe.getsockname()[1]
     call = "from zendsp.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", call, "tui", "--web", "--port", str(number), "--folder", str(folder), *options],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            call,
+            "tui",
+            "--web",
+            "--port",
+            str(number),
+            "--folder",
+            str(folder),
+            *options,
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     deadline = time.monotonic() + 60.0
     while True:
         with socket.socket() as probe:
@@ -51,7 +63,11 @@ async def test_the_page_shows_the_screen_and_needs_no_other_computer(port: int) 
     base = f"http://127.0.0.1:{port}"
     async with aiohttp.ClientSession() as session:
         page = await (await session.get(base)).text()
-        others = [part for part in page.split('"') if "://" in part and not part.startswith((base, base.replace("http", "ws")))]
+        others = [
+            part
+            for part in page.split('"')
+            if "://" in part and not part.startswith((base, base.replace("http", "ws")))
+        ]
         assert others == [], "nothing is fetched from elsewhere"
         for name in ("css/xterm.css", "js/textual.js", "fonts/RobotoMono-VariableFont_wght.ttf"):
             assert (await session.get(f"{base}/static/{name}")).status == 200
@@ -81,9 +97,13 @@ async def test_stop_from_a_page(target: Target, tmp_path: Path, press: str) -> N
     for number in _served(tmp_path, target.name):
         base = f"http://127.0.0.1:{number}"
         async with aiohttp.ClientSession() as session:
-            page = await session.ws_connect(f"{base}/ws?width=120&height=36", headers={"Origin": base})
+            page = await session.ws_connect(
+                f"{base}/ws?width=120&height=36", headers={"Origin": base}
+            )
 
-            async def until(done: Callable[[], object], page: aiohttp.ClientWebSocketResponse = page) -> None:
+            async def until(
+                done: Callable[[], object], page: aiohttp.ClientWebSocketResponse = page
+            ) -> None:
                 deadline = time.monotonic() + 60.0
                 while not done():
                     assert time.monotonic() < deadline, "\n".join(shown.display)

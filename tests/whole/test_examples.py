@@ -16,7 +16,11 @@ def modules() -> list[str]:
     found = []
     for package in PACKAGES:
         root = importlib.import_module(package)
-        found += [m.name for m in pkgutil.walk_packages(root.__path__, f"{package}.") if not m.name.endswith("__main__")]
+        found += [
+            m.name
+            for m in pkgutil.walk_packages(root.__path__, f"{package}.")
+            if not m.name.endswith("__main__")
+        ]
     return sorted(found)
 
 
@@ -29,7 +33,9 @@ def test_the_walk_sees_the_packages() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_examples_of_docstrings_are_true(package: str, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_of_docstrings_are_true(
+    package: str, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("examples"))
     tried, wrong = 0, []
     for name in MODULES:

@@ -1,4 +1,6 @@
-"""What an import costs and pulls in: a target is a small machine, and ``--help`` must not make anyone wait."""
+"""What an import costs and pulls in: a target is a small machine, and ``--help`` must not make
+anyone wait.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,20 @@ from pathlib import Path
 import pytest
 
 HOST_ONLY = {
-    "casadi", "click", "h5py", "matplotlib", "pandas", "pinocchio", "pyarrow", "rich", "scipy", "textual", "tomli_w", "xarray", "zendsp",
-}  # fmt: skip
+    "casadi",
+    "click",
+    "h5py",
+    "matplotlib",
+    "pandas",
+    "pinocchio",
+    "pyarrow",
+    "rich",
+    "scipy",
+    "textual",
+    "tomli_w",
+    "xarray",
+    "zendsp",
+}
 HEAVY = HOST_ONLY - {"click", "zendsp"} | {"numpy", "zenoh", "cffi", "msgpack", "msgspec"}
 
 # Refuses what a bare target machine has not got, as if it were not installed.
@@ -24,22 +38,31 @@ class Refuse:
         if name.partition(".")[0] in {HOST_ONLY!r}:
             raise ModuleNotFoundError(f"{{name}} is not installed on a bare target machine", name=name)
 sys.meta_path.insert(0, Refuse())
-"""
+"""  # noqa: E501
 
 
 def python(code: str, *arguments: str) -> str:
     """Standard output of a fresh interpreter."""
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def loaded_by(statement: str) -> set[str]:
     """Top-level packages that a fresh interpreter has loaded after a statement."""
-    return set(python(f"{statement}\nimport sys\nprint(*{{name.partition('.')[0] for name in sys.modules}})").split())
+    return set(
+        python(
+            f"{statement}\nimport sys\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
+        ).split()
+    )
 
 
-@pytest.mark.parametrize("module", ["zendsp_target", "zendsp_target.monitor", "zendsp_target.runtime", "zendsp_target.__main__"])
+@pytest.mark.parametrize(
+    "module",
+    ["zendsp_target", "zendsp_target.monitor", "zendsp_target.runtime", "zendsp_target.__main__"],
+)
 def test_the_target_loads_nothing_of_the_host(module: str) -> None:
     found = loaded_by(f"import {module}")
     assert module.partition(".")[0] in found
@@ -54,8 +77,9 @@ def test_import_zendsp_loads_nothing_heavy() -> None:
 
 def test_help_loads_nothing_heavy() -> None:
     said = python(
-        "import sys\nfrom zendsp.cli import cli\nsys.argv = ['zendsp', '--help']\ncli(standalone_mode=False)\n"
-        "print('LOADED', *{name.partition('.')[0] for name in sys.modules})"
+        "import sys\nfrom zendsp.cli import cli\nsys.argv = ['zendsp',"
+        " '--help']\ncli(standalone_mode=False)\nprint('LOADED', *{name.partition('.')[0] for name"
+        " in sys.modules})"
     )
     shown, _, names = said.partition("LOADED")
     assert "Usage: zendsp" in shown and "diagnose" in shown
@@ -64,23 +88,35 @@ def test_help_loads_nothing_heavy() -> None:
 
 def test_help_of_every_command_shows_an_example_and_loads_no_terminal_and_no_plots() -> None:
     said = python(
-        "import json, sys, click\nfrom zendsp.cli import COMMANDS, cli\nout = {}\n"
-        "for name in COMMANDS:\n"
-        "    command = cli.get_command(click.Context(cli), name)\n"
-        "    out[name] = command.get_help(click.Context(command, info_name=name, parent=click.Context(cli, info_name='zendsp')))\n"
-        "print(json.dumps([out, sorted({name.partition('.')[0] for name in sys.modules})]))"
+        "import json, sys, click\nfrom zendsp.cli import COMMANDS, cli\nout = {}\nfor name in"
+        " COMMANDS:\n    command = cli.get_command(click.Context(cli), name)\n    out[name] ="
+        " command.get_help(click.Context(command, info_name=name, parent=click.Context(cli,"
+        " info_name='zendsp')))\nprint(json.dumps([out, sorted({name.partition('.')[0] for name in"
+        " sys.modules})]))"
     )
     helps, modules = json.loads(said)
     assert {name for name, text in helps.items() if "Example" not in text} == set()
     assert set(modules) & {"matplotlib", "textual", "casadi", "pinocchio"} == set()
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--json", "--no-realtime", "--clock", "fast"]], ids=["help", "start"])
-def test_a_target_runs_with_zenoh_numpy_msgpack_msgspec_cffi_and_a_compiler_alone(arguments: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--json", "--no-realtime", "--clock", "fast"]], ids=["help", "start"]
+)
+def test_a_target_runs_with_zenoh_numpy_msgpack_msgspec_cffi_and_a_compiler_alone(
+    arguments: list[str], tmp_path: Path
+) -> None:
     (tmp_path / "sitecustomize.py").write_text(BARE)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "ZENDSP_RUNTIME_DIR": str(tmp_path / "registry")}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tmp_path),
+        "ZENDSP_RUNTIME_DIR": str(tmp_path / "registry"),
+    }
     process = subprocess.Popen(
-        [sys.executable, "-m", "zendsp_target", *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "zendsp_target", *arguments],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         assert process.stdout is not None

@@ -1,4 +1,6 @@
-"""Every public name is documented: what it is, each parameter, what comes back; and one role has one name everywhere."""
+"""Every public name is documented: what it is, each parameter, what comes back; and one role has
+one name everywhere.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,30 @@ from collections.abc import Iterator
 from typing import Any
 
 ROOMS = (
-    "zendsp", "zendsp.link", "zendsp.recording", "zendsp.reference", "zendsp.physics", "zendsp.physics.effects", "zendsp.diagnosis",
-    "zendsp.experiment", "zendsp.demo",
-)  # fmt: skip
+    "zendsp",
+    "zendsp.link",
+    "zendsp.recording",
+    "zendsp.reference",
+    "zendsp.physics",
+    "zendsp.physics.effects",
+    "zendsp.diagnosis",
+    "zendsp.experiment",
+    "zendsp.demo",
+)
 # what a role must not be called, and what it is called instead
 OTHER_NAMES = {
-    "dt": "sample_time", "ts": "sample_time", "fs": "rate", "freq": "rate", "filename": "path",
-    "file_name": "path", "timeout_s": "timeout", "verbose": "progress", "random_state": "seed", "n_jobs": "jobs", "duration_s": "duration",
-}  # fmt: skip
+    "dt": "sample_time",
+    "ts": "sample_time",
+    "fs": "rate",
+    "freq": "rate",
+    "filename": "path",
+    "file_name": "path",
+    "timeout_s": "timeout",
+    "verbose": "progress",
+    "random_state": "seed",
+    "n_jobs": "jobs",
+    "duration_s": "duration",
+}
 
 
 def public() -> dict[str, Any]:
@@ -47,8 +65,16 @@ def methods(cls: type) -> Iterator[tuple[str, Any]]:
     """Public methods of a class and of its bases in zendsp."""
     for name, _ in inspect.getmembers(cls):
         raw = inspect.getattr_static(cls, name)
-        function = raw.__func__ if isinstance(raw, staticmethod | classmethod) else raw.fget if isinstance(raw, property) else raw
-        if not name.startswith("_") and inspect.isfunction(function) and function.__module__.startswith("zendsp"):
+        function = (
+            raw.__func__
+            if isinstance(raw, staticmethod | classmethod)
+            else raw.fget if isinstance(raw, property) else raw
+        )
+        if (
+            not name.startswith("_")
+            and inspect.isfunction(function)
+            and function.__module__.startswith("zendsp")
+        ):
             yield name, function
 
 
@@ -61,7 +87,11 @@ def parameters(function: Any) -> list[str]:
 def undocumented(function: Any) -> list[str]:
     """Parameters that the docstring does not name, neither in its list nor in its words."""
     text = inspect.getdoc(function) or ""
-    return [p for p in parameters(function) if not re.search(rf"^\*{{0,2}}[\w, *]*\b{p}\b[\w, *]*( :|$)|``{p}``", text, re.MULTILINE)]
+    return [
+        p
+        for p in parameters(function)
+        if not re.search(rf"^\*{{0,2}}[\w, *]*\b{p}\b[\w, *]*( :|$)|``{p}``", text, re.MULTILINE)
+    ]
 
 
 PUBLIC = public()
@@ -85,10 +115,19 @@ def test_everything_public_has_a_summary() -> None:
 
 
 def test_every_parameter_of_a_public_function_is_documented() -> None:
-    missing = {name: undocumented(value) for name, value in PUBLIC.items() if inspect.isfunction(value) and undocumented(value)}
+    missing = {
+        name: undocumented(value)
+        for name, value in PUBLIC.items()
+        if inspect.isfunction(value) and undocumented(value)
+    }
     assert missing == {}
 
 
 def test_one_role_has_one_name() -> None:
-    odd = {name: [p for p in parameters(value) if p in OTHER_NAMES] for name, value in CALLABLES.items()}
-    assert {name: [f"{p} for {OTHER_NAMES[p]}" for p in found] for name, found in odd.items() if found} == {}
+    odd = {
+        name: [p for p in parameters(value) if p in OTHER_NAMES]
+        for name, value in CALLABLES.items()
+    }
+    assert {
+        name: [f"{p} for {OTHER_NAMES[p]}" for p in found] for name, found in odd.items() if found
+    } == {}

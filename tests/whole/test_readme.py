@@ -23,7 +23,14 @@ def test_the_ten_lines_run_and_record_every_sample(tmp_path: Path) -> None:
     match = re.search(r"```python\n(.*?)```", README, re.DOTALL)
     assert match is not None
     environment = {**os.environ, "ZENDSP_RUNTIME_DIR": str(tmp_path / "registry")}
-    done = subprocess.run([sys.executable, "-c", match[1]], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", match[1]],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "2000 rows, 0 lost"
     recording = Recording.load(tmp_path / "run.mat")
@@ -32,11 +39,16 @@ def test_the_ten_lines_run_and_record_every_sample(tmp_path: Path) -> None:
 
 
 def mentioned_commands() -> dict[str, set[str]]:
-    """Subcommands that the pages mention as ``zendsp NAME``, in code, with the long options beside them."""
+    """Subcommands that the pages mention as ``zendsp NAME``, in code, with the long options beside
+    them.
+    """
     found: dict[str, set[str]] = {}
     for page in PAGES:
         text = page.read_text()
-        lines = [*re.findall(r"`(?:[A-Z_]+=\S+ )*zendsp ([^`\n]+)`", text), *re.findall(r"^ {4}(?:[A-Z_]+=\S+ )*zendsp (.+)$", text, re.MULTILINE)]
+        lines = [
+            *re.findall(r"`(?:[A-Z_]+=\S+ )*zendsp ([^`\n]+)`", text),
+            *re.findall(r"^ {4}(?:[A-Z_]+=\S+ )*zendsp (.+)$", text, re.MULTILINE),
+        ]
         for line in lines:
             words = shlex.split(line.partition("#")[0], comments=False)
             options = {word.partition("=")[0] for word in words[1:] if word.startswith("--")}
@@ -53,9 +65,15 @@ def test_every_command_and_option_of_the_pages_exists() -> None:
         assert name in COMMANDS, name
         command = cli.get_command(click.Context(cli), name)
         assert command is not None
-        if isinstance(command, click.Group) or command.context_settings.get("ignore_unknown_options"):
+        if isinstance(command, click.Group) or command.context_settings.get(
+            "ignore_unknown_options"
+        ):
             continue
-        known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        known = {
+            option
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
+        }
         assert options - known - {"--help"} == set(), name
 
 

@@ -1,4 +1,6 @@
-"""The wheel that a user installs holds everything that the repository's packages hold, and works away from it."""
+"""The wheel that a user installs holds everything that the repository's packages hold, and works
+away from it.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,11 @@ def source_files() -> set[str]:
     for package in PACKAGES:
         base = ROOT / package
         for path in base.rglob("*"):
-            if path.is_file() and "__pycache__" not in path.parts and path.suffix not in (".pyc", ".so", ".o"):
+            if (
+                path.is_file()
+                and "__pycache__" not in path.parts
+                and path.suffix not in (".pyc", ".so", ".o")
+            ):
                 files.add(str(path.relative_to(base.parent)))
     return files
 
@@ -81,8 +87,20 @@ def test_the_wheel_works_away_from_the_repository(wheel: Path, tmp_path: Path) -
     home = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(home)
-    environment = {**os.environ, "PYTHONPATH": str(home), "XDG_CACHE_HOME": str(tmp_path / "cache"), "ZENDSP_CACHE": str(tmp_path / "cache")}
-    done = subprocess.run([sys.executable, "-c", USE, str(home)], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(home),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "ZENDSP_CACHE": str(tmp_path / "cache"),
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", USE, str(home)],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "used"
 

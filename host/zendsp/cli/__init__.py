@@ -1,4 +1,6 @@
-"""The ``zendsp`` command: one lazily loaded module per subcommand, so that ``--help`` imports nothing heavy."""
+"""The ``zendsp`` command: one lazily loaded module per subcommand, so that ``--help`` imports
+nothing heavy.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +10,21 @@ from typing import Any
 
 try:
     import click
-except ModuleNotFoundError:  # a bare target has four packages; the entry point of the command is there all the same
+except ModuleNotFoundError:
+    # a bare target has four packages; the entry point of the command is there all the same
     raise SystemExit(
-        "zendsp: this is a bare target, without the packages of the host. It runs with 'python -m zendsp_target --help'; "
-        "'pip install zendsp' installs the rest"
+        "zendsp: this is a bare target, without the packages of the host. It runs with 'python -m"
+        " zendsp_target --help'; 'pip install zendsp' installs the rest"
     ) from None
 
 from zendsp.errors import ZendspError
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("zendsp.cli.demo:command", "A machine conceals physics: find it live, and switch its compensation on."),
+    "demo": (
+        "zendsp.cli.demo:command",
+        "A machine conceals physics: find it live, and switch its compensation on.",
+    ),
     "target": ("zendsp.cli.target:command", "Run a target here."),
     "ls": ("zendsp.cli.ls:command", "List the targets that answer."),
     "info": ("zendsp.cli.info:command", "Show a target and its variables."),
@@ -33,19 +39,46 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "watch": ("zendsp.cli.watch:command", "Follow channels live."),
     "params": ("zendsp.cli.params:command", "Save, compare and restore parameters."),
     "acquire": ("zendsp.cli.acquire:command", "Record channels into a file."),
-    "salvage": ("zendsp.cli.salvage:command", "Save what a target had recorded before it was killed."),
+    "salvage": (
+        "zendsp.cli.salvage:command",
+        "Save what a target had recorded before it was killed.",
+    ),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
-    "reveal": ("zendsp.cli.reveal:command", "Tell what a simulated machine conceals, after the fact."),
-    "reference": ("zendsp.cli.reference:command", "Plan a motion within a machine's limits and save it."),
-    "tui": ("zendsp.cli.tui:command", "Console, Execute and Reference in the terminal, or in a browser."),
-    "rehearse": ("zendsp.cli.rehearse:command", "Try a planned motion on a simulated twin; nothing moves."),
-    "simulate": ("zendsp.cli.simulate:command", "Run a control program against a model of the machine, here."),
+    "reveal": (
+        "zendsp.cli.reveal:command",
+        "Tell what a simulated machine conceals, after the fact.",
+    ),
+    "reference": (
+        "zendsp.cli.reference:command",
+        "Plan a motion within a machine's limits and save it.",
+    ),
+    "tui": (
+        "zendsp.cli.tui:command",
+        "Console, Execute and Reference in the terminal, or in a browser.",
+    ),
+    "rehearse": (
+        "zendsp.cli.rehearse:command",
+        "Try a planned motion on a simulated twin; nothing moves.",
+    ),
+    "simulate": (
+        "zendsp.cli.simulate:command",
+        "Run a control program against a model of the machine, here.",
+    ),
     "model": ("zendsp.cli.model:command", "Begin a model file from a recording; check one."),
     "model2c": ("zendsp.cli.codegen:command", "Turn a model into C for control programs."),
-    "experiment": ("zendsp.cli.experiment:command", "Measure a machine: friction, motor, tracking; all results in one report."),
-    "diagnose": ("zendsp.cli.diagnose:command", "Find the physics that a model left out of real recordings."),
+    "experiment": (
+        "zendsp.cli.experiment:command",
+        "Measure a machine: friction, motor, tracking; all results in one report.",
+    ),
+    "diagnose": (
+        "zendsp.cli.diagnose:command",
+        "Find the physics that a model left out of real recordings.",
+    ),
     "keys": ("zendsp.cli.keys:command", "Make a lab's certificates, and say who may do what."),
-    "prove": ("zendsp.cli.prove:command", "Judge the diagnosis on concealed cases and real machines."),
+    "prove": (
+        "zendsp.cli.prove:command",
+        "Judge the diagnosis on concealed cases and real machines.",
+    ),
 }
 
 

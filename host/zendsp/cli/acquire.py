@@ -15,14 +15,26 @@ PICTURES = (".png", ".svg", ".pdf")
 @click.argument("channels", nargs=-1, required=True)
 @click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help=".mat, .npz, .parquet, .csv, .mcap or .mf4."
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help=".mat, .npz, .parquet, .csv, .mcap or .mf4.",
 )
-@click.option("--decimation", type=int, default=1, show_default=True, help="Every how many samples a row.")
+@click.option(
+    "--decimation", type=int, default=1, show_default=True, help="Every how many samples a row."
+)
 @click.option("--trigger", metavar="SOURCE", help="Wait until this variable crosses --level.")
 @click.option("--level", type=float, default=0.0, show_default=True)
-@click.option("--edge", type=click.Choice(["rising", "falling", "both"]), default="rising", show_default=True)
 @click.option(
-    "--pre", type=float, default=0.0, show_default=True, help="Seconds to keep from before the trigger."
+    "--edge", type=click.Choice(["rising", "falling", "both"]), default="rising", show_default=True
+)
+@click.option(
+    "--pre",
+    type=float,
+    default=0.0,
+    show_default=True,
+    help="Seconds to keep from before the trigger.",
 )
 @click.option("--start", is_flag=True, help="Also start the program, and pause it afterwards.")
 @click.option("--take", is_flag=True, help="Also when another host is recording.")
@@ -48,7 +60,8 @@ def command(
 ) -> None:
     """Record CHANNELS (variables, elements, built-in signals) and save them with all circumstances.
 
-    Exit status 1 where the program stopped or crashed before the end; what was recorded until then is saved all the same.
+    Exit status 1 where the program stopped or crashed before the end; what was recorded until then
+    is saved all the same.
 
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
@@ -58,7 +71,9 @@ def command(
 
     check_suffix(out)  # before the recording, not after it
     if plot is not None and plot.suffix.lower() not in PICTURES:
-        raise click.BadParameter(f"{plot}: a picture ends in {', '.join(PICTURES)}", param_hint="--plot")
+        raise click.BadParameter(
+            f"{plot}: a picture ends in {', '.join(PICTURES)}", param_hint="--plot"
+        )
     when = Trigger(source=trigger, level=level, edge=edge, pre_s=pre) if trigger else None
     ended = ""
     with open_target(target, connect) as t:
@@ -93,7 +108,8 @@ def command(
     emit(
         body,
         as_json,
-        f"{len(recording)} rows of {len(recording.columns)} signals to {out}, {recording.lost} lost",
+        f"{len(recording)} rows of {len(recording.columns)} signals to {out}, {recording.lost}"
+        " lost",
     )
     if ended:
         click.echo(f"zendsp: {ended}", err=True)

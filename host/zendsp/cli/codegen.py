@@ -10,13 +10,24 @@ import click
 @click.command("model2c")
 @click.argument("model", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="File to write. Default: print it.")
-@click.option("--effects-only", is_flag=True, help="Only what a torque can cancel, as Compensation(), without the rigid bodies.")
-@click.option("--sign-speed", type=click.FloatRange(min=0), default=0.02, show_default=True, help="Speed over which dry friction changes its sign [rad/s]; 0: at once.")
+@click.option(
+    "--effects-only",
+    is_flag=True,
+    help="Only what a torque can cancel, as Compensation(), without the rigid bodies.",
+)
+@click.option(
+    "--sign-speed",
+    type=click.FloatRange(min=0),
+    default=0.02,
+    show_default=True,
+    help="Speed over which dry friction changes its sign [rad/s]; 0: at once.",
+)
 def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float) -> None:
-    """Turn the model file MODEL into C: inverse dynamics, gravity, friction and every effect that a torque can cancel.
+    """Turn the model file MODEL into C: inverse dynamics, gravity, friction and every effect that a
+    torque can cancel.
 
-    Include the file in a control program after isr.h and call ModelInit() in UserInit: every number is then a parameter that can be
-    changed while the program runs.
+    Include the file in a control program after isr.h and call ModelInit() in UserInit: every number
+    is then a parameter that can be changed while the program runs.
 
     Example:  zendsp model2c examples/models/imi_planar.toml --out model.c
     """
@@ -25,7 +36,13 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     loaded = load_model(model)
     if effects_only:
         kinds = [loaded.joint_kind(j + 1) for j in range(loaded.joints)]
-        text = compensation(loaded.terms, title=loaded.name, kinds=kinds, actuator=loaded.actuator, sign_speed=sign_speed)
+        text = compensation(
+            loaded.terms,
+            title=loaded.name,
+            kinds=kinds,
+            actuator=loaded.actuator,
+            sign_speed=sign_speed,
+        )
     else:
         text = model_code(loaded, sign_speed=sign_speed)
     if out is None:

@@ -23,10 +23,20 @@ def target_options(function: F) -> F:
     """Add ``--target``, ``--connect`` and ``--json``."""
     decorators = (
         click.option("--json", "as_json", is_flag=True, help="Print JSON."),
-        click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447 (else $ZENDSP_CONNECT)."),
-        click.option("-t", "--target", default="", envvar="ZENDSP_TARGET", metavar="NAME",
-                     help="Which target (else $ZENDSP_TARGET, or the only one on this machine)."),
-    )  # fmt: skip
+        click.option(
+            "--connect",
+            metavar="ENDPOINT",
+            help="Where to reach it, e.g. tls/robot.lab:7447 (else $ZENDSP_CONNECT).",
+        ),
+        click.option(
+            "-t",
+            "--target",
+            default="",
+            envvar="ZENDSP_TARGET",
+            metavar="NAME",
+            help="Which target (else $ZENDSP_TARGET, or the only one on this machine).",
+        ),
+    )
     for decorate in decorators:
         function = decorate(function)
     return function
@@ -34,7 +44,9 @@ def target_options(function: F) -> F:
 
 @contextmanager
 def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
-    """Connect to the target that the options name, and at the end say on standard error if it is tripped or its program crashed."""
+    """Connect to the target that the options name, and at the end say on standard error if it is
+    tripped or its program crashed.
+    """
     from zendsp.errors import ZendspError
     from zendsp.link import connect
     from zendsp.link.programs import trouble
@@ -44,7 +56,8 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
             yield target
         finally:
             if target.alive:
-                with suppress(ZendspError):  # it went away at this moment: the command itself is told so
+                # it went away at this moment: the command itself is told so
+                with suppress(ZendspError):
                     if said := trouble(target.status()):
                         click.echo(f"zendsp: {target.name}: {said}", err=True)
 
@@ -60,7 +73,8 @@ def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
 
 
 def plain(value: Any) -> Any:
-    """Turn messages, arrays and infinities into what JSON holds (an infinite limit becomes null)."""
+    """Turn messages, arrays and infinities into what JSON holds (an infinite limit becomes null).
+    """
     if isinstance(value, Packed):
         value = from_wire(value)
     if isinstance(value, msgspec.Struct):
@@ -83,7 +97,9 @@ def table(rows: list[list[str]], header: list[str]) -> str:
     right = [bool(rows) and all(_looks_numeric(row[k]) for row in rows) for k in range(len(header))]
     lines = []
     for row in cells:
-        parts = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)]
+        parts = [
+            c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)
+        ]
         lines.append("  ".join(parts).rstrip())
     return "\n".join(lines)
 
@@ -118,7 +134,9 @@ def parse_value(text: str) -> Any:
     except ValueError:
         value = None
     if isinstance(value, bool | int | float) or (
-        isinstance(value, list) and value and all(isinstance(item, bool | int | float) for item in value)
+        isinstance(value, list)
+        and value
+        and all(isinstance(item, bool | int | float) for item in value)
     ):
         return value
     raise click.BadParameter(f"{text!r} is not a value; write 3, 0.5, true, false or [1, 2]")

@@ -12,9 +12,13 @@ from zendsp.cli.common import emit, open_target, target_options
 
 @click.command("compile")
 @click.argument("file")
-@click.option("--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated.")
+@click.option(
+    "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
+)
 @target_options
-def command(file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool) -> None:
+def command(
+    file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool
+) -> None:
     """Compile FILE (with the headers beside it) on the target; the running program is not touched.
 
     Warnings and errors name file, line and column. Exit status 1 where it does not compile.
@@ -40,7 +44,8 @@ def compiled(work: Callable[[], Any], as_json: bool) -> Any:
 
 
 def report(result: Any, as_json: bool) -> None:
-    """Print what the compiler said: its messages to standard error, the outcome to standard output."""
+    """Print what the compiler said: its messages to standard error, the outcome to standard output.
+    """
     from zendsp.link.programs import describe
 
     if not as_json:

@@ -10,20 +10,47 @@ from zendsp.cli.common import emit
 
 
 @click.command("demo")
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("zendsp-demo"), show_default=True,
-              help="Folder for what it makes.")  # fmt: skip
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("zendsp-demo"),
+    show_default=True,
+    help="Folder for what it makes.",
+)
 @click.option("--machine", default="imi_planar", show_default=True, help="imi_planar or pendulum.")
-@click.option("--effect", default=None, help="Conceal this one, or one of several: ripple/coupling. Default: drawn from those that show in tracking.")
-@click.option("--seed", type=int, default=None, help="Draw by this number, to see the same again. Default: drawn by the target, unknown here.")
+@click.option(
+    "--effect",
+    default=None,
+    help=(
+        "Conceal this one, or one of several: ripple/coupling. Default: drawn from those that show"
+        " in tracking."
+    ),
+)
+@click.option(
+    "--seed",
+    type=int,
+    default=None,
+    help="Draw by this number, to see the same again. Default: drawn by the target, unknown here.",
+)
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="fast", show_default=True,
               help="fast: simulated time runs as fast as the CPU allows.")  # fmt: skip
 @click.option("--web", is_flag=True, help="Open the report in a browser at the end.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(out: Path, machine: str, effect: str | None, seed: int | None, clock: str, web: bool, as_json: bool) -> None:
+def command(
+    out: Path,
+    machine: str,
+    effect: str | None,
+    seed: int | None,
+    clock: str,
+    web: bool,
+    as_json: bool,
+) -> None:
     """Find physics that a simulated machine conceals, live, and switch its compensation on.
 
-    A target starts with an effect drawn at random, which this process does not know. It is recorded, diagnosed, compensated while it runs, and then
-    it reveals the truth. Exit status 0 only if the story is true: named right, better on held-out data, and a smaller tracking error
+    A target starts with an effect drawn at random, which this process does not know. It is
+    recorded, diagnosed, compensated while it runs, and then it reveals the truth. Exit status 0
+    only if the story is true: named right, better on held-out data, and a smaller tracking error
     where the effect can be compensated; 1 otherwise.
 
     Example:  zendsp demo --seed 7
@@ -32,7 +59,9 @@ def command(out: Path, machine: str, effect: str | None, seed: int | None, clock
     from zendsp.demo.narrator import Narrator
 
     narrator = Narrator(quiet=as_json)
-    outcome = run_demo(out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator)
+    outcome = run_demo(
+        out, machine=machine, effect=effect, seed=seed, clock=clock, narrator=narrator
+    )
     emit(outcome, as_json)
     if web and not as_json:
         click.launch(str((out / "report.html").resolve()))

@@ -14,15 +14,50 @@ FILE = click.Path(path_type=Path)
 @click.command("diagnose")
 @click.argument("train", nargs=-1, required=True, type=FILE)
 @click.option("--model", "model_path", required=True, type=FILE, help="Given model (TOML).")
-@click.option("--heldout", multiple=True, type=FILE, help="Recording to judge on; repeat for several. Default: the last third of each.")
-@click.option("--out", type=FILE, default=None, help="Folder for report.json, report.html, figures, model.toml, compensation.c.")
+@click.option(
+    "--heldout",
+    multiple=True,
+    type=FILE,
+    help="Recording to judge on; repeat for several. Default: the last third of each.",
+)
+@click.option(
+    "--out",
+    type=FILE,
+    default=None,
+    help="Folder for report.json, report.html, figures, model.toml, compensation.c.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print report.json instead of the summary.")
-@click.option("--run", "run_on", metavar="TARGET", default=None, help="Run the proposed next recording on this target and diagnose again with it; needs --out.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of what is drawn at random.")
-@click.option("--jobs", type=click.IntRange(1), default=None, help="Threads, or processes with --each. Default: all cores.")
-@click.option("--effects", multiple=True, type=FILE, help="Python file with your own effects; repeat for several.")
-@click.option("--each", is_flag=True, help="Diagnose each recording on its own; a table at the end.")
-@click.option("--scheduler", default=None, metavar="ADDRESS", help="With --each: run on the Dask cluster of this scheduler (tcp://host:8786).")
+@click.option(
+    "--run",
+    "run_on",
+    metavar="TARGET",
+    default=None,
+    help="Run the proposed next recording on this target and diagnose again with it; needs --out.",
+)
+@click.option(
+    "--seed", type=int, default=0, show_default=True, help="Seed of what is drawn at random."
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    default=None,
+    help="Threads, or processes with --each. Default: all cores.",
+)
+@click.option(
+    "--effects",
+    multiple=True,
+    type=FILE,
+    help="Python file with your own effects; repeat for several.",
+)
+@click.option(
+    "--each", is_flag=True, help="Diagnose each recording on its own; a table at the end."
+)
+@click.option(
+    "--scheduler",
+    default=None,
+    metavar="ADDRESS",
+    help="With --each: run on the Dask cluster of this scheduler (tcp://host:8786).",
+)
 def command(
     train: tuple[Path, ...],
     model_path: Path,
@@ -38,16 +73,21 @@ def command(
 ) -> None:
     """Find the physics that a model left out of real recordings.
 
-    Calibrates the given model, locates what remains, names the missing physics, and shows the fit improve on held-out recordings.
-    Several recordings are fitted jointly, or each on its own with --each.
-    Exit status 0 when a diagnosis was made, 2 for unusable input.
+    Calibrates the given model, locates what remains, names the missing physics, and shows the fit
+    improve on held-out recordings. Several recordings are fitted jointly, or each on its own with
+    --each. Exit status 0 when a diagnosis was made, 2 for unusable input.
 
     Example:  zendsp diagnose run1.csv run2.csv --model bench.toml --heldout test.csv --out report
     """
     if scheduler is not None and not each:
-        raise click.UsageError("--scheduler spreads recordings over a cluster, each diagnosed on its own: give --each as well")
+        raise click.UsageError(
+            "--scheduler spreads recordings over a cluster, each diagnosed on its own: give --each"
+            " as well"
+        )
     if run_on is not None and (each or out is None):
-        raise click.UsageError("--run needs --out, the folder that keeps the new recording, and goes without --each")
+        raise click.UsageError(
+            "--run needs --out, the folder that keeps the new recording, and goes without --each"
+        )
     cores = jobs or os.cpu_count() or 1
     if out is not None:
         _writable(out)
@@ -69,7 +109,17 @@ def _writable(out: Path) -> None:
         raise ZendspError(f"--out {out}: is not writable")
 
 
-def _together(train: tuple[Path, ...], model_path: Path, heldout: tuple[Path, ...], out: Path | None, as_json: bool, run_on: str | None, seed: int, jobs: int, effects: tuple[Path, ...]) -> None:
+def _together(
+    train: tuple[Path, ...],
+    model_path: Path,
+    heldout: tuple[Path, ...],
+    out: Path | None,
+    as_json: bool,
+    run_on: str | None,
+    seed: int,
+    jobs: int,
+    effects: tuple[Path, ...],
+) -> None:
     from zendsp.cli.progress import stages
     from zendsp.diagnosis import diagnose
     from zendsp.diagnosis.report import report_text, write_report
@@ -78,11 +128,15 @@ def _together(train: tuple[Path, ...], model_path: Path, heldout: tuple[Path, ..
     for file in effects:
         load_effects(file)
     with stages(quiet=as_json) as tell:
-        result = diagnose(list(train), model_path, list(heldout) or None, seed=seed, jobs=jobs, progress=tell)
+        result = diagnose(
+            list(train), model_path, list(heldout) or None, seed=seed, jobs=jobs, progress=tell
+        )
         if run_on is not None and out is not None:
             from zendsp.experiment.next_recording import run_next
 
-            result = run_next(result, train, run_on, out, heldout=heldout, progress=tell, seed=seed, jobs=jobs)
+            result = run_next(
+                result, train, run_on, out, heldout=heldout, progress=tell, seed=seed, jobs=jobs
+            )
         if out is not None:
             tell("writing the report")
             write_report(result, out)
@@ -97,7 +151,15 @@ def _together(train: tuple[Path, ...], model_path: Path, heldout: tuple[Path, ..
 
 
 def _each(
-    train: tuple[Path, ...], model_path: Path, heldout: tuple[Path, ...], out: Path | None, as_json: bool, seed: int, jobs: int, effects: tuple[Path, ...], scheduler: str | None
+    train: tuple[Path, ...],
+    model_path: Path,
+    heldout: tuple[Path, ...],
+    out: Path | None,
+    as_json: bool,
+    seed: int,
+    jobs: int,
+    effects: tuple[Path, ...],
+    scheduler: str | None,
 ) -> None:
     from zendsp.cli.progress import stages
     from zendsp.diagnosis.fleet import diagnose_each, table
@@ -109,9 +171,21 @@ def _each(
         load_effects(file)
     load_model(model_path)  # a wrong model is one error, not one for each recording
     with stages(quiet=as_json) as tell:
-        items = diagnose_each(train, model_path, heldout, out=out, seed=seed, jobs=jobs, effects=effects, scheduler=scheduler, progress=tell)
+        items = diagnose_each(
+            train,
+            model_path,
+            heldout,
+            out=out,
+            seed=seed,
+            jobs=jobs,
+            effects=effects,
+            scheduler=scheduler,
+            progress=tell,
+        )
     if all(i.report is None for i in items):
-        raise RecordingError(f"none of {len(items)} recordings could be diagnosed; the first: {items[0].error}")
+        raise RecordingError(
+            f"none of {len(items)} recordings could be diagnosed; the first: {items[0].error}"
+        )
     if as_json:
         rows = [{"recording": i.recording, "report": i.report, "error": i.error} for i in items]
         click.echo(json.dumps(rows, indent=1, ensure_ascii=False))

@@ -10,23 +10,48 @@ import click
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.errors import Refused
 
-ACTIONS = ("status", "on", "off", "home", "enable", "disable", "acknowledge", "auto", "take", "host-lost")
+ACTIONS = (
+    "status",
+    "on",
+    "off",
+    "home",
+    "enable",
+    "disable",
+    "acknowledge",
+    "auto",
+    "take",
+    "host-lost",
+)
 
 
 @click.command("drive")
 @click.argument("action", type=click.Choice(ACTIONS), default="status")
 @click.argument("policy", type=click.Choice(["stop", "hold", "finish"]), required=False)
-@click.option("--mode", type=click.Choice(["torque", "velocity"]), default="torque", show_default=True, help="Of enable.")
+@click.option(
+    "--mode",
+    type=click.Choice(["torque", "velocity"]),
+    default="torque",
+    show_default=True,
+    help="Of enable.",
+)
 @click.option("--force", is_flag=True, help="take: also from another host.")
 @target_options
 def command(
-    action: str, policy: str | None, mode: str, force: bool, target: str, connect: str | None, as_json: bool
+    action: str,
+    policy: str | None,
+    mode: str,
+    force: bool,
+    target: str,
+    connect: str | None,
+    as_json: bool,
 ) -> None:
-    """Power, home and enable the drives, acknowledge a trip, or say what happens if the commanding host is lost.
+    """Power, home and enable the drives, acknowledge a trip, or say what happens if the commanding
+    host is lost.
 
-    off → ready → homed → enabled → running → stopped or tripped. Without ACTION: where the drives are, and what
-    enabling still needs. A command that ends gives the right to command back; "take --force" thus frees it from another host.
-    Exit status 1 where the target refuses; the message names each condition.
+    off → ready → homed → enabled → running → stopped or tripped. Without ACTION: where the drives
+    are, and what enabling still needs. A command that ends gives the right to command back; "take
+    --force" thus frees it from another host. Exit status 1 where the target refuses; the message
+    names each condition.
 
     \b
     Example:  zendsp drive on && zendsp drive home && zendsp drive enable
@@ -56,7 +81,16 @@ def command(
                 with contextlib.suppress(Refused):
                     t.release_command()
         status = t.drive_status()
-        lines = [f"{status.state} ({status.mode}){'' if status.explicit else ', automatic: on at start, off at pause'}"]
-        lines += [f"  {'✔' if c.met else '✖'} {c.name}{f': {c.advice}' if c.advice else ''}" for c in status.conditions]
-        lines.append(f"commanded by {status.commander or 'nobody'}; if the commanding host is lost: {status.host_lost}")
+        lines = [
+            f"{status.state}"
+            f" ({status.mode}){'' if status.explicit else ', automatic: on at start, off at pause'}"
+        ]
+        lines += [
+            f"  {'✔' if c.met else '✖'} {c.name}{f': {c.advice}' if c.advice else ''}"
+            for c in status.conditions
+        ]
+        lines.append(
+            f"commanded by {status.commander or 'nobody'}; if the commanding host is lost:"
+            f" {status.host_lost}"
+        )
         emit(status, as_json, "\n".join(lines))

@@ -14,17 +14,46 @@ if TYPE_CHECKING:
 
 @click.command("experiment")
 @click.argument("name", required=False)
-@click.option("--out", type=click.Path(path_type=Path), default=Path("experiments"), show_default=True, help="Folder of recordings, figures and results.")
-@click.option("--into", type=click.Path(path_type=Path, exists=True), help="Model file that takes in what was found; with all, what is of its machine.")
-@click.option("--report", type=click.Path(path_type=Path), help="Write all results of the folder beside the papers' (Markdown, figures beside it).")
-@click.option("-t", "--target", default="", metavar="NAME", help="A target with the machine. Default: a simulated one, started here, on the fast clock.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("experiments"),
+    show_default=True,
+    help="Folder of recordings, figures and results.",
+)
+@click.option(
+    "--into",
+    type=click.Path(path_type=Path, exists=True),
+    help="Model file that takes in what was found; with all, what is of its machine.",
+)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    help="Write all results of the folder beside the papers' (Markdown, figures beside it).",
+)
+@click.option(
+    "-t",
+    "--target",
+    default="",
+    metavar="NAME",
+    help="A target with the machine. Default: a simulated one, started here, on the fast clock.",
+)
 @click.option("--connect", metavar="ENDPOINT", help="Where to reach it, e.g. tls/robot.lab:7447.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def command(name: str | None, out: Path, into: Path | None, report: Path | None, target: str, connect: str | None, as_json: bool) -> None:
+def command(
+    name: str | None,
+    out: Path,
+    into: Path | None,
+    report: Path | None,
+    target: str,
+    connect: str | None,
+    as_json: bool,
+) -> None:
     """Make the experiment NAME, or all of them; without NAME, list them.
 
-    Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept, also the one that Ctrl-C ends; the result is a TOML file that a
-    model takes in. With --target, all means all of that machine.
+    Moves the machine. Ctrl-C stops it at the next sample. Every recording is kept, also the one
+    that Ctrl-C ends; the result is a TOML file that a model takes in. With --target, all means all
+    of that machine.
 
     Example:  zendsp experiment imi-fit --into examples/models/imi_planar.toml
     """
@@ -46,7 +75,11 @@ def command(name: str | None, out: Path, into: Path | None, report: Path | None,
             names = [each for each in names if EXPERIMENTS[each].machine == opened.info.machine]
             for each in [each for each in names if EXPERIMENTS[each].command != "torque"]:
                 names.remove(each)
-                click.echo(f"{each} is left out: it commands a {EXPERIMENTS[each].command}, and needs a target of its own", err=True)
+                click.echo(
+                    f"{each} is left out: it commands a {EXPERIMENTS[each].command}, and needs a"
+                    " target of its own",
+                    err=True,
+                )
     with closing:
         for each in names:
             try:
@@ -54,7 +87,10 @@ def command(name: str | None, out: Path, into: Path | None, report: Path | None,
                     lab = Lab(out, opened, lambda text, each=each: tell(f"{each}: {text}"))  # type: ignore[misc]
                     result = run_experiment(each, lab)
             except KeyboardInterrupt:
-                click.echo(f"{each}: the machine was stopped; what was recorded is in {out / each}", err=True)
+                click.echo(
+                    f"{each}: the machine was stopped; what was recorded is in {out / each}",
+                    err=True,
+                )
                 raise
             _print(result, out / each, as_json)
             if into is not None and each in takes:
@@ -79,8 +115,21 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
     if as_json:
         import json
 
-        values = {key: {"value": e.value, "std": e.std, "unit": e.unit} for key, e in result.values.items()}
-        click.echo(json.dumps({"name": result.name, "values": values, "warnings": result.warnings, "folder": str(folder)}, allow_nan=False))
+        values = {
+            key: {"value": e.value, "std": e.std, "unit": e.unit}
+            for key, e in result.values.items()
+        }
+        click.echo(
+            json.dumps(
+                {
+                    "name": result.name,
+                    "values": values,
+                    "warnings": result.warnings,
+                    "folder": str(folder),
+                },
+                allow_nan=False,
+            )
+        )
         return
     click.echo(f"{result.title} ({result.target})")
     for key, estimate in result.values.items():
@@ -89,4 +138,6 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
         click.echo(f"  {text}")
     for text in result.warnings:
         click.echo(f"  warning: {text}")
-    click.echo(f"  {folder / 'result.toml'}, {folder / result.figure}, {len(result.recordings)} recordings")
+    click.echo(
+        f"  {folder / 'result.toml'}, {folder / result.figure}, {len(result.recordings)} recordings"
+    )

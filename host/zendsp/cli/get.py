@@ -18,15 +18,25 @@ def command(names: tuple[str, ...], target: str, connect: str | None, as_json: b
     with open_target(target, connect) as t:
         infos = t.variables()
         chosen = list(names) or [info.name for info in infos.values() if info.kind != "table"]
-        # as it came over the wire: only long arrays need NumPy, for which one would wait longer than for the target
+        # as it came over the wire: only long arrays need NumPy, for which one would wait longer
+        # than for the target
         reading = t.request("read", names=chosen) if chosen else None
         values = {name: plain(value) for name, value in reading.values.items()} if reading else {}
         units = {
-            name: infos[name.partition("[")[0]].unit for name in values if name.partition("[")[0] in infos
+            name: infos[name.partition("[")[0]].unit
+            for name in values
+            if name.partition("[")[0] in infos
         }
-        body = {"tick": reading.tick if reading else None, "values": values, "units": units, "ended": reading.ended if reading else ""}
+        body = {
+            "tick": reading.tick if reading else None,
+            "values": values,
+            "units": units,
+            "ended": reading.ended if reading else "",
+        }
         emit(
             body,
             as_json,
-            "\n".join(f"{name} = {show(v)} {units.get(name, '')}".rstrip() for name, v in values.items()),
+            "\n".join(
+                f"{name} = {show(v)} {units.get(name, '')}".rstrip() for name, v in values.items()
+            ),
         )

@@ -20,7 +20,12 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
         status = t.status()
         # what there is to say of machine and variables comes from the code that runs
         variables, machine = ({}, None) if status.state == "empty" else (t.variables(), t.machine())
-        body = {"info": t.info, "status": status, "machine": machine, "variables": list(variables.values())}
+        body = {
+            "info": t.info,
+            "status": status,
+            "machine": machine,
+            "variables": list(variables.values()),
+        }
         emit(body, as_json, lambda: _text(t.info, status, machine, variables))
 
 
@@ -31,11 +36,17 @@ def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> st
         joints = ", ".join(f"{j.name} ({j.unit})" for j in machine.joints)
         described = f"{machine.name}: {machine.text}; {joints}"
     lines = [
-        f"target     {info.name} on {info.hostname}, process {info.pid}, zendsp {info.versions.get('zendsp', '?')}",
+        (
+            f"target     {info.name} on {info.hostname}, process {info.pid}, zendsp"
+            f" {info.versions.get('zendsp', '?')}"
+        ),
         f"machine    {described}",
         f"loop       {status.rate_hz:g} Hz, {status.clock} clock; {status.scheduling}",
         f"state      {status.state}, tick {status.tick}, drive {status.drive}",
-        f"program    {status.program or 'none: load one with zendsp run, or zendsp compile --help'}",
+        (
+            "program   "
+            f" {status.program or 'none: load one with zendsp run, or zendsp compile --help'}"
+        ),
         f"hosts      {', '.join(status.hosts) or 'none'}",
     ]
     if status.crash:
@@ -43,9 +54,16 @@ def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> st
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
     rows = [
-        [v.name, v.type + (f"[{v.length}]" if v.length > 1 else ""), v.kind, v.unit, show(v.minimum), show(v.maximum),
-         v.description]
+        [
+            v.name,
+            v.type + (f"[{v.length}]" if v.length > 1 else ""),
+            v.kind,
+            v.unit,
+            show(v.minimum),
+            show(v.maximum),
+            v.description,
+        ]
         for v in variables.values()
-    ]  # fmt: skip
+    ]
     header = ["VARIABLE", "TYPE", "KIND", "UNIT", "MIN", "MAX", ""]
     return "\n".join(lines) + ("\n\n" + table(rows, header) if rows else "")

@@ -12,21 +12,33 @@ from zendsp.cli.common import emit, table
 from zendsp_protocol.verbs import ROLES
 
 _folder = click.option(
-    "--folder", default="lab", show_default=True, type=click.Path(path_type=Path), help="Where the lab's keys are."
+    "--folder",
+    default="lab",
+    show_default=True,
+    type=click.Path(path_type=Path),
+    help="Where the lab's keys are.",
 )
 
 
 def _days(default: int) -> Callable[..., Any]:
-    return click.option("--days", default=default, show_default=True, type=click.IntRange(1, 36500), help="How long it is good for.")
+    return click.option(
+        "--days",
+        default=default,
+        show_default=True,
+        type=click.IntRange(1, 36500),
+        help="How long it is good for.",
+    )
 
 
 @click.group("keys")
 def command() -> None:
     """Make a lab's certificates and say who may do what.
 
-    The folder holds the authority's key: keep it on one computer, and copy only what each command says.
+    The folder holds the authority's key: keep it on one computer, and copy only what each command
+    says.
 
-    Example:  zendsp keys init && zendsp keys target imi --host robot.lab && zendsp keys user anna --role tune
+    Example:  zendsp keys init && zendsp keys target imi --host robot.lab && zendsp keys user anna
+    --role tune
     """
 
 
@@ -41,12 +53,21 @@ def init(folder: Path, days: int) -> None:
     from zendsp.lab_keys import Lab
 
     lab = Lab.create(folder, days)
-    click.echo(f"{lab.authority} is the lab's authority. Its key, ca.key, stays here. Next: zendsp keys target NAME, zendsp keys user NAME")
+    click.echo(
+        f"{lab.authority} is the lab's authority. Its key, ca.key, stays here. Next: zendsp keys"
+        " target NAME, zendsp keys user NAME"
+    )
 
 
 @command.command("target")
 @click.argument("name")
-@click.option("--host", "hosts", multiple=True, metavar="NAME|ADDRESS", help="Under which hosts reach it; may be repeated.")
+@click.option(
+    "--host",
+    "hosts",
+    multiple=True,
+    metavar="NAME|ADDRESS",
+    help="Under which hosts reach it; may be repeated.",
+)
 @_folder
 @_days(730)
 def target(name: str, hosts: tuple[str, ...], folder: Path, days: int) -> None:
@@ -59,9 +80,10 @@ def target(name: str, hosts: tuple[str, ...], folder: Path, days: int) -> None:
     lab = Lab(folder)
     made = lab.add_target(name, hosts, days)
     click.echo(
-        f"Copy {made.certificate}, {made.key}, {lab.authority} and {lab.roles_file} to the target, and start it there with\n"
-        f"  zendsp target --name {name} --listen here --listen tls/0.0.0.0:7447 --tls-cert {name}.pem --tls-key {name}.key "
-        "--tls-ca ca.pem --roles roles.toml"
+        f"Copy {made.certificate}, {made.key}, {lab.authority} and {lab.roles_file} to the target,"
+        f" and start it there with\n  zendsp target --name {name} --listen here --listen"
+        f" tls/0.0.0.0:7447 --tls-cert {name}.pem --tls-key {name}.key --tls-ca ca.pem --roles"
+        " roles.toml"
     )
     if not hosts:
         click.echo("Good for localhost only: --host NAME makes one for other computers", err=True)
@@ -69,7 +91,12 @@ def target(name: str, hosts: tuple[str, ...], folder: Path, days: int) -> None:
 
 @command.command("user")
 @click.argument("name")
-@click.option("--role", required=True, type=click.Choice(ROLES), help="Each includes those before it; download runs code there.")
+@click.option(
+    "--role",
+    required=True,
+    type=click.Choice(ROLES),
+    help="Each includes those before it; download runs code there.",
+)
 @click.option("--renew", is_flag=True, help="A new key and certificate also where there is one.")
 @_folder
 @_days(730)
@@ -83,11 +110,15 @@ def user(name: str, role: str, renew: bool, folder: Path, days: int) -> None:
     lab = Lab(folder)
     before = {holder.certificate: holder.until for holder in lab.holders()}
     made = lab.add_user(name, role, days, renew)
-    click.echo(f"{name} may {role}. Copy {lab.roles_file} to each target; one that runs takes a new role at once, a new name when it starts.")
+    click.echo(
+        f"{name} may {role}. Copy {lab.roles_file} to each target; one that runs takes a new role"
+        " at once, a new name when it starts."
+    )
     if before.get(made.certificate) != made.until:
         click.echo(
-            f"{name} gets {made.certificate}, {made.key} and {lab.authority}, and says\n"
-            f"  export ZENDSP_CONNECT=tls/ROBOT:7447 ZENDSP_TLS_CA=ca.pem ZENDSP_TLS_CERT={name}.pem ZENDSP_TLS_KEY={name}.key"
+            f"{name} gets {made.certificate}, {made.key} and {lab.authority}, and says\n  export"
+            f" ZENDSP_CONNECT=tls/ROBOT:7447 ZENDSP_TLS_CA=ca.pem ZENDSP_TLS_CERT={name}.pem"
+            f" ZENDSP_TLS_KEY={name}.key"
         )
 
 
@@ -104,10 +135,24 @@ def list_(folder: Path, as_json: bool) -> None:
     holders = Lab(folder).holders()
     rows = [[h.name, h.kind, h.role, f"{h.until:%Y-%m-%d}", str(h.certificate)] for h in holders]
     body = [
-        {"name": h.name, "kind": h.kind, "role": h.role, "until": h.until.isoformat(), "certificate": str(h.certificate)}
+        {
+            "name": h.name,
+            "kind": h.kind,
+            "role": h.role,
+            "until": h.until.isoformat(),
+            "certificate": str(h.certificate),
+        }
         for h in holders
     ]
-    emit(body, as_json, table(rows, ["NAME", "KIND", "ROLE", "UNTIL", "CERTIFICATE"]) if rows else "no certificates yet")
+    emit(
+        body,
+        as_json,
+        (
+            table(rows, ["NAME", "KIND", "ROLE", "UNTIL", "CERTIFICATE"])
+            if rows
+            else "no certificates yet"
+        ),
+    )
 
 
 @command.command("revoke")
@@ -122,4 +167,7 @@ def revoke(name: str, folder: Path) -> None:
 
     lab = Lab(folder)
     lab.revoke(name)
-    click.echo(f"{name} has no role any more. Copy {lab.roles_file} to each target; it holds there at once.")
+    click.echo(
+        f"{name} has no role any more. Copy {lab.roles_file} to each target; it holds there at"
+        " once."
+    )

@@ -10,9 +10,13 @@ from zendsp.cli.compile import compiled
 
 @click.command("load")
 @click.argument("file")
-@click.option("--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated.")
+@click.option(
+    "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
+)
 @target_options
-def command(file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool) -> None:
+def command(
+    file: str, flags: tuple[str, ...], target: str, connect: str | None, as_json: bool
+) -> None:
     """Compile FILE on the target and load it; nothing moves before 'zendsp run'.
 
     What ran before ends. Exit status 1 where it does not compile; then what was loaded stays.
@@ -23,4 +27,8 @@ def command(file: str, flags: tuple[str, ...], target: str, connect: str | None,
         compiled(lambda: t.download(file, flags), as_json)
         status = t.status()
         count = len(t.variables())
-        emit(status, as_json, f"{status.state}: {count} variables; 'zendsp info' lists them, 'zendsp run' starts it")
+        emit(
+            status,
+            as_json,
+            f"{status.state}: {count} variables; 'zendsp info' lists them, 'zendsp run' starts it",
+        )

@@ -28,9 +28,14 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
             else [one.problem, "", "", ""]
         )
         rows.append([one.name, *about, ", ".join(one.endpoints)])
-    body = [{"name": f.name, "endpoints": f.endpoints, "problem": f.problem, "info": f.info} for f in found]
+    body = [
+        {"name": f.name, "endpoints": f.endpoints, "problem": f.problem, "info": f.info}
+        for f in found
+    ]
     text = (
-        table(rows, ["NAME", "MACHINE", "HZ", "CLOCK", "PID", "ENDPOINT"]) if found else "no target answers"
+        table(rows, ["NAME", "MACHINE", "HZ", "CLOCK", "PID", "ENDPOINT"])
+        if found
+        else "no target answers"
     )
     emit(body, as_json, text)
     if not found:

@@ -23,11 +23,18 @@ def command() -> None:
 
 @command.command("new")
 @click.argument("recording", type=FILE)
-@click.option("-o", "--out", type=FILE, default=None, help="Default: the recording's name with .toml, in this folder.")
+@click.option(
+    "-o",
+    "--out",
+    type=FILE,
+    default=None,
+    help="Default: the recording's name with .toml, in this folder.",
+)
 @click.option("--force", is_flag=True, help="Write over a file that is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
-    """Write a commented model file from a recording, with questions where the recording cannot tell.
+    """Write a commented model file from a recording, with questions where the recording cannot
+    tell.
 
     Example:  zendsp model new run.csv -o bench.toml
     """
@@ -39,25 +46,37 @@ def new(recording: Path, out: Path | None, force: bool, as_json: bool) -> None:
 
     out = out or model_name(recording)
     if out.exists() and not force:
-        raise ModelError(f"{out}: is there already; choose another name with -o, or --force to write over it")
+        raise ModelError(
+            f"{out}: is there already; choose another name with -o, or --force to write over it"
+        )
     draft = draft_model(read_table(recording))
     parse_model(tomllib.loads(draft.text), str(out))  # what is written can be read
     try:
         out.write_text(draft.text, encoding="utf-8")
     except OSError as error:
         raise ModelError(f"{out}: cannot be written ({error.strerror})") from error
-    lines = [f"{out}: {draft.joints} joint{'s' if draft.joints > 1 else ''}, {len(draft.questions)} questions:"]
+    lines = [
+        f"{out}: {draft.joints} joint{'s' if draft.joints > 1 else ''}, {len(draft.questions)}"
+        " questions:"
+    ]
     lines += [f"  ? {question}" for question in draft.questions]
     lines += [f"then: zendsp model check {out} --recording {recording}"]
-    emit({"file": str(out), "joints": draft.joints, "questions": draft.questions}, as_json, "\n".join(lines))
+    emit(
+        {"file": str(out), "joints": draft.joints, "questions": draft.questions},
+        as_json,
+        "\n".join(lines),
+    )
 
 
 @command.command("check")
 @click.argument("file", type=FILE)
-@click.option("--recording", type=FILE, default=None, help="Also read this recording by the model's columns.")
+@click.option(
+    "--recording", type=FILE, default=None, help="Also read this recording by the model's columns."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def check(file: Path, recording: Path | None, as_json: bool) -> None:
-    """Read a model file, refuse what nobody would read, and say what it describes. Exit status 2 where it is wrong.
+    """Read a model file, refuse what nobody would read, and say what it describes. Exit status 2
+    where it is wrong.
 
     Example:  zendsp model check bench.toml --recording run.csv
     """
@@ -72,9 +91,14 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
         signals = read_signals(recording, model)
         seconds = len(signals.time) * signals.sample_time
         steps = ", ".join(f"{r:.4g}" if r else "none seen" for r in signals.resolution)
-        body["recording"] = {"rows": len(signals.time), "sample_time": signals.sample_time, "notes": signals.notes}
+        body["recording"] = {
+            "rows": len(signals.time),
+            "sample_time": signals.sample_time,
+            "notes": signals.notes,
+        }
         lines.append(
-            f"{recording}: {len(signals.time)} rows, {signals.sample_time * 1e3:g} ms, {seconds:.4g} s; resolution {steps}"
+            f"{recording}: {len(signals.time)} rows, {signals.sample_time * 1e3:g} ms,"
+            f" {seconds:.4g} s; resolution {steps}"
         )
         lines += [f"  {note}" for note in signals.notes]
     emit(body, as_json, "\n".join(lines))
@@ -83,11 +107,18 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
 def _about(model: Any) -> dict[str, Any]:
     free = [
         key for key, quantities in model.mechanism.items() if any(q.free for q in quantities)
-    ] + [f"{t.effect} {name}" for t in model.terms for name, q in t.parameters.items() if q.free]  # fmt: skip
+    ] + [f"{t.effect} {name}" for t in model.terms for name, q in t.parameters.items() if q.free]
     effects = [f"{t.effect} at joint {t.joint}" for t in model.terms]
     joints = f"{model.joints} joint{'s' if model.joints > 1 else ''}"
     text = (
         f"{model.name}, {model.kind}, {joints}; effects: {', '.join(effects) or 'none'}; "
         f"to be calibrated: {', '.join(free) or 'nothing'}"
     )
-    return {"name": model.name, "kind": model.kind, "joints": model.joints, "effects": effects, "free": free, "text": text}
+    return {
+        "name": model.name,
+        "kind": model.kind,
+        "joints": model.joints,
+        "effects": effects,
+        "free": free,
+        "text": text,
+    }

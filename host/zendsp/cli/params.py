@@ -73,7 +73,11 @@ def diff(file: Path, other: Path | None, target: str, connect: str | None, as_js
             theirs = t.parameters()
     pairs = mine.diff(theirs)
     rows = [
-        [p.name, show(p.mine) if p.mine is not None else "–", show(p.other) if p.other is not None else "–"]
+        [
+            p.name,
+            show(p.mine) if p.mine is not None else "–",
+            show(p.other) if p.other is not None else "–",
+        ]
         for p in pairs
     ]
     body = [{"name": p.name, "file": p.mine, "other": p.other} for p in pairs]

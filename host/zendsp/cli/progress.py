@@ -1,6 +1,7 @@
 """Progress for commands of more than a second: one live line on a terminal, nothing in a pipe.
 
-``ZENDSP_PROGRESS=lines`` asks for a line on stderr at each stage instead: for a log, or a window that shows what a process says.
+``ZENDSP_PROGRESS=lines`` asks for a line on stderr at each stage instead: for a log, or a window
+that shows what a process says.
 """
 
 from __future__ import annotations

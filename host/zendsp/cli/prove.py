@@ -1,4 +1,6 @@
-"""``zendsp prove``: concealed cases of several realities, real machines and implants, counted in the open."""
+"""``zendsp prove``: concealed cases of several realities, real machines and implants, counted in
+the open.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ def data_folder(given: Path | None) -> Path:
     named = os.environ.get("ZENDSP_DATA")
     if not named:
         raise click.UsageError(
-            "real recordings are needed: give --data FOLDER or set ZENDSP_DATA to the folder that holds emps/, single_pendulum/, tx40/"
+            "real recordings are needed: give --data FOLDER or set ZENDSP_DATA to the folder that"
+            " holds emps/, single_pendulum/, tx40/"
         )
     return Path(named)
 
@@ -62,7 +65,10 @@ def realities(words: str) -> tuple[str, ...]:
     "--reality",
     default="",
     metavar="NAMES",
-    help="Who simulates the cases, comma separated: own, machines, mujoco. Default: all that are installed.",
+    help=(
+        "Who simulates the cases, comma separated: own, machines, mujoco. Default: all that are"
+        " installed."
+    ),
 )
 @click.option(
     "--jobs", type=click.IntRange(1), default=None, help="Cases at a time. Default: all cores."
@@ -105,7 +111,9 @@ def realities(words: str) -> tuple[str, ...]:
     help="Let PySINDy and FROLS try the same cases.",
 )
 @click.option(
-    "--strict", is_flag=True, help="End with status 1 below the marks that tell a broken diagnosis, too."
+    "--strict",
+    is_flag=True,
+    help="End with status 1 below the marks that tell a broken diagnosis, too.",
 )
 @click.option(
     "--limit",
@@ -163,8 +171,10 @@ def command(
 ) -> None:
     """Judge the diagnosis on machines whose physics it was not told.
 
-    Concealed cases are simulated by code of their own, by the machines that ship as C, and by MuJoCo; the truth is sealed by hash before the first diagnosis and
-    opened after the last. Exit status 0 when every case got an answer (with --strict: when the marks are reached too; with --real and --implant: when every promise was kept).
+    Concealed cases are simulated by code of their own, by the machines that ship as C, and by
+    MuJoCo; the truth is sealed by hash before the first diagnosis and opened after the last. Exit
+    status 0 when every case got an answer (with --strict: when the marks are reached too; with
+    --real and --implant: when every promise was kept).
 
     Example:  zendsp prove --quick
     """

@@ -1,4 +1,6 @@
-"""``zendsp reference``: plan a motion, check it against a machine's limits, save it; one subcommand per kind."""
+"""``zendsp reference``: plan a motion, check it against a machine's limits, save it; one subcommand
+per kind.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ MACHINE_DEFAULT = "of the machine"
 def _summary(reference: Any, torque: Any) -> dict[str, Any]:
     """What the terminal prints: duration and the largest magnitudes of each joint."""
     peaks = {name: abs(x).max(axis=0) for name, x in
-             (("speed", reference.qd), ("acceleration", reference.qdd), ("torque", torque))}  # fmt: skip
+             (("speed", reference.qd), ("acceleration", reference.qdd), ("torque", torque))}
     return {
         "kind": reference.kind,
         "machine": reference.machine,
@@ -32,17 +34,28 @@ def _summary(reference: Any, torque: Any) -> dict[str, Any]:
 
 def _print_table(summary: dict[str, Any]) -> None:
     click.echo(
-        f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s, {summary['samples']} samples, "
-        f"mode {summary['mode']}{', cyclic' if summary['cyclic'] else ''}"
-        f", within {100 * summary['parameters'].get('headroom', 1.0):g} % of the limits"
+        f"{summary['kind']} on {summary['machine'] or 'no machine'}: {summary['duration']:g} s,"
+        f" {summary['samples']} samples, mode"
+        f" {summary['mode']}{', cyclic' if summary['cyclic'] else ''}, within"
+        f" {100 * summary['parameters'].get('headroom', 1.0):g} % of the limits"
     )
-    click.echo(f"{'joint':>6} {'q min rad':>10} {'q max rad':>10} {'rad/s':>9} {'rad/s^2':>9} {'N m':>9}")
-    columns = zip(*(summary[k] for k in ("position_min", "position_max", "speed", "acceleration", "torque")), strict=True)
+    click.echo(
+        f"{'joint':>6} {'q min rad':>10} {'q max rad':>10} {'rad/s':>9} {'rad/s^2':>9} {'N m':>9}"
+    )
+    columns = zip(
+        *(summary[k] for k in ("position_min", "position_max", "speed", "acceleration", "torque")),
+        strict=True,
+    )
     for joint, row in enumerate(columns, start=1):
-        click.echo(f"{joint:>6} {row[0]:>10.4f} {row[1]:>10.4f} {row[2]:>9.3f} {row[3]:>9.2f} {row[4]:>9.3f}")
+        click.echo(
+            f"{joint:>6} {row[0]:>10.4f} {row[1]:>10.4f} {row[2]:>9.3f} {row[3]:>9.2f}"
+            f" {row[4]:>9.3f}"
+        )
 
 
-def _finish(reference: Any, machine: Any, out: str | None, plot: str | None, as_json: bool, check: bool) -> None:
+def _finish(
+    reference: Any, machine: Any, out: str | None, plot: str | None, as_json: bool, check: bool
+) -> None:
     """Check, save, draw, print."""
     from zendsp.reference import save_reference
 
@@ -69,11 +82,26 @@ def _finish(reference: Any, machine: Any, out: str | None, plot: str | None, as_
 def _common(function: Any) -> Any:
     """Options of every kind."""
     for option in (
-        click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of the table."),
-        click.option("--no-check", is_flag=True, help="Write it even where it breaks limits of the machine."),
-        click.option("--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf."),
-        click.option("--out", type=click.Path(dir_okay=False), help="Write it: the .mat file that Execute plays."),
-        click.option("--machine", "machine_name", default=None, help="imi_planar, pendulum, wam7, or a .toml description."),
+        click.option(
+            "--json", "as_json", is_flag=True, help="Print one JSON object instead of the table."
+        ),
+        click.option(
+            "--no-check", is_flag=True, help="Write it even where it breaks limits of the machine."
+        ),
+        click.option(
+            "--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf."
+        ),
+        click.option(
+            "--out",
+            type=click.Path(dir_okay=False),
+            help="Write it: the .mat file that Execute plays.",
+        ),
+        click.option(
+            "--machine",
+            "machine_name",
+            default=None,
+            help="imi_planar, pendulum, wam7, or a .toml description.",
+        ),
     ):
         function = option(function)
     return function
@@ -84,14 +112,23 @@ def _default_text(parameter: Any) -> str:
         return MACHINE_DEFAULT
     if isinstance(parameter.default, list):
         return ",".join(f"{x:g}" for x in parameter.default)
-    return f"{parameter.default:g}" if isinstance(parameter.default, float) else str(parameter.default)
+    return (
+        f"{parameter.default:g}" if isinstance(parameter.default, float) else str(parameter.default)
+    )
 
 
 def _make_command(kind: Any) -> click.Command:
     """The subcommand of one kind, with an option for each of its parameters."""
 
-    def run(machine_name: str | None, out: str | None, plot: str | None, as_json: bool, no_check: bool,
-            sample_time: float | None, **given: str | None) -> None:  # fmt: skip
+    def run(
+        machine_name: str | None,
+        out: str | None,
+        plot: str | None,
+        as_json: bool,
+        no_check: bool,
+        sample_time: float | None,
+        **given: str | None,
+    ) -> None:
         from zendsp.reference import MACHINES, load_machine, make_reference
 
         if machine_name is None:
@@ -107,7 +144,11 @@ def _make_command(kind: Any) -> click.Command:
     for parameter in (*kind.parameters, HEADROOM):
         unit = f" [{parameter.unit}]" if parameter.unit else ""
         default = f"default {_default_text(parameter)}" if _default_text(parameter) else "required"
-        bounds = "" if parameter.choices or not parameter.describe_bounds() else f"; {parameter.describe_bounds()}"
+        bounds = (
+            ""
+            if parameter.choices or not parameter.describe_bounds()
+            else f"; {parameter.describe_bounds()}"
+        )
         options.append(
             click.Option(
                 [f"--{parameter.name.replace('_', '-')}", parameter.name],
@@ -116,10 +157,17 @@ def _make_command(kind: Any) -> click.Command:
                 help=f"{parameter.description}{unit} ({default}{bounds})",
             )
         )
-    options.append(click.Option(["--sample-time"], type=float, help="Sample time [s] (default of the machine)"))
+    options.append(
+        click.Option(["--sample-time"], type=float, help="Sample time [s] (default of the machine)")
+    )
     example = f"Example:  zendsp reference {kind.name} --out {kind.name}.mat --plot {kind.name}.png"
-    command = click.Command(kind.name, callback=run, params=options, help=f"{kind.description}\n\n{example}",
-                            short_help=kind.title)  # fmt: skip
+    command = click.Command(
+        kind.name,
+        callback=run,
+        params=options,
+        help=f"{kind.description}\n\n{example}",
+        short_help=kind.title,
+    )
     return _common_on(command)
 
 
@@ -152,15 +200,19 @@ class _Kinds(click.Group):
 def command() -> None:
     """Plan a motion within a machine's limits and save it as the MAT file that Execute plays.
 
-    Joint lists are one number for all joints or one per joint: --start 0.1,-0.2. Exit status 2 when a limit is broken.
+    Joint lists are one number for all joints or one per joint: --start 0.1,-0.2. Exit status 2 when
+    a limit is broken.
 
-    Example:  zendsp reference circle --machine imi_planar --radius 0.15 --out circle.mat --plot circle.png
+    Example:  zendsp reference circle --machine imi_planar --radius 0.15 --out circle.mat --plot
+    circle.png
     """
 
 
 @command.command("show", short_help="Check and describe a saved reference")
 @click.argument("file", type=click.Path(exists=True, dir_okay=False))
-@click.option("--machine", "machine_name", default=None, help="Check against this machine instead of its own.")
+@click.option(
+    "--machine", "machine_name", default=None, help="Check against this machine instead of its own."
+)
 @click.option("--plot", type=click.Path(dir_okay=False), help="Draw it: .png, .svg or .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of the table.")
 def show(file: str, machine_name: str | None, plot: str | None, as_json: bool) -> None:

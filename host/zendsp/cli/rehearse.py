@@ -1,4 +1,6 @@
-"""``zendsp rehearse``: the loaded program with a planned motion on a simulated twin, before the machine moves."""
+"""``zendsp rehearse``: the loaded program with a planned motion on a simulated twin, before the
+machine moves.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,11 @@ from zendsp.cli.common import emit, open_target, target_options
 @click.argument("file", type=click.Path(exists=True, dir_okay=False))
 @target_options
 def command(file: str, target: str, connect: str | None, as_json: bool) -> None:
-    """Play the reference FILE with the loaded program on a simulated twin of the target's machine; the target does not move.
+    """Play the reference FILE with the loaded program on a simulated twin of the target's machine;
+    the target does not move.
 
-    Same code, parameters, limits and position. Exit status 1 where a limit would be passed, or nothing could be simulated.
+    Same code, parameters, limits and position. Exit status 1 where a limit would be passed, or
+    nothing could be simulated.
 
     Example:  zendsp rehearse circle.mat
     """
@@ -28,6 +32,15 @@ def command(file: str, target: str, connect: str | None, as_json: bool) -> None:
         tables = {name: rows for name, rows in reference.tables().items() if name in known}
         approach = float(t["approach_time"]) if "approach_time" in known else 0.0  # type: ignore[arg-type]
         found = rehearse(t, tables, values, approach + reference.duration + 0.5)
-    emit({"simulated": found.simulated, "trip": found.trip, "text": found.text, "peaks": found.peaks}, as_json, found.text)
+    emit(
+        {
+            "simulated": found.simulated,
+            "trip": found.trip,
+            "text": found.text,
+            "peaks": found.peaks,
+        },
+        as_json,
+        found.text,
+    )
     if not found.good:
         raise click.exceptions.Exit(1)

@@ -11,7 +11,11 @@ from zendsp.cli.compile import compiled
 @click.command("run")
 @click.argument("file", required=False)
 @click.option(
-    "--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Before it starts; may be repeated."
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Before it starts; may be repeated.",
 )
 @click.option("--seconds", type=float, help="Pause after this time of the target and wait for it.")
 @click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")
@@ -27,8 +31,9 @@ def command(
 ) -> None:
     """Compile FILE on the target, load it and start it; without FILE, start what is loaded.
 
-    Waits until it has run for 0.25 s of the target's time, or with --seconds to its end. Exit status 1 where it does not
-    compile, trips, is stopped or crashes meanwhile; standard error says which.
+    Waits until it has run for 0.25 s of the target's time, or with --seconds to its end. Exit
+    status 1 where it does not compile, trips, is stopped or crashes meanwhile; standard error says
+    which.
 
     Example:  zendsp run pd.c --set Kp1=400 --seconds 10
     """
@@ -48,7 +53,10 @@ def command(
                 first = t.status()
                 t.start(max(1, round(seconds * first.rate_hz)))
                 try:
-                    status = t.wait(2.0 * seconds + 10.0, on_status=lambda s: set_fraction((s.t - first.t) / seconds))
+                    status = t.wait(
+                        2.0 * seconds + 10.0,
+                        on_status=lambda s: set_fraction((s.t - first.t) / seconds),
+                    )
                 except RunnerDied:  # open_target says how
                     status = t.status()
         going = status.state == "running"

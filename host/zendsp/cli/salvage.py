@@ -12,15 +12,23 @@ from zendsp.cli.common import emit, table
 
 @click.command("salvage")
 @click.option("-t", "--target", default="", metavar="NAME", help="Only of targets of this name.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Save the newest: .mat, .npz, .parquet or .csv.")
-@click.option("--drop", is_flag=True, help="Free the memory of all that is listed, without saving it.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Save the newest: .mat, .npz, .parquet or .csv.",
+)
+@click.option(
+    "--drop", is_flag=True, help="Free the memory of all that is listed, without saving it."
+)
 @click.option("--note", default="", help="Kept in the recording.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool) -> None:
-    """List what targets that were killed had recorded; with --out save the newest, and free its memory.
+    """List what targets that were killed had recorded; with --out save the newest, and free its
+    memory.
 
-    Rows of the last three killed targets stay in memory on the target's own computer. A target that ended in good order leaves
-    none. Exit status 1 where there is nothing.
+    Rows of the last three killed targets stay in memory on the target's own computer. A target that
+    ended in good order leaves none. Exit status 1 where there is nothing.
 
     Example:  zendsp salvage -t imi -o run.mat
     """
@@ -28,19 +36,37 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
     from zendsp.recording.files import check_suffix
 
     if out is not None and drop:
-        raise click.UsageError("--out saves and frees the newest, --drop frees all without saving: give one of them")
+        raise click.UsageError(
+            "--out saves and frees the newest, --drop frees all without saving: give one of them"
+        )
     if out is not None:
         check_suffix(out)
     found = find_salvage(target)
     if not found:
-        emit([], as_json, f"no recording of a killed target{f' named {target!r}' if target else ''} is kept here")
+        emit(
+            [],
+            as_json,
+            f"no recording of a killed target{f' named {target!r}' if target else ''} is kept here",
+        )
         raise click.exceptions.Exit(1)
     if out is not None:
         recording = found[0].load(note)
         recording.save(out)
         found[0].drop()
-        text = f"{len(recording)} rows of {len(recording.columns)} signals of {recording.target} to {out}, {recording.lost} lost"
-        emit({"file": str(out), "rows": len(recording), "columns": recording.columns, "lost": recording.lost}, as_json, text)
+        text = (
+            f"{len(recording)} rows of {len(recording.columns)} signals of {recording.target} to"
+            f" {out}, {recording.lost} lost"
+        )
+        emit(
+            {
+                "file": str(out),
+                "rows": len(recording),
+                "columns": recording.columns,
+                "lost": recording.lost,
+            },
+            as_json,
+            text,
+        )
         return
     rows = []
     for one in found:
@@ -48,6 +74,17 @@ def command(target: str, out: Path | None, drop: bool, note: str, as_json: bool)
         rows.append([one.target, one.machine, begun, str(one.rows), str(one.columns)])
         if drop:
             one.drop()
-    body = [{"target": f.target, "machine": f.machine, "begun": f.begun, "rows": f.rows, "columns": f.columns} for f in found]
-    said = "\nremoved" if drop else "\nsave the newest with '-o run.mat', or remove all with '--drop'"
+    body = [
+        {
+            "target": f.target,
+            "machine": f.machine,
+            "begun": f.begun,
+            "rows": f.rows,
+            "columns": f.columns,
+        }
+        for f in found
+    ]
+    said = (
+        "\nremoved" if drop else "\nsave the newest with '-o run.mat', or remove all with '--drop'"
+    )
     emit(body, as_json, table(rows, ["TARGET", "MACHINE", "BEGUN", "ROWS", "SIGNALS"]) + said)

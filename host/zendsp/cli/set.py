@@ -9,7 +9,9 @@ from zendsp.cli.common import emit, open_target, parse_assignments, target_optio
 
 @click.command("set")
 @click.argument("assignments", nargs=-1, required=True, metavar="NAME=VALUE...")
-@click.option("--no-wait", is_flag=True, help="Do not wait for the sample at which they take effect.")
+@click.option(
+    "--no-wait", is_flag=True, help="Do not wait for the sample at which they take effect."
+)
 @target_options
 def command(
     assignments: tuple[str, ...], no_wait: bool, target: str, connect: str | None, as_json: bool

@@ -1,4 +1,6 @@
-"""``zendsp simulate``: the control program against the host's model of the machine, without a target."""
+"""``zendsp simulate``: the control program against the host's model of the machine, without a
+target.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +14,58 @@ from zendsp.cli.common import parse_assignments
 
 @click.command("simulate")
 @click.argument("program")
-@click.option("--model", "model_path", required=True, type=click.Path(path_type=Path), help="Model of the machine (TOML).")
-@click.option("--reference", type=click.Path(path_type=Path), help="Reference file (.mat) that the program follows.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="Default: approach, reference and half a second; 10 s without a reference.")
-@click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Parameter of the program; may be repeated.")
-@click.option("--channels", help="What to record, with commas. Default: every SIGNAL of the program.")
-@click.option("--position", help="Where the machine starts: one number, or one per joint with commas (rad or m).")
-@click.option("--inner", type=click.IntRange(1, 256), default=4, show_default=True, help="Integration steps per sample.")
-@click.option("--check", is_flag=True, help="Halve the step until no position changes by more than one count; status 1 if it never settles.")
+@click.option(
+    "--model",
+    "model_path",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Model of the machine (TOML).",
+)
+@click.option(
+    "--reference",
+    type=click.Path(path_type=Path),
+    help="Reference file (.mat) that the program follows.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Default: approach, reference and half a second; 10 s without a reference.",
+)
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Parameter of the program; may be repeated.",
+)
+@click.option(
+    "--channels", help="What to record, with commas. Default: every SIGNAL of the program."
+)
+@click.option(
+    "--position",
+    help="Where the machine starts: one number, or one per joint with commas (rad or m).",
+)
+@click.option(
+    "--inner",
+    type=click.IntRange(1, 256),
+    default=4,
+    show_default=True,
+    help="Integration steps per sample.",
+)
+@click.option(
+    "--check",
+    is_flag=True,
+    help=(
+        "Halve the step until no position changes by more than one count; status 1 if it never"
+        " settles."
+    ),
+)
 @click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the recording: .mat, .npz, .parquet, .csv, .mcap or .mf4.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Write the recording: .mat, .npz, .parquet, .csv, .mcap or .mf4.",
+)
 @click.option("--plot", type=click.Path(path_type=Path), help="Draw it: .png, .svg or .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(
@@ -39,11 +83,14 @@ def command(
     plot: Path | None,
     as_json: bool,
 ) -> None:
-    """Run the control program PROGRAM, as it is, against a model of the machine: where a trajectory is tried before the machine moves.
+    """Run the control program PROGRAM, as it is, against a model of the machine: where a trajectory
+    is tried before the machine moves.
 
-    In fast time and deterministic; the recording has the form of an acquisition. Exit status 1 where the code does not compile.
+    In fast time and deterministic; the recording has the form of an acquisition. Exit status 1
+    where the code does not compile.
 
-    Example:  zendsp simulate inverse_dynamics.c --model examples/models/imi_planar.toml --reference circle.mat --out circle_sim.mat
+    Example:  zendsp simulate inverse_dynamics.c --model examples/models/imi_planar.toml --reference
+    circle.mat --out circle_sim.mat
     """
     import numpy as np
 
@@ -60,9 +107,17 @@ def command(
         tell("simulating")
         try:
             rec = simulate(
-                source, model_path, reference=reference, seconds=seconds, parameters=values, channels=wanted, position=start,
-                inner=inner, check=check, flags=flags,
-            )  # fmt: skip
+                source,
+                model_path,
+                reference=reference,
+                seconds=seconds,
+                parameters=values,
+                channels=wanted,
+                position=start,
+                inner=inner,
+                check=check,
+                flags=flags,
+            )
         except CompileFailed as error:
             click.echo(str(error), err=True)
             raise click.exceptions.Exit(1) from None
@@ -75,17 +130,29 @@ def command(
     found = rec.extra.get("step_check")
     peaks = {name: np.abs(rec[name]).max(axis=0).tolist() for name in rec.names}
     if as_json:
-        summary = {"rows": len(rec), "seconds": len(rec) * rec.sample_time, "largest": peaks, "step_check": found, **files}
+        summary = {
+            "rows": len(rec),
+            "seconds": len(rec) * rec.sample_time,
+            "largest": peaks,
+            "step_check": found,
+            **files,
+        }
         click.echo(json.dumps(summary))
     else:
-        click.echo(f"{len(rec)} rows of {rec.sample_time * 1e3:g} ms on the model {rec.machine}; largest magnitudes:")
+        click.echo(
+            f"{len(rec)} rows of {rec.sample_time * 1e3:g} ms on the model {rec.machine}; largest"
+            " magnitudes:"
+        )
         for channel in rec.channels:
             text = ", ".join(f"{x:.5g}" for x in np.atleast_1d(peaks[channel.name]))
             click.echo(f"  {channel.name:<12} {text} {channel.unit}".rstrip())
         if found is not None:
             last = max(found["halvings"][-1]["change"])
             what = "settled" if found["converged"] else "NOT settled"
-            click.echo(f"step check: {what} at {rec.extra['simulation']['inner']} steps a sample; halving it changes positions by {last:.2g}")
+            click.echo(
+                f"step check: {what} at {rec.extra['simulation']['inner']} steps a sample; halving"
+                f" it changes positions by {last:.2g}"
+            )
         for path in files.values():
             click.echo(f"wrote {path}")
     if found is not None and not found["converged"]:
@@ -98,4 +165,6 @@ def _numbers(text: str | None) -> list[float] | None:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise click.BadParameter(f"{text!r} is not a list of numbers like 0.1,-0.2", param_hint="--position") from None
+        raise click.BadParameter(
+            f"{text!r} is not a list of numbers like 0.1,-0.2", param_hint="--position"
+        ) from None

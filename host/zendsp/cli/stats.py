@@ -46,13 +46,20 @@ def _text(status: Any, timing: dict[str, Any]) -> str:
     for name in ("exec", "late"):
         counts = np.asarray(timing[f"{name}_histogram"])
         if counts.ndim == 1 and len(edges) == len(counts) + 1 and counts.sum():
-            lines += ["", f"{'execution' if name == 'exec' else 'lateness'}, µs", *_bars(counts, edges)]
+            lines += [
+                "",
+                f"{'execution' if name == 'exec' else 'lateness'}, µs",
+                *_bars(counts, edges),
+            ]
     return "\n".join(lines)
 
 
 def _summary(name: str, mean_ns: float, max_ns: float, period_us: float) -> str:
     share = 100.0 * mean_ns / 1e3 / period_us
-    return f"{name}  mean {mean_ns / 1e3:.2f} µs ({share:.2f} % of the period), max {max_ns / 1e3:.2f} µs"
+    return (
+        f"{name}  mean {mean_ns / 1e3:.2f} µs ({share:.2f} % of the period), max"
+        f" {max_ns / 1e3:.2f} µs"
+    )
 
 
 def _bars(counts: np.ndarray[Any, Any], edges: np.ndarray[Any, Any]) -> list[str]:
@@ -61,7 +68,8 @@ def _bars(counts: np.ndarray[Any, Any], edges: np.ndarray[Any, Any]) -> list[str
     top = np.log1p(counts.max())
     bars = [round(WIDTH * np.log1p(count) / top) for count in counts]
     return [
-        f"{_short(edges[k])} … {_short(edges[k + 1])}  {counts[k]:10d}  {'█' * max(min(1, counts[k]), bars[k])}".rstrip()
+        f"{_short(edges[k])} … {_short(edges[k + 1])}  {counts[k]:10d} "
+        f" {'█' * max(min(1, counts[k]), bars[k])}".rstrip()
         for k in range(used[0], used[-1] + 1)
     ]
 

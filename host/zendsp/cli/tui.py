@@ -15,21 +15,73 @@ from zendsp.errors import LinkError
 
 @click.command("tui")
 @click.argument("target", required=False, default="")
-@click.option("--local", "machine", metavar="MACHINE", help="Start a simulated machine here, for example imi_planar.")
-@click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True, help="Clock of --local.")
-@click.option("--source", metavar="FILE", help="C file to work on: a path, or a shipped program such as pd.c.")
-@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), default=Path("."), help="Where references, runs and parameter sets are kept (default: here).")
-@click.option("--screen", type=click.Choice(["console", "execute", "reference"]), default="console", show_default=True, help="Screen to begin with.")
-@click.option("--theme", default="zendsp-night", show_default=True, help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.")
-@click.option("--channels", default="", metavar="A,B,…", help="Curves to begin with, for example q[0],tau[0].")
-@click.option("--frames", type=click.FloatRange(1.0, 60.0), default=30.0, show_default=True, help="Pictures a second; fewer over a slow line.")
+@click.option(
+    "--local",
+    "machine",
+    metavar="MACHINE",
+    help="Start a simulated machine here, for example imi_planar.",
+)
+@click.option(
+    "--clock",
+    type=click.Choice(["real", "fast"]),
+    default="real",
+    show_default=True,
+    help="Clock of --local.",
+)
+@click.option(
+    "--source", metavar="FILE", help="C file to work on: a path, or a shipped program such as pd.c."
+)
+@click.option(
+    "--folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("."),
+    help="Where references, runs and parameter sets are kept (default: here).",
+)
+@click.option(
+    "--screen",
+    type=click.Choice(["console", "execute", "reference"]),
+    default="console",
+    show_default=True,
+    help="Screen to begin with.",
+)
+@click.option(
+    "--theme",
+    default="zendsp-night",
+    show_default=True,
+    help="zendsp-night, zendsp-day, zendsp-contrast, or any of Textual's.",
+)
+@click.option(
+    "--channels", default="", metavar="A,B,…", help="Curves to begin with, for example q[0],tau[0]."
+)
+@click.option(
+    "--frames",
+    type=click.FloatRange(1.0, 60.0),
+    default=30.0,
+    show_default=True,
+    help="Pictures a second; fewer over a slow line.",
+)
 @click.option("--web", is_flag=True, help="Serve the same screens in a browser on loopback.")
 @click.option("--port", type=int, default=8000, show_default=True, help="Port of --web.")
-@click.option("--screenshots", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Write pictures of the screens (SVG) and end.")
+@click.option(
+    "--screenshots",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write pictures of the screens (SVG) and end.",
+)
 def command(
-    target: str, machine: str | None, clock: str, source: str | None, folder: Path, screen: str, theme: str, channels: str,
-    frames: float, web: bool, port: int, screenshots: Path | None,
-) -> None:  # fmt: skip
+    target: str,
+    machine: str | None,
+    clock: str,
+    source: str | None,
+    folder: Path,
+    screen: str,
+    theme: str,
+    channels: str,
+    frames: float,
+    web: bool,
+    port: int,
+    screenshots: Path | None,
+) -> None:
     """Tune, drive and watch a machine: IMIConsole, IMIExecute and IMIReference in the terminal.
 
     TARGET is the name of a running target; without it, Ctrl+O chooses one. F9 is STOP, everywhere.
@@ -71,7 +123,8 @@ def command(
         frames=frames,
         channels=[name.strip() for name in channels.split(",") if name.strip()],
     )
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # started with nohup, it would look for keys in a terminal that is gone, for ever
+    # started with nohup, it would look for keys in a terminal that is gone, for ever
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     app.session.guard_keys(target)
     try:
         app.run()
@@ -87,9 +140,17 @@ def found(source: str) -> Path:
 
 
 def _serve(
-    target: str, machine: str | None, clock: str, source: Path | None, folder: Path, screen: str, theme: str, channels: str,
-    frames: float, port: int,
-) -> None:  # fmt: skip
+    target: str,
+    machine: str | None,
+    clock: str,
+    source: Path | None,
+    folder: Path,
+    screen: str,
+    theme: str,
+    channels: str,
+    frames: float,
+    port: int,
+) -> None:
     try:
         from zendsp.tui.web import serve
     except ImportError as error:

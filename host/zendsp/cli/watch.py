@@ -12,11 +12,29 @@ from zendsp.cli.common import emit, open_target, show, target_options
 
 @click.command("watch")
 @click.argument("channels", nargs=-1, required=True)
-@click.option("--interval", type=click.FloatRange(min=0.001), default=0.1, show_default=True, metavar="S", help="Between lines.")
-@click.option("--count", type=click.IntRange(min=0), default=0, metavar="N", help="End after N lines (default: never).")
+@click.option(
+    "--interval",
+    type=click.FloatRange(min=0.001),
+    default=0.1,
+    show_default=True,
+    metavar="S",
+    help="Between lines.",
+)
+@click.option(
+    "--count",
+    type=click.IntRange(min=0),
+    default=0,
+    metavar="N",
+    help="End after N lines (default: never).",
+)
 @target_options
 def command(
-    channels: tuple[str, ...], interval: float, count: int, target: str, connect: str | None, as_json: bool
+    channels: tuple[str, ...],
+    interval: float,
+    count: int,
+    target: str,
+    connect: str | None,
+    as_json: bool,
 ) -> None:
     """Follow channels until Ctrl-C: one line for each interval, or one changing line on a terminal.
 

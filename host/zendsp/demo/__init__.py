@@ -1,4 +1,6 @@
-"""What ``zendsp demo`` shows: a machine conceals physics, the diagnosis finds it over the link, and the running program compensates it."""
+"""What ``zendsp demo`` shows: a machine conceals physics, the diagnosis finds it over the link, and
+the running program compensates it.
+"""
 
 from zendsp.demo.run import run_demo
 from zendsp.demo.stage import Stage, get_stage

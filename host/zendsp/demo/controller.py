@@ -1,4 +1,6 @@
-"""The control program of the story, made from the model and from the library of effects, and the update that switches effects on."""
+"""The control program of the story, made from the model and from the library of effects, and the
+update that switches effects on.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,12 @@ from zendsp.physics.model import Model, Quantity, Term
 
 APPROACH_S = 1.0
 LAWS = range(4)  # of a coupling
-# Numbers that give an effect its shape, not its size: 1 is harmless for all of them, while 0 would divide by zero.
+# Numbers that give an effect its shape, not its size: 1 is harmless for all of them, while 0 would
+# divide by zero.
 SHAPES = ("speed", "position", "order", "number", "time")
 SIZES = ("level", "level_pos", "level_neg", "coefficient", "coefficient_pos", "coefficient_neg")
-BLOCKS = ("friction_block",)  # a whole friction law in place of another, not an effect of the contract
+# a whole friction law in place of another, not an effect of the contract
+BLOCKS = ("friction_block",)
 
 
 def slots(joints: int) -> tuple[Term, ...]:
@@ -42,7 +46,11 @@ def slots(joints: int) -> tuple[Term, ...]:
             if effect.name == "coupling":
                 others = [other for other in range(1, joints + 1) if other != joint]
                 made += [
-                    Term("coupling", joint, {**zero, "from_joint": Quantity(float(other)), "law": Quantity(float(law))})
+                    Term(
+                        "coupling",
+                        joint,
+                        {**zero, "from_joint": Quantity(float(other)), "law": Quantity(float(law))},
+                    )
                     for other in others
                     for law in LAWS
                 ]
@@ -63,10 +71,21 @@ def sources(model: Model) -> dict[str, str]:
     -------
     dict of file name to text
     """
-    track = resources.files("zendsp.demo").joinpath("programs", "track.c").read_text(encoding="utf-8")
-    motion = resources.files("zendsp_isr").joinpath("programs", "motion.h").read_text(encoding="utf-8")
-    room = compensation(slots(model.joints), title=f"{model.name}, all sizes zero until something is found")
-    return {"track.c": track, "motion.h": motion, "model.h": model_code(model), "compensation.h": room}
+    track = (
+        resources.files("zendsp.demo").joinpath("programs", "track.c").read_text(encoding="utf-8")
+    )
+    motion = (
+        resources.files("zendsp_isr").joinpath("programs", "motion.h").read_text(encoding="utf-8")
+    )
+    room = compensation(
+        slots(model.joints), title=f"{model.name}, all sizes zero until something is found"
+    )
+    return {
+        "track.c": track,
+        "motion.h": motion,
+        "model.h": model_code(model),
+        "compensation.h": room,
+    }
 
 
 def flags(joints: int) -> tuple[str, ...]:
@@ -80,14 +99,15 @@ class Update:
 
     values: Mapping[str, float]
     left_out: tuple[str, ...]  # sentences
-    joints: tuple[int, ...]  # whose torque is compensated by terms that the given model had not (1-based)
+    # whose torque is compensated by terms that the given model had not (1-based)
+    joints: tuple[int, ...]
 
 
 def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Update:
     """Values of the program's parameters that turn the given model into the improved one.
 
-    Terms that both have, and the rigid body, get the numbers of the fit; terms that the fit replaced get size zero; what was found
-    goes into its slot of the compensation.
+    Terms that both have, and the rigid body, get the numbers of the fit; terms that the fit
+    replaced get size zero; what was found goes into its slot of the compensation.
 
     Parameters
     ----------
@@ -110,7 +130,9 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
     for label, term in _labelled(kernel_terms(improved), "model").items():
         place = label if label in had else _slot(room, term)
         if place is None:
-            left_out.append(f"{term.effect.replace('_', ' ')} of joint {term.joint}: {why_not(term.effect)}")
+            left_out.append(
+                f"{term.effect.replace('_', ' ')} of joint {term.joint}: {why_not(term.effect)}"
+            )
             continue
         if room.pop(place, None) is not None:
             joints.add(term.joint)

@@ -1,4 +1,6 @@
-"""The numbers of the story: what the loop hides, how the tracking error fell, and whether the truth was found."""
+"""The numbers of the story: what the loop hides, how the tracking error fell, and whether the truth
+was found.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,9 @@ BOUNDARY_S = 0.5  # on both sides of the update: the filter and the loop settle
 SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
-# Effects that are of the same kind as a term of the given model: the machine has the sum of what it had and what it conceals, and only
-# the sum can be found. Effect: the term, and the parameter of it that adds.
+# Effects that are of the same kind as a term of the given model: the machine has the sum of what it
+# had and what it conceals, and only the sum can be found. Effect: the term, and the parameter of it
+# that adds.
 ADDED = {"viscous_asymmetry": ("viscous", "coefficient"), "coulomb_asymmetry": ("coulomb", "level")}
 
 
@@ -44,7 +47,9 @@ def columns(recording: Recording, name: str) -> Array:
 
 @dataclass(frozen=True)
 class Hidden:
-    """How simulation and recording differ, per joint: in position (rad) and command (N m), and the size of both."""
+    """How simulation and recording differ, per joint: in position (rad) and command (N m), and the
+    size of both.
+    """
 
     position: tuple[float, ...]
     travel: tuple[float, ...]
@@ -73,13 +78,18 @@ def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
     q, tau = columns(recording, "q")[:rows], columns(recording, "tau")[:rows]
     dq, dtau = q - columns(simulated, "q")[:rows], tau - columns(simulated, "tau")[:rows]
     return Hidden(
-        tuple(rms(dq).tolist()), tuple(np.ptp(q, axis=0).tolist()), tuple(rms(dtau).tolist()), tuple(rms(tau).tolist())
+        tuple(rms(dq).tolist()),
+        tuple(np.ptp(q, axis=0).tolist()),
+        tuple(rms(dtau).tolist()),
+        tuple(rms(tau).tolist()),
     )
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """RMS tracking error of each joint before and after the update, rad, and the sample of the update."""
+    """RMS tracking error of each joint before and after the update, rad, and the sample of the
+    update.
+    """
 
     tick: int
     before: tuple[float, ...]
@@ -115,12 +125,19 @@ def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: fl
 
 
 def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:
-    """Whether a finding, or one of those that the recordings cannot tell from it, is a concealed effect."""
-    return finding.joint == truth["joint"] and truth["effect"] in (finding.effect, *finding.indistinguishable)
+    """Whether a finding, or one of those that the recordings cannot tell from it, is a concealed
+    effect.
+    """
+    return finding.joint == truth["joint"] and truth["effect"] in (
+        finding.effect,
+        *finding.indistinguishable,
+    )
 
 
 def matters(finding: Finding) -> bool:
-    """Whether a finding that is not there spoils the story: it was stated with confidence, or explains a part that counts."""
+    """Whether a finding that is not there spoils the story: it was stated with confidence, or
+    explains a part that counts.
+    """
     return finding.confidence >= SURE or finding.share >= PART
 
 
@@ -131,13 +148,15 @@ class Judged:
     Attributes
     ----------
     named : bool
-        Every concealed effect is among the findings, or among what a finding says it cannot be told from.
+        Every concealed effect is among the findings, or among what a finding says it cannot be told
+        from.
     exact : bool
         And by its own name.
     extra : tuple of Finding
         That are no concealed effect.
     parameters : tuple
-        (name, found, std, true, unit) of those named exactly; where the effect adds to a term of the given model, the sums.
+        (name, found, std, true, unit) of those named exactly; where the effect adds to a term of
+        the given model, the sums.
     """
 
     named: bool
@@ -161,7 +180,12 @@ def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
     """
     found = diagnosis.findings
     named = all(any(matches(f, truth) for f in found) for truth in effects)
-    pairs = [(f, truth) for truth in effects for f in found if f.effect == truth["effect"] and f.joint == truth["joint"]]
+    pairs = [
+        (f, truth)
+        for truth in effects
+        for f in found
+        if f.effect == truth["effect"] and f.joint == truth["joint"]
+    ]
     extra = tuple(f for f in found if not any(matches(f, truth) for truth in effects))
     rows = []
     for finding, truth in pairs:
@@ -169,8 +193,21 @@ def judge(diagnosis: Diagnosis, effects: Sequence[Mapping[str, Any]]) -> Judged:
         for name, told in truth["parameters"].items():
             estimate = finding.parameters.get(name)
             if estimate is not None and isinstance(told["value"], int | float):
-                rows.append((name, estimate.value + has, estimate.std, float(told["value"]) + had, estimate.unit))
-    return Judged(named and bool(found or not effects), named and len(pairs) == len(effects), extra, tuple(rows))
+                rows.append(
+                    (
+                        name,
+                        estimate.value + has,
+                        estimate.std,
+                        float(told["value"]) + had,
+                        estimate.unit,
+                    )
+                )
+    return Judged(
+        named and bool(found or not effects),
+        named and len(pairs) == len(effects),
+        extra,
+        tuple(rows),
+    )
 
 
 def _added(model: Model, finding: Finding) -> float:

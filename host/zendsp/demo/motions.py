@@ -40,7 +40,9 @@ def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
     dt = parts[0].sample_time
     for before, after in itertools.pairwise(parts):
         if np.abs(before.q[-1] - after.q[0]).max() > 1e-9:
-            way = make_point_to_point(machine, start=before.q[-1], goal=after.q[0], duration=TRAVEL_S, sample_time=dt)
+            way = make_point_to_point(
+                machine, start=before.q[-1], goal=after.q[0], duration=TRAVEL_S, sample_time=dt
+            )
             rows.append(way.q[1:])
         rows.append(after.q[1:])
     whole = Reference(np.concatenate(rows), dt, kind="story", machine=machine.name)
@@ -48,17 +50,29 @@ def join(machine: Machine, parts: Sequence[Reference]) -> Reference:
     return whole
 
 
-def _multisine(machine: Machine, start: Any, amplitude: Any, period: float, f_max: float, fade: float = 0.5) -> Reference:
+def _multisine(
+    machine: Machine, start: Any, amplitude: Any, period: float, f_max: float, fade: float = 0.5
+) -> Reference:
     return make_multisine(
-        machine, start=start, amplitude=amplitude, period=period, f_min=1.0 / period, f_max=f_max, periods=1, fade_time=fade
+        machine,
+        start=start,
+        amplitude=amplitude,
+        period=period,
+        f_min=1.0 / period,
+        f_max=f_max,
+        periods=1,
+        fade_time=fade,
     )
 
 
 def _arm_train(machine: Machine) -> Reference:
     slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
-    # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked like a spring, gravity and another ripple.
-    return join(machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)])
+    # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked
+    # like a spring, gravity and another ripple.
+    return join(
+        machine, [slow, fast, _multisine(machine, [0.0, 0.5], [1.7, 1.5], 6.0, 1.0, fade=0.7)]
+    )
 
 
 def _arm_heldout(machine: Machine) -> Reference:
@@ -67,7 +81,9 @@ def _arm_heldout(machine: Machine) -> Reference:
 
 
 def _arm_work(machine: Machine) -> Reference:
-    lap = make_circle(machine, radius=0.12, x=0.48, duration=12.0, turns=6, law="trapezoid", blend=0.06)
+    lap = make_circle(
+        machine, radius=0.12, x=0.48, duration=12.0, turns=6, law="trapezoid", blend=0.06
+    )
     machine.check(lap)
     return lap
 
@@ -80,7 +96,9 @@ def _arm_mechanism(machine: Machine) -> dict[str, Any]:
 
 
 def _pendulum_train(machine: Machine) -> Reference:
-    return join(machine, [_multisine(machine, 0.0, 0.5, 5.0, 0.8), _multisine(machine, 0.2, 2.6, 6.0, 1.2)])
+    return join(
+        machine, [_multisine(machine, 0.0, 0.5, 5.0, 0.8), _multisine(machine, 0.2, 2.6, 6.0, 1.2)]
+    )
 
 
 def _pendulum_heldout(machine: Machine) -> Reference:
@@ -101,21 +119,42 @@ def _pendulum_mechanism(machine: Machine) -> dict[str, Any]:
     numbers = machine.parameters
     return {
         "kind": "rotary",
-        "parameters": {"inertia": {"value": numbers["theta1"]}, "gravity": {"value": 9.81 * numbers["theta2"]}},
+        "parameters": {
+            "inertia": {"value": numbers["theta1"]},
+            "gravity": {"value": 9.81 * numbers["theta2"]},
+        },
     }
 
 
-# What a draw may choose: effects that show in this motion. Left out are those that the given model has itself (viscous, coulomb and
-# inertia: calibration finds them and nothing is missing), those with which the machine trips (saturation, cubic_stiffness),
-# friction_drift, which wants recordings longer than these, and lag and delay, which no torque cancels: the tracking error would stay. Not
-# for the pendulum: a dead zone, whose jumps of torque its current loop answers in a way that the given model knows nothing of.
+# What a draw may choose: effects that show in this motion. Left out are those that the given model
+# has itself (viscous, coulomb and inertia: calibration finds them and nothing is missing), those
+# with which the machine trips (saturation, cubic_stiffness), friction_drift, which wants recordings
+# longer than these, and lag and delay, which no torque cancels: the tracking error would stay. Not
+# for the pendulum: a dead zone, whose jumps of torque its current loop answers in a way that the
+# given model knows nothing of.
 ARM_POOL = (
-    "ripple", "position_friction", "coupling", "quadratic_drag", "stribeck", "coulomb_asymmetry", "viscous_asymmetry", "stiffness",
-    "gravity", "torque_offset", "dead_zone",
-)  # fmt: skip
+    "ripple",
+    "position_friction",
+    "coupling",
+    "quadratic_drag",
+    "stribeck",
+    "coulomb_asymmetry",
+    "viscous_asymmetry",
+    "stiffness",
+    "gravity",
+    "torque_offset",
+    "dead_zone",
+)
 PENDULUM_POOL = (
-    "ripple", "position_friction", "quadratic_drag", "stribeck", "coulomb_asymmetry", "viscous_asymmetry", "stiffness", "torque_offset",
-)  # fmt: skip
+    "ripple",
+    "position_friction",
+    "quadratic_drag",
+    "stribeck",
+    "coulomb_asymmetry",
+    "viscous_asymmetry",
+    "stiffness",
+    "torque_offset",
+)
 
 STAGES = {
     "imi_planar": Stage(

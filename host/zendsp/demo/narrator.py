@@ -1,4 +1,6 @@
-"""How the story is told: steps with a spinner and times on a terminal, plain lines in a pipe, nothing where only JSON is wanted."""
+"""How the story is told: steps with a spinner and times on a terminal, plain lines in a pipe,
+nothing where only JSON is wanted.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ class Narrator:
     def chapter(self, title: str) -> None:
         """Begin a part of the story."""
         if self._console is not None:
-            self._console.print(f"\n[bold cyan]{title}[/]" if self._console.is_terminal else f"\n{title}")
+            self._console.print(
+                f"\n[bold cyan]{title}[/]" if self._console.is_terminal else f"\n{title}"
+            )
 
     def say(self, text: str, *, good: bool | None = None) -> None:
         """Say one line; ``good`` marks an outcome."""
@@ -64,7 +68,9 @@ class Narrator:
             return
         from rich.text import Text
 
-        mark, style = {None: ("·", "dim"), True: ("✓", "bold green"), False: ("✗", "bold red")}[good]
+        mark, style = {None: ("·", "dim"), True: ("✓", "bold green"), False: ("✗", "bold red")}[
+            good
+        ]
         line = Text(f"  {mark} ", style=style)
         line.append(text, style="" if good is None else style)
         self._console.print(line)

@@ -1,4 +1,6 @@
-"""The picture of the story: what the loop hid, what was missing, the fit on held-out data, and the error before and after."""
+"""The picture of the story: what the loop hid, what was missing, the fit on held-out data, and the
+error before and after.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +35,23 @@ def draw(told: Told, path: Path) -> None:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}):
+    with rc_context(
+        {
+            "font.size": 10,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.grid": True,
+            "grid.alpha": 0.25,
+        }
+    ):
         figure = Figure(figsize=(12.8, 8.2), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0), hspace=0.06)
         left = grid[0, 0].subgridspec(2, 1, hspace=0.03)
-        joint = told.diagnosis.findings[0].joint if told.diagnosis.findings else told.recorded.hidden.joint
+        joint = (
+            told.diagnosis.findings[0].joint
+            if told.diagnosis.findings
+            else told.recorded.hidden.joint
+        )
         top = figure.add_subplot(left[0])
         _position(top, told, joint)
         _command(figure.add_subplot(left[1], sharex=top), told, joint)
@@ -49,8 +63,19 @@ def draw(told: Told, path: Path) -> None:
 
 
 def _headline(told: Told) -> str:
-    truth = ", ".join(f"{e['effect'].replace('_', ' ')} on joint {e['joint']}" for e in told.truth.effects) if told.truth else "?"
-    found = ", ".join(f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in told.diagnosis.findings) or "nothing"
+    truth = (
+        ", ".join(
+            f"{e['effect'].replace('_', ' ')} on joint {e['joint']}" for e in told.truth.effects
+        )
+        if told.truth
+        else "?"
+    )
+    found = (
+        ", ".join(
+            f"{f.effect.replace('_', ' ')} on joint {f.joint}" for f in told.diagnosis.findings
+        )
+        or "nothing"
+    )
     gap = "      " if len(truth) + len(found) < ONE_LINE else "\n"
     return f"concealed: {truth}{gap}found: {found}"
 
@@ -61,12 +86,26 @@ def _unit(told: Told) -> str:
 
 def _position(axis: Axes, told: Told, joint: int) -> None:
     t = np.arange(len(told.recorded.train)) * told.recorded.train.sample_time
-    q, s = columns(told.recorded.train, "q")[:, joint - 1], columns(told.recorded.simulated, "q")[:, joint - 1]
+    q, s = (
+        columns(told.recorded.train, "q")[:, joint - 1],
+        columns(told.recorded.simulated, "q")[:, joint - 1],
+    )
     axis.plot(t, q, color=MACHINE, lw=2.4, alpha=0.45, label="machine")
-    axis.plot(t[: len(s)], s[: len(t)], color=MODEL, lw=1.0, ls=(0, (4, 2)), label="simulated by the given model")
+    axis.plot(
+        t[: len(s)],
+        s[: len(t)],
+        color=MODEL,
+        lw=1.0,
+        ls=(0, (4, 2)),
+        label="simulated by the given model",
+    )
     axis.set_ylabel(f"position ({_unit(told)})")
     size = 1e3 * told.recorded.hidden.position[joint - 1]
-    axis.set_title(f"The loop hides it: joint {joint} differs from its simulation by {size:.2g} m{_unit(told)}", loc="left")
+    axis.set_title(
+        f"The loop hides it: joint {joint} differs from its simulation by {size:.2g}"
+        f" m{_unit(told)}",
+        loc="left",
+    )
     span = float(np.ptp(q)) or 1.0
     axis.set_ylim(float(q.min()) - 0.08 * span, float(q.max()) + 0.35 * span)
     axis.legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
@@ -75,7 +114,10 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
 
 def _command(axis: Axes, told: Told, joint: int) -> None:
     t = np.arange(len(told.recorded.train)) * told.recorded.train.sample_time
-    u, s = columns(told.recorded.train, "tau")[:, joint - 1], columns(told.recorded.simulated, "tau")[:, joint - 1]
+    u, s = (
+        columns(told.recorded.train, "tau")[:, joint - 1],
+        columns(told.recorded.simulated, "tau")[:, joint - 1],
+    )
     rows = min(len(u), len(s))
     axis.axhline(0.0, color=QUIET, lw=0.8)
     axis.plot(t[:rows], u[:rows] - s[:rows], color=MODEL, lw=0.6)
@@ -86,15 +128,28 @@ def _command(axis: Axes, told: Told, joint: int) -> None:
 
 
 def _missing(axis: Axes, told: Told, joint: int) -> None:
-    """Torque that the calibrated and the improved model lack, over the variable in which the effect lives."""
+    """Torque that the calibrated and the improved model lack, over the variable in which the effect
+    lives.
+    """
     from zendsp.diagnosis.figures import axis_of
 
     finding = told.diagnosis.findings[0] if told.diagnosis.findings else None
     variable = axis_of(finding.effect) if finding else "velocity"
-    units = {"position": _unit(told), "velocity": f"{_unit(told)}/s", "acceleration": f"{_unit(told)}/s²", "command": "N m", "time": "s"}
-    series = (("given model, calibrated", told.diagnosis.missing, MODEL), ("with what was found", told.diagnosis.remaining, FOUND))
+    units = {
+        "position": _unit(told),
+        "velocity": f"{_unit(told)}/s",
+        "acceleration": f"{_unit(told)}/s²",
+        "command": "N m",
+        "time": "s",
+    }
+    series = (
+        ("given model, calibrated", told.diagnosis.missing, MODEL),
+        ("with what was found", told.diagnosis.remaining, FOUND),
+    )
     for label, parts, colour in series:
-        x = np.concatenate([m.time if variable == "time" else m.variables[variable] for m in parts[joint]])
+        x = np.concatenate(
+            [m.time if variable == "time" else m.variables[variable] for m in parts[joint]]
+        )
         y = np.concatenate([m.torque for m in parts[joint]])
         every = slice(None, None, max(1, len(x) // 4000))
         axis.plot(x[every], y[every], ".", ms=1.6, alpha=0.35, color=colour, rasterized=True)
@@ -113,12 +168,22 @@ def _middle(axis: Axes, x: Array, y: Array, colour: str) -> None:
     """Median over bins of equal counts."""
     order = np.argsort(x)
     parts = [part for part in np.array_split(order, 60) if len(part)]
-    axis.plot([np.median(x[p]) for p in parts], [np.median(y[p]) for p in parts], color=colour, lw=1.8)
+    axis.plot(
+        [np.median(x[p]) for p in parts], [np.median(y[p]) for p in parts], color=colour, lw=1.8
+    )
 
 
 def _error(axis: Axes, told: Told, joint: int) -> None:
     if told.work is None or told.tracking is None:
-        axis.text(0.5, 0.5, "nothing was switched on", ha="center", va="center", transform=axis.transAxes, color=QUIET)
+        axis.text(
+            0.5,
+            0.5,
+            "nothing was switched on",
+            ha="center",
+            va="center",
+            transform=axis.transAxes,
+            color=QUIET,
+        )
         axis.set_axis_off()
         return
     joint = told.compensated[0] if told.compensated and joint not in told.compensated else joint
@@ -131,17 +196,42 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     low = _scale(axis, e[t > LEAD_S], 0.3)
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
-    axis.text(at, low, f" one synchronous update, sample {told.tracking.tick}", fontsize=8, va="bottom", color="0.2")
+    axis.text(
+        at,
+        low,
+        f" one synchronous update, sample {told.tracking.tick}",
+        fontsize=8,
+        va="bottom",
+        color="0.2",
+    )
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
-        axis.text(x, 0.94, f"{value:.3g} m{_unit(told)} RMS", color=colour, fontsize=13, fontweight="bold", ha="center", transform=axis.transAxes)
+        axis.text(
+            x,
+            0.94,
+            f"{value:.3g} m{_unit(told)} RMS",
+            color=colour,
+            fontsize=13,
+            fontweight="bold",
+            ha="center",
+            transform=axis.transAxes,
+        )
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"tracking error of joint {joint} (m{_unit(told)})")
-    axis.set_title("Switched on in the running program" if told.compensated else "What was found is nothing that a torque can cancel", loc="left")
+    axis.set_title(
+        (
+            "Switched on in the running program"
+            if told.compensated
+            else "What was found is nothing that a torque can cancel"
+        ),
+        loc="left",
+    )
     axis.set_xlim(0.0, float(t[-1]))
 
 
 def _scale(axis: Axes, values: Array, headroom: float) -> float:
-    """Limits that show all but the rarest values and zero, with room for words above; the lower limit."""
+    """Limits that show all but the rarest values and zero, with room for words above; the lower
+    limit.
+    """
     low, high = np.quantile(np.append(values, 0.0), (0.002, 0.998))
     span = max(float(high - low), 1e-9)
     axis.set_ylim(float(low) - 0.15 * span, float(high) + headroom * span)
@@ -150,7 +240,11 @@ def _scale(axis: Axes, values: Array, headroom: float) -> float:
 
 def _fit(axis: Axes, told: Told) -> None:
     held = told.diagnosis.heldout
-    rows = (("given", held.given, QUIET), ("calibrated", held.calibrated, MODEL), ("improved", held.improved, FOUND))
+    rows = (
+        ("given", held.given, QUIET),
+        ("calibrated", held.calibrated, MODEL),
+        ("improved", held.improved, FOUND),
+    )
     for k, (_, value, colour) in enumerate(rows):
         axis.barh(k, 1e3 * value, color=colour, height=0.6)
         axis.text(1e3 * value, k, f" {1e3 * value:.3g}", va="center", fontsize=11)
@@ -163,5 +257,7 @@ def _fit(axis: Axes, told: Told) -> None:
     low, high = min(floor, 1e3 * held.improved), 1e3 * max(held.given, held.calibrated)
     axis.set_xlim(0.6 * low, 2.5 * high)
     axis.grid(False, axis="y")
-    axis.set_xlabel(f"error of free simulation over 0.25 s on the held-out recording (m{_unit(told)})")
+    axis.set_xlabel(
+        f"error of free simulation over 0.25 s on the held-out recording (m{_unit(told)})"
+    )
     axis.set_title("The fit, on a motion it has not seen", loc="left")

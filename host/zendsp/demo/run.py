@@ -1,4 +1,6 @@
-"""The demo from nothing to a report: starts the target, tells the story, writes what was made, and ends the target."""
+"""The demo from nothing to a report: starts the target, tells the story, writes what was made, and
+ends the target.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +16,30 @@ from zendsp.link import local
 
 
 def concealment(pool: tuple[str, ...], effect: str | None, seed: int | None) -> str:
-    """What the target is asked to draw from: it draws in its own process, and without a seed nobody here can repeat the draw.
+    """What the target is asked to draw from: it draws in its own process, and without a seed nobody
+    here can repeat the draw.
 
     Examples
     --------
     >>> concealment(("ripple", "gravity"), None, None)
     'seed:random,effect=ripple/gravity,friction=plain'
     """
-    return f"seed:{'random' if seed is None else seed},effect={effect or '/'.join(pool)},friction=plain"
+    return (
+        f"seed:{'random' if seed is None else seed},effect={effect or '/'.join(pool)},friction=plain"  # noqa: E501
+    )
 
 
 def run_demo(
-    out: Path, *, machine: str = "imi_planar", effect: str | None = None, seed: int | None = None, clock: str = "fast", narrator: Narrator | None = None
+    out: Path,
+    *,
+    machine: str = "imi_planar",
+    effect: str | None = None,
+    seed: int | None = None,
+    clock: str = "fast",
+    narrator: Narrator | None = None,
 ) -> dict[str, Any]:
-    """Start a target that conceals an effect, find it, compensate it, reveal it, and write the report.
+    """Start a target that conceals an effect, find it, compensate it, reveal it, and write the
+    report.
 
     Parameters
     ----------
@@ -47,20 +59,28 @@ def run_demo(
     Returns
     -------
     dict
-        As JSON holds it: "true", "why" (what is not true), "truth", "findings", "tracking", "files", "seconds", "said".
+        As JSON holds it: "true", "why" (what is not true), "truth", "findings", "tracking",
+        "files", "seconds", "said".
     """
     teller = narrator or Narrator(quiet=True)
     stage = get_stage(machine)
     out.mkdir(parents=True, exist_ok=True)
     with teller.step("starting the target"):
-        target = local(machine, clock=clock, options=["--concealed", concealment(stage.pool, effect, seed)])
+        target = local(
+            machine, clock=clock, options=["--concealed", concealment(stage.pool, effect, seed)]
+        )
     with target:
         told = tell_story(target, stage, out, teller)
     files = _write(told, out, teller)
-    teller.say(f"the same again: zendsp demo --machine {machine}{f' --effect {effect}' if effect else ''} --seed {_seed(told)}")
+    teller.say(
+        f"the same again: zendsp demo --machine {machine}{f' --effect {effect}' if effect else ''}"
+        f" --seed {_seed(told)}"
+    )
     teller.say(f"{teller.seconds:.0f} s in all")
     outcome = _outcome(told, files, teller)
-    (out / "story.json").write_text(json.dumps(outcome, indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8")
+    (out / "story.json").write_text(
+        json.dumps(outcome, indent=1, ensure_ascii=False, allow_nan=False), encoding="utf-8"
+    )
     return outcome
 
 
@@ -71,10 +91,22 @@ def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
     with teller.step("writing the report"):
         write_report(told.diagnosis, out)
         draw(told, out / "story.png")
-    teller.chapter("It is a true story" if told.true else "The story is not true: " + "; ".join(told.failures))
+    teller.chapter(
+        "It is a true story" if told.true else "The story is not true: " + "; ".join(told.failures)
+    )
     teller.say(f"report  {out / 'report.html'}")
     teller.say(f"picture {out / 'story.png'}")
-    return [out / name for name in ("report.html", "story.png", "train.mat", "heldout.mat", "given_model.toml", "model.toml")]
+    return [
+        out / name
+        for name in (
+            "report.html",
+            "story.png",
+            "train.mat",
+            "heldout.mat",
+            "given_model.toml",
+            "model.toml",
+        )
+    ]
 
 
 def _seed(told: Told) -> str:
@@ -87,9 +119,12 @@ def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:
     tracking = None
     if told.tracking is not None:
         tracking = {
-            "tick": told.tracking.tick, "before_rad": list(told.tracking.before), "after_rad": list(told.tracking.after),
-            "compensated_joints": list(told.compensated), "not_compensated": list(told.left_out),
-        }  # fmt: skip
+            "tick": told.tracking.tick,
+            "before_rad": list(told.tracking.before),
+            "after_rad": list(told.tracking.after),
+            "compensated_joints": list(told.compensated),
+            "not_compensated": list(told.left_out),
+        }
     outcome = {
         "true": told.true,
         "why": told.failures,
@@ -99,7 +134,11 @@ def _outcome(told: Told, files: list[Path], teller: Narrator) -> dict[str, Any]:
         "verdict": report["verdict"],
         "findings": report["findings"],
         "fit": report["fit"],
-        "hidden": {"position_rad": list(told.recorded.hidden.position), "command": list(told.recorded.hidden.command), "effort": list(told.recorded.hidden.effort)},
+        "hidden": {
+            "position_rad": list(told.recorded.hidden.position),
+            "command": list(told.recorded.hidden.command),
+            "effort": list(told.recorded.hidden.effort),
+        },
         "separated": told.separating is not None,
         "tracking": tracking,
         "files": [str(path) for path in files],

@@ -30,7 +30,9 @@ class Machine:
     model: Model
     key: str
 
-    def run(self, motion: Reference, note: str, update: tuple[float, Mapping[str, float]] | None = None) -> Recording:
+    def run(
+        self, motion: Reference, note: str, update: tuple[float, Mapping[str, float]] | None = None
+    ) -> Recording:
         """Start the program afresh and record a motion.
 
         Parameters
@@ -85,13 +87,20 @@ class Machine:
         """The same program and motion against the model that the host believes, in closed loop."""
         n = self.model.joints
         return simulate(
-            sources(self.model), self.model, reference=motion, parameters=self.settings(), channels=["q", "r", "tau", "e"],
-            position=np.zeros(n), seconds=APPROACH_S + motion.duration + REST_S, flags=flags(n),
-        )  # fmt: skip
+            sources(self.model),
+            self.model,
+            reference=motion,
+            parameters=self.settings(),
+            channels=["q", "r", "tau", "e"],
+            position=np.zeros(n),
+            seconds=APPROACH_S + motion.duration + REST_S,
+            flags=flags(n),
+        )
 
 
 def prepare_machine(target: Target, stage: Stage) -> tuple[Machine, float]:
-    """Ask the target for its encoders, write down the nominal model, and compile the control program on the target.
+    """Ask the target for its encoders, write down the nominal model, and compile the control
+    program on the target.
 
     Returns
     -------

@@ -1,4 +1,6 @@
-"""What the story needs of a machine: its nominal model, gains, and the motions that are recorded and followed."""
+"""What the story needs of a machine: its nominal model, gains, and the motions that are recorded
+and followed.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ class Stage:
     gains : mapping
         Kp (N m/rad), Kd (N m s/rad), one per joint, and cutoff (Hz) of the velocity filter.
     train, heldout, work : callable
-        Make the motion that is recorded for the diagnosis, the one it is judged on, and one lap of the work that is repeated.
+        Make the motion that is recorded for the diagnosis, the one it is judged on, and one lap of
+        the work that is repeated.
     mechanism : callable
         The ``[mechanism]`` of the nominal model from the machine's description.
     pool : tuple of str
@@ -51,7 +54,8 @@ class Stage:
 
 
 def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time: float) -> Model:
-    """The model that the host believes: rigid body, viscous and Coulomb friction, the sensor's resolution, one sample of delay.
+    """The model that the host believes: rigid body, viscous and Coulomb friction, the sensor's
+    resolution, one sample of delay.
 
     Parameters
     ----------
@@ -68,7 +72,9 @@ def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time:
     plan = stage.plan
     effects: list[dict[str, Any]] = []
     for j, (viscous, level) in enumerate(_friction(plan), start=1):
-        effects.append({"kind": "viscous", "joint": j, "coefficient": {"value": viscous, "unit": "N m s/rad"}})
+        effects.append(
+            {"kind": "viscous", "joint": j, "coefficient": {"value": viscous, "unit": "N m s/rad"}}
+        )
         effects.append({"kind": "coulomb", "joint": j, "level": {"value": level, "unit": "N m"}})
     resolution = [1.0 / counts for counts in counts_per_unit]
     return parse_model(
@@ -115,5 +121,7 @@ def get_stage(machine: str) -> Stage:
     from zendsp.demo.motions import STAGES
 
     if machine not in STAGES:
-        raise Refused(f"the demo has no story for the machine {machine!r}; choose one of {', '.join(STAGES)}")
+        raise Refused(
+            f"the demo has no story for the machine {machine!r}; choose one of {', '.join(STAGES)}"
+        )
     return STAGES[machine]

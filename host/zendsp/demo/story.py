@@ -1,4 +1,6 @@
-"""The story: a machine conceals physics; it is recorded, diagnosed over the link, compensated while it runs, and then it tells the truth."""
+"""The story: a machine conceals physics; it is recorded, diagnosed over the link, compensated while
+it runs, and then it tells the truth.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from zendsp.demo.controller import APPROACH_S, plan_update
-from zendsp.demo.evidence import Hidden, Judged, Tracking, compare_loop, compare_tracking, judge, matters
+from zendsp.demo.evidence import (
+    Hidden,
+    Judged,
+    Tracking,
+    compare_loop,
+    compare_tracking,
+    judge,
+    matters,
+)
 from zendsp.demo.narrator import Narrator
 from zendsp.demo.runs import Machine, prepare_machine
 from zendsp.demo.stage import Stage
@@ -77,14 +87,21 @@ def tell_story(target: Target, stage: Stage, out: Path, narrator: Narrator) -> T
     return told
 
 
-def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tuple[Machine, Recorded]:
+def _record(
+    target: Target, stage: Stage, out: Path, narrator: Narrator
+) -> tuple[Machine, Recorded]:
     narrator.chapter("1  A machine that conceals something")
     seal = target.seal()
-    narrator.say(f"target {target.name} runs in process {target.info.pid}, {target.info.clock} clock; it conceals physics under the seal {seal[:16]}…")
+    narrator.say(
+        f"target {target.name} runs in process {target.info.pid}, {target.info.clock} clock; it"
+        f" conceals physics under the seal {seal[:16]}…"
+    )
     with narrator.step("compiling the control program on the target"):
         machine, seconds = prepare_machine(target, stage)
     (out / "given_model.toml").write_text(model_text(machine.model), encoding="utf-8")
-    narrator.say(f"compiled track.c (model fed forward, PD feedback) on the target in {seconds:.2f} s")
+    narrator.say(
+        f"compiled track.c (model fed forward, PD feedback) on the target in {seconds:.2f} s"
+    )
     plan = stage.plan
     with narrator.step("the machine moves and is recorded"):
         motion = stage.train(plan)
@@ -92,19 +109,24 @@ def _record(target: Target, stage: Stage, out: Path, narrator: Narrator) -> tupl
         heldout = machine.run(stage.heldout(plan), "held out")
     train.save(out / "train.mat")
     heldout.save(out / "heldout.mat")
-    narrator.say(f"recorded {len(train)} samples of {motion.duration:.1f} s, and {len(heldout)} of another motion, held out; {train.lost + heldout.lost} lost")
+    narrator.say(
+        f"recorded {len(train)} samples of {motion.duration:.1f} s, and {len(heldout)} of another"
+        f" motion, held out; {train.lost + heldout.lost} lost"
+    )
     narrator.chapter("2  The loop hides it")
     with narrator.step("simulating the same run with the nominal model"):
         simulated = machine.simulate(motion)
     hidden = compare_loop(train, simulated)
     j = hidden.joint - 1
     narrator.say(
-        f"in position, simulation and machine agree: joint {hidden.joint} differs by {1e3 * hidden.position[j]:.2g} mrad RMS, "
-        f"{100 * hidden.position[j] / hidden.travel[j]:.2g} % of its travel"
+        f"in position, simulation and machine agree: joint {hidden.joint} differs by"
+        f" {1e3 * hidden.position[j]:.2g} mrad RMS,"
+        f" {100 * hidden.position[j] / hidden.travel[j]:.2g} % of its travel"
     )
     narrator.say(
-        f"in the command they do not: {hidden.command[j]:.2g} N m RMS, {100 * hidden.command[j] / hidden.effort[j]:.0f} % of the effort: "
-        "the controller fights something that the model lacks"
+        f"in the command they do not: {hidden.command[j]:.2g} N m RMS,"
+        f" {100 * hidden.command[j] / hidden.effort[j]:.0f} % of the effort: the controller fights"
+        " something that the model lacks"
     )
     return machine, Recorded(seal, train, heldout, simulated, hidden)
 
@@ -115,7 +137,11 @@ def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrato
     def look(recordings: list[Recording]) -> Diagnosis:
         with narrator.step("diagnosing"):
             return diagnose(
-                recordings, out / "given_model.toml", recorded.heldout, jobs=os.cpu_count() or 1, progress=narrator.progress
+                recordings,
+                out / "given_model.toml",
+                recorded.heldout,
+                jobs=os.cpu_count() or 1,
+                progress=narrator.progress,
             )
 
     told = Told(recorded, look([recorded.train]))
@@ -130,8 +156,9 @@ def _diagnose(machine: Machine, recorded: Recorded, out: Path, narrator: Narrato
     held = told.diagnosis.heldout
     better = held.improved < held.calibrated
     narrator.say(
-        f"on the held-out recording the error of free simulation is {1e3 * held.given:.3g} mrad given, {1e3 * held.calibrated:.3g} calibrated, "
-        f"{1e3 * held.improved:.3g} improved (noise floor {1e3 * told.diagnosis.noise_floor:.2g})",
+        f"on the held-out recording the error of free simulation is {1e3 * held.given:.3g} mrad"
+        f" given, {1e3 * held.calibrated:.3g} calibrated, {1e3 * held.improved:.3g} improved (noise"
+        f" floor {1e3 * told.diagnosis.noise_floor:.2g})",
         good=better,
     )
     if not told.diagnosis.findings:
@@ -146,8 +173,9 @@ def _say_findings(d: Diagnosis, narrator: Narrator) -> None:
     told_of = d.findings[0].joint if d.findings else 0
     for region in [r for r in d.regions if told_of in (0, r.joint)][:1]:
         narrator.say(
-            f"where: joint {region.joint}, {region.variable} {region.interval[0]:.3g} … {region.interval[1]:.3g}: "
-            f"{100 * region.share:.0f} % of the mismatch in {100 * region.time_share:.0f} % of the time"
+            f"where: joint {region.joint}, {region.variable} {region.interval[0]:.3g} …"
+            f" {region.interval[1]:.3g}: {100 * region.share:.0f} % of the mismatch in"
+            f" {100 * region.time_share:.0f} % of the time"
         )
     for f in d.findings:
         narrator.say(f"what: {f.sentence} (confidence {100 * f.confidence:.0f} %)")
@@ -191,7 +219,9 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
     half = APPROACH_S + 0.5 * motion.duration
     with narrator.step("the machine works; half-way the found physics is switched on"):
         try:
-            told.work = machine.run(motion, "compensation switched on half-way", (half, update.values))
+            told.work = machine.run(
+                motion, "compensation switched on half-way", (half, update.values)
+            )
         except Refused as refused:
             told.failures.append(str(refused))
             narrator.say(str(refused), good=False)
@@ -199,11 +229,17 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
     told.work.save(out / "work.mat")
     tick = max(change.tick for change in told.work.log)
     told.tracking = compare_tracking(told.work, tick, begin + 1.0, end - 0.5)
-    narrator.say(f"one synchronous update of {len(update.values)} parameters at sample {tick}, while the machine moved")
+    narrator.say(
+        f"one synchronous update of {len(update.values)} parameters at sample {tick}, while the"
+        " machine moved"
+    )
     joints = told.compensated or tuple(sorted({f.joint for f in d.findings}))
     for j in joints:
         before, after = told.tracking.before[j - 1], told.tracking.after[j - 1]
-        narrator.say(f"tracking error of joint {j}: {1e3 * before:.3g} mrad before, {1e3 * after:.3g} after", good=told.tracking.fell([j]) if told.compensated else None)
+        narrator.say(
+            f"tracking error of joint {j}: {1e3 * before:.3g} mrad before, {1e3 * after:.3g} after",
+            good=told.tracking.fell([j]) if told.compensated else None,
+        )
     if told.compensated and not told.tracking.fell(told.compensated):
         told.failures.append("the tracking error did not fall")
 
@@ -215,21 +251,34 @@ def _reveal(machine: Machine, told: Told, narrator: Narrator) -> None:
     if truth.sha256 != told.recorded.seal:
         told.failures.append("the revealed record is not the one sealed at the beginning")
     for effect in truth.effects:
-        values = ", ".join(f"{name} {p['value']} {p['unit']}".rstrip() for name, p in effect["parameters"].items())
-        narrator.say(f"concealed: {effect['effect']} on joint {effect['joint']}: {values} ({truth.source})")
+        values = ", ".join(
+            f"{name} {p['value']} {p['unit']}".rstrip() for name, p in effect["parameters"].items()
+        )
+        narrator.say(
+            f"concealed: {effect['effect']} on joint {effect['joint']}: {values} ({truth.source})"
+        )
     judged = told.judged = judge(told.diagnosis, truth.effects)
     if judged.exact:
         narrator.say("named right", good=True)
     elif judged.named:
         narrator.say("among those that the recordings cannot tell apart", good=True)
     else:
-        found = ", ".join(f"{f.effect} on joint {f.joint}" for f in told.diagnosis.findings) or "nothing"
+        found = (
+            ", ".join(f"{f.effect} on joint {f.joint}" for f in told.diagnosis.findings)
+            or "nothing"
+        )
         narrator.say(f"not found: the diagnosis named {found}", good=False)
         told.failures.append("the concealed effect was not named")
     for name, value, std, true, unit in judged.parameters:
-        narrator.say(f"{name}: found {value:.4g} ± {std:.2g}, true {true:.4g} {'' if unit == '1' else unit}".rstrip())
+        narrator.say(
+            f"{name}: found {value:.4g} ± {std:.2g}, true {true:.4g} {'' if unit == '1' else unit}"
+            .rstrip()
+        )
     for extra in judged.extra:
         name = f"{extra.effect} on joint {extra.joint}"
-        narrator.say(f"named beside it, and not there: {name}, {100 * extra.share:.1f} % of the mismatch", good=False)
+        narrator.say(
+            f"named beside it, and not there: {name}, {100 * extra.share:.1f} % of the mismatch",
+            good=False,
+        )
         if judged.named and matters(extra):
             told.failures.append(f"{name} was named and is not there")

@@ -16,7 +16,9 @@ from zendsp.physics.model import Model, Quantity, Term
 
 @dataclass(frozen=True)
 class Assembled:
-    """Models in kernel form; ``fits[j]`` holds the numbers of joint j with their covariance; ``data`` has the observers of the end."""
+    """Models in kernel form; ``fits[j]`` holds the numbers of joint j with their covariance;
+    ``data`` has the observers of the end.
+    """
 
     calibrated: Model
     improved: Model
@@ -30,17 +32,24 @@ def shared_mechanism(model: Model) -> bool:
     if model.joints == 1:
         return False
     return any(
-        len(items) == 1 and items[0].free and items[0].value != 0 for items in model.mechanism.values()
+        len(items) == 1 and items[0].free and items[0].value != 0
+        for items in model.mechanism.values()
     )
 
 
 def merge(given: Model, parts: Sequence[Scored]) -> Model:
-    """One model of the whole machine from fits of its joints; what acts on all joints stands once, as in the given model."""
+    """One model of the whole machine from fits of its joints; what acts on all joints stands once,
+    as in the given model.
+    """
     shared = body_terms(given)
     terms: list[Term] = list(shared)
     mechanism = {key: list(items) for key, items in given.mechanism.items()}
     offset = [
-        given.sensor.offset[j] if j < len(given.sensor.offset) else (given.sensor.offset or (0.0,))[0]
+        (
+            given.sensor.offset[j]
+            if j < len(given.sensor.offset)
+            else (given.sensor.offset or (0.0,))[0]
+        )
         for j in range(given.joints)
     ]
     gain = [
@@ -58,7 +67,9 @@ def merge(given: Model, parts: Sequence[Scored]) -> Model:
             elif len(parts) == 1:
                 items[0] = source[0]
         if model.sensor.offset:
-            offset[j] = model.sensor.offset[j] if j < len(model.sensor.offset) else model.sensor.offset[0]
+            offset[j] = (
+                model.sensor.offset[j] if j < len(model.sensor.offset) else model.sensor.offset[0]
+            )
             changed_offset = True
         gain[j] = model.actuator.gain[j] if j < len(model.actuator.gain) else model.actuator.gain[0]
     return replace(
@@ -66,14 +77,19 @@ def merge(given: Model, parts: Sequence[Scored]) -> Model:
         terms=tuple(terms),
         mechanism={key: tuple(items) for key, items in mechanism.items()},
         sensor=replace(given.sensor, offset=tuple(offset)) if changed_offset else given.sensor,
-        actuator=replace(given.actuator, gain=tuple(gain))
-        if len(set(gain)) > 1 or (len(given.actuator.gain) == 1 and gain[0] != given.actuator.gain[0])
-        else given.actuator,
+        actuator=(
+            replace(given.actuator, gain=tuple(gain))
+            if len(set(gain)) > 1
+            or (len(given.actuator.gain) == 1 and gain[0] != given.actuator.gain[0])
+            else given.actuator
+        ),
     )
 
 
 def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs: int) -> Model:
-    """The calibrated model of the whole machine from those of its joints, in their order; what joints share is fitted to all of them."""
+    """The calibrated model of the whole machine from those of its joints, in their order; what
+    joints share is fitted to all of them.
+    """
     start = merge(given, bases)
     if not shared_mechanism(given):
         return start
@@ -89,7 +105,9 @@ def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int)
     if not shared_mechanism(given):
         improved = merge(given, [s.final for s in searches])
         calibrated = merge(given, [s.base for s in searches])
-        certain = {s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches}
+        certain = {
+            s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches
+        }
         return Assembled(
             _noted(calibrated, {s.joint: s.base.fit for s in searches}),
             _noted(improved, certain),

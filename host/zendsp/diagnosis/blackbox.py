@@ -1,12 +1,16 @@
 """Diagnosis of a simulator that can only be called (``kind = "python"``).
 
-Parameters are calibrated by output error: least squares on the simulated position. Effects act on the simulator's input: the torque of an effect
-along the smoothed measured motion, divided by the gain, is taken from the command. Every effect that can act there is screened by finite
-differences, the promising ones are fitted together with the parameters, and a claim needs held-out evidence, as for the other kinds.
+Parameters are calibrated by output error: least squares on the simulated position. Effects act on
+the simulator's input: the torque of an effect along the smoothed measured motion, divided by the
+gain, is taken from the command. Every effect that can act there is screened by finite differences,
+the promising ones are fitted together with the parameters, and a claim needs held-out evidence, as
+for the other kinds.
 
-A simulator that starts from the first row's position and velocity is given the recording in windows, so that errors do not accumulate.
+A simulator that starts from the first row's position and velocity is given the recording in
+windows, so that errors do not accumulate.
 
-What a black box does not allow: states inside it (springs, gaps, bristles, hysteresis) and an observer.
+What a black box does not allow: states inside it (springs, gaps, bristles, hysteresis) and an
+observer.
 """
 
 from __future__ import annotations
@@ -47,8 +51,11 @@ from zendsp.physics.model import Model, Term, per_joint
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
-WINDOW = 0.25  # s: each window is simulated from the smoothed motion, where the simulator starts from its first row
-MIN_GAIN = 20.0  # of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
+# s: each window is simulated from the smoothed motion, where the simulator starts from its first
+# row
+WINDOW = 0.25
+# of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
+MIN_GAIN = 20.0
 MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5
@@ -77,7 +84,10 @@ class Hunt:
         """The best hypothesis that passes, and the fitted rivals."""
         options: list[tuple[float, Term]] = []
         for joint in range(1, len(self.train[0].records) + 1):
-            options += [*screen(self.train, current, joint, self.tell), *late_candidates(self.train, current, joint)]
+            options += [
+                *screen(self.train, current, joint, self.tell),
+                *late_candidates(self.train, current, joint),
+            ]
         options.sort(key=lambda item: -item[0])
         before = errors(self.test, current.model)
         claims = []
@@ -89,27 +99,46 @@ class Hunt:
             output = fit_output(self.train, model, free_handles(model, offsets=False))
             after = errors(self.test, output.model)
             fitted = sum(p.fitted for p in get_effect(term.effect).parameters)
-            claim = Claim(output.model.terms[-1], output, gain(current.error, output.error, fitted), held_z(before, after, self.block))
+            claim = Claim(
+                output.model.terms[-1],
+                output,
+                gain(current.error, output.error, fitted),
+                held_z(before, after, self.block),
+            )
             claims.append(claim)
             self.tried[(term.effect, term.joint)] = (claim.gain, claim.z, self._why(claim))
         for promise, term in options[SHORTLIST:]:
-            self.tried.setdefault((term.effect, term.joint), (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"))
+            self.tried.setdefault(
+                (term.effect, term.joint),
+                (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
+            )
         passed = [c for c in claims if c.gain > MIN_GAIN and c.z > MIN_Z]
         if not passed:
             return None, claims
         best = max(passed, key=lambda c: c.gain)
         # a special case that does nearly as well goes first; the general one can follow it
-        special = [c for c in passed if c.term.effect in get_effect(best.term.effect).replaces and c.gain > SUFFICIENT * best.gain]
+        special = [
+            c
+            for c in passed
+            if c.term.effect in get_effect(best.term.effect).replaces
+            and c.gain > SUFFICIENT * best.gain
+        ]
         return (special[0] if special else best), claims
 
     def _why(self, c: Claim) -> str:
         if c.gain <= MIN_GAIN:
             return "no more likely than the calibrated model"
-        return f"does not hold on the held-out recording (z = {c.z:.1f})" if c.z <= MIN_Z else "explains less than the winner"
+        return (
+            f"does not hold on the held-out recording (z = {c.z:.1f})"
+            if c.z <= MIN_Z
+            else "explains less than the winner"
+        )
 
 
 def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, list[Missing]]:
-    """Torque over time that would remove the remaining error: bumps of half a second, by finite differences and regularised least squares."""
+    """Torque over time that would remove the remaining error: bumps of half a second, by finite
+    differences and regularised least squares.
+    """
     out: dict[int, list[Missing]] = {}
     for b in benches:
         e = b.error(output.model)
@@ -123,21 +152,45 @@ def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, lis
             columns = []
             for shape in shapes:
                 pushed = replace(b.signals, command=b.signals.command.copy())
-                pushed.command[:, i] -= step * shape / per_joint(output.model.actuator.gain, i + 1, 1.0)
-                moved = tuple(replace(r, command=np.ascontiguousarray(pushed.command[:, k])) for k, r in enumerate(b.records))
-                columns.append((e[:, i] - Bench(pushed, moved, b.function, b.size).error(output.model)[:, i]) / step)
+                pushed.command[:, i] -= (
+                    step * shape / per_joint(output.model.actuator.gain, i + 1, 1.0)
+                )
+                moved = tuple(
+                    replace(r, command=np.ascontiguousarray(pushed.command[:, k]))
+                    for k, r in enumerate(b.records)
+                )
+                columns.append(
+                    (e[:, i] - Bench(pushed, moved, b.function, b.size).error(output.model)[:, i])
+                    / step
+                )
             a = np.stack(columns, axis=1) / sensor_noise(b, i)
             ridge = 1e-6 * float(np.trace(a.T @ a)) / a.shape[1] * np.eye(a.shape[1])
-            # least squares: a simulator that does not look at its command leaves nothing to solve for
-            coefficients = np.linalg.lstsq(a.T @ a + ridge, a.T @ e[:, i] / sensor_noise(b, i), rcond=1e-12)[0]
+            # least squares: a simulator that does not look at its command leaves nothing to solve
+            # for
+            coefficients = np.linalg.lstsq(
+                a.T @ a + ridge, a.T @ e[:, i] / sensor_noise(b, i), rcond=1e-12
+            )[0]
             torque = shapes.T @ coefficients
             q, qd, qdd = record.motion.states
-            item = Missing(b.signals.time, torque, np.zeros_like(torque), {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command})
+            item = Missing(
+                b.signals.time,
+                torque,
+                np.zeros_like(torque),
+                {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command},
+            )
             out.setdefault(i + 1, []).append(item)
     return out
 
 
-def diagnose_simulator(sources: Sequence[Any], model: Model, heldout: Sequence[Any], *, seed: int = 0, jobs: int = 1, progress: Progress | None = None) -> Diagnosis:
+def diagnose_simulator(
+    sources: Sequence[Any],
+    model: Model,
+    heldout: Sequence[Any],
+    *,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Diagnosis:
     """Find the physics that a user's own simulator leaves out.
 
     Parameters
@@ -145,7 +198,8 @@ def diagnose_simulator(sources: Sequence[Any], model: Model, heldout: Sequence[A
     sources, heldout : sequence of path, Recording or Table
         To calibrate on, and to judge on (where none: the last third of each).
     model : Model
-        Of ``kind = "python"``; its mechanism parameters go to the simulator, its effects act on the command.
+        Of ``kind = "python"``; its mechanism parameters go to the simulator, its effects act on the
+        command.
     seed, jobs : int
         As for ``diagnose``; a simulator is called in one thread.
     progress : callable, optional
@@ -167,7 +221,8 @@ def diagnose_simulator(sources: Sequence[Any], model: Model, heldout: Sequence[A
     tell("calibrating the simulator")
     given_error = errors(train, model)
     base = fit_output(train, model, free_handles(model, offsets=False), evaluations=25)
-    if float(given_error @ given_error) < base.fit.cost:  # a fit must not be worse than what it began with
+    # a fit must not be worse than what it began with
+    if float(given_error @ given_error) < base.fit.cost:
         base = fit_output(train, model, ())
     hunt, current, steps = Hunt(train, test, tell), base, []
     for _ in range(4):
@@ -187,34 +242,55 @@ def diagnose_simulator(sources: Sequence[Any], model: Model, heldout: Sequence[A
     verdict = "missing" if findings else "complete"
     rest = _rms(test, current.model)
     if left > UNEXPLAINED and rest > 3 * floor:
-        text = f"A torque of {100 * left:.1f} % of the RMS torque remains over time that no effect on the simulator's input explains (it may be inside the simulator: springs, gaps, bristles)."
+        text = (
+            f"A torque of {100 * left:.1f} % of the RMS torque remains over time that no effect on"
+            " the simulator's input explains (it may be inside the simulator: springs, gaps,"
+            " bristles)."
+        )
         verdict = verdict if findings else "unexplained"
     places, spans = _where(before)
-    rejected = tuple(Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0)) for (e, j), (score, _z, why) in hunt.tried.items() if (e, j) not in names)
+    rejected = tuple(
+        Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
+        for (e, j), (score, _z, why) in hunt.tried.items()
+        if (e, j) not in names
+    )
     return Diagnosis(
         verdict=verdict,
         findings=findings,
         regions=places if verdict != "complete" else (),
         times=spans if verdict != "complete" else (),
         unit="m" if model.joint_kind(1) == "linear" else "rad",
-        estimation=FitTable(_rms(train, model), _rms(train, base.model), _rms(train, current.model)),
+        estimation=FitTable(
+            _rms(train, model), _rms(train, base.model), _rms(train, current.model)
+        ),
         heldout=FitTable(_rms(test, model), _rms(test, base.model), rest),
         noise_floor=floor,
         rejected=tuple(sorted(rejected, key=lambda r: -r.score)[:12]),
         next_recording=_next(findings),
         seconds=time.perf_counter() - begin,
-        notes=(*notes, f"black box: {sum(b.calls for b in (*train, *test))} simulations; springs, gaps and bristles inside the simulator cannot be tried"),
+        notes=(
+            *notes,
+            (
+                f"black box: {sum(b.calls for b in (*train, *test))} simulations; springs, gaps and"
+                " bristles inside the simulator cannot be tried"
+            ),
+        ),
         given=file_model(model),
         calibrated=file_model(base.model),
         improved=file_model(current.model),
         unexplained=text,
         missing=before,
         remaining=after,
-        details={"draw": lambda folder: draw(test, base.model, current.model, folder), "benches": (train, test)},
+        details={
+            "draw": lambda folder: draw(test, base.model, current.model, folder),
+            "benches": (train, test),
+        },
     )
 
 
-def _recordings(sources: Sequence[Any], heldout: Sequence[Any], model: Model, function: Any) -> tuple[list[Bench], list[Bench], list[str]]:
+def _recordings(
+    sources: Sequence[Any], heldout: Sequence[Any], model: Model, function: Any
+) -> tuple[list[Bench], list[Bench], list[str]]:
     signals = [read_signals(source, model) for source in sources]
     if not signals:
         raise RecordingError("no recording given")
@@ -224,22 +300,35 @@ def _recordings(sources: Sequence[Any], heldout: Sequence[Any], model: Model, fu
     if not held:
         signals, held, how = split(signals)
         notes += how
-    train, test = [bench(s, model, function) for s in signals], [bench(s, model, function) for s in held]
+    train, test = [bench(s, model, function) for s in signals], [
+        bench(s, model, function) for s in held
+    ]
     if _restarts(train[0], model):
         for b in (*train, *test):
             b.size = max(16, round(WINDOW / b.signals.sample_time))
     else:
-        notes.append("the simulator does not start from the first row's position and velocity: it is compared over whole recordings, where errors accumulate")
+        notes.append(
+            "the simulator does not start from the first row's position and velocity: it is"
+            " compared over whole recordings, where errors accumulate"
+        )
     return train, test, notes
 
 
 def _restarts(b: Bench, model: Model) -> bool:
-    """Whether windows begin where the recording is: the simulated first rows lie on the measured ones, window after window."""
+    """Whether windows begin where the recording is: the simulated first rows lie on the measured
+    ones, window after window.
+    """
     size = max(16, round(WINDOW / b.signals.sample_time))
     windowed = Bench(b.signals, b.records, b.function, size)
     y = windowed.simulate(model)[::size]
     off = np.sqrt(np.mean((y - b.signals.position[::size]) ** 2, axis=0))
-    return bool(np.all(off < 0.02 * np.ptp(b.signals.position, axis=0) + 4 * np.array([sensor_noise(b, i) for i in range(len(b.records))])))
+    return bool(
+        np.all(
+            off < 0.02 * np.ptp(b.signals.position, axis=0) + 4 * np.array(
+                [sensor_noise(b, i) for i in range(len(b.records))]
+            )
+        )
+    )
 
 
 def _rms(benches: Sequence[Bench], model: Model) -> float:
@@ -253,36 +342,87 @@ def _floor(benches: Sequence[Bench]) -> float:
 
 
 def _left(missing: dict[int, list[Missing]], benches: Sequence[Bench]) -> float:
-    sizes = [float(np.sqrt(np.mean(m.torque**2))) / b.records[j - 1].scale.torque for j, parts in missing.items() for m, b in zip(parts, benches, strict=True)]
+    sizes = [
+        float(np.sqrt(np.mean(m.torque**2))) / b.records[j - 1].scale.torque
+        for j, parts in missing.items()
+        for m, b in zip(parts, benches, strict=True)
+    ]
     return max(sizes, default=0.0)
 
 
-def _where(missing: dict[int, list[Missing]]) -> tuple[tuple[Region, ...], tuple[tuple[float, float], ...]]:
+def _where(
+    missing: dict[int, list[Missing]],
+) -> tuple[tuple[Region, ...], tuple[tuple[float, float], ...]]:
     places = [r for joint, parts in missing.items() for m in parts for r in regions(m, joint)[:2]]
-    spans = sorted((s for parts in missing.values() for m in parts for s in intervals(m)), key=lambda s: -s[2])
-    return tuple(sorted(places, key=lambda r: r.time_share - r.share)[:6]), tuple((a, b) for a, b, _ in spans[:6])
+    spans = sorted(
+        (s for parts in missing.values() for m in parts for s in intervals(m)), key=lambda s: -s[2]
+    )
+    return tuple(sorted(places, key=lambda r: r.time_share - r.share)[:6]), tuple(
+        (a, b) for a, b, _ in spans[:6]
+    )
 
 
-def _findings(given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
+def _findings(
+    given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
+) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
     out = []
     total = max(base.fit.cost - final.fit.cost, 1e-300)
     for claim, rivals, before in steps:
-        terms = [t for t in new_terms(given, final.model, claim.term.joint) if t.effect == claim.term.effect]
+        terms = [
+            t
+            for t in new_terms(given, final.model, claim.term.joint)
+            if t.effect == claim.term.effect
+        ]
         if not terms:
             continue
         term, joint = terms[0], claim.term.joint
-        values = estimates(final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint))
-        same = tuple(c.term.effect for c in rivals if c is not claim and c.term.joint == joint and term.effect not in get_effect(c.term.effect).replaces and claim.gain - c.gain < max(5.0, 0.1 * claim.gain))
-        margin = min([claim.gain - c.gain for c in rivals if c is not claim and c.term.effect not in same and term.effect not in get_effect(c.term.effect).replaces] or [claim.gain])
+        values = estimates(
+            final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint)
+        )
+        same = tuple(
+            c.term.effect
+            for c in rivals
+            if c is not claim
+            and c.term.joint == joint
+            and term.effect not in get_effect(c.term.effect).replaces
+            and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
+        )
+        margin = min(
+            [
+                claim.gain - c.gain
+                for c in rivals
+                if c is not claim
+                and c.term.effect not in same
+                and term.effect not in get_effect(c.term.effect).replaces
+            ]
+            or [claim.gain]
+        )
         # no cases have calibrated this figure for black boxes: kept below 0.9
-        sure = min(0.9, 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8))
+        sure = min(
+            0.9,
+            0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8),
+        )
         had = {t.effect for t in given.at(joint)}
         replaces = tuple(n for n in get_effect(term.effect).replaces if n in had)
         text = sentence(term, values)
         if same:
             text += f" This recording cannot tell it from {', '.join(same)}."
         share = float(np.clip((before.fit.cost - claim.output.fit.cost) / total, 0.0, 1.0))
-        out.append(Finding(term.effect, joint, values, sure, share, same, replaces, text, {}, mechanism_of(term.effect), {term.effect: 1.0}))
+        out.append(
+            Finding(
+                term.effect,
+                joint,
+                values,
+                sure,
+                share,
+                same,
+                replaces,
+                text,
+                {},
+                mechanism_of(term.effect),
+                {term.effect: 1.0},
+            )
+        )
     return tuple(out), {(f.effect, f.joint) for f in out}
 
 
@@ -291,10 +431,17 @@ def _next(findings: Sequence[Finding]) -> Next | None:
     if not open_ones:
         return None
     f = open_ones[0]
-    return Next(f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}: {get_effect(f.effect).experiment}", None, (f.effect, *f.indistinguishable))
+    return Next(
+        f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}:"
+        f" {get_effect(f.effect).experiment}",
+        None,
+        (f.effect, *f.indistinguishable),
+    )
 
 
-def draw(test: Sequence[Bench], calibrated: Model, improved: Model, folder: Path) -> list[tuple[str, str, Path]]:
+def draw(
+    test: Sequence[Bench], calibrated: Model, improved: Model, folder: Path
+) -> list[tuple[str, str, Path]]:
     """The held-out recording and both simulations' errors, one picture a joint."""
     import matplotlib
 
@@ -303,12 +450,22 @@ def draw(test: Sequence[Bench], calibrated: Model, improved: Model, folder: Path
 
     done = []
     b = test[0]
-    errors_of = [(b.error(m), label, colour) for m, label, colour in ((calibrated, "calibrated", "#b4451f"), (improved, "improved", "#1f5fa8"))]
+    errors_of = [
+        (b.error(m), label, colour)
+        for m, label, colour in (
+            (calibrated, "calibrated", "#b4451f"),
+            (improved, "improved", "#1f5fa8"),
+        )
+    ]
     for i in range(len(b.records)):
         figure, axis = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
         for error, label, colour in errors_of:
             axis.plot(b.signals.time, error[:, i], color=colour, lw=0.8, label=label)
-        axis.set(xlabel="time [s]", ylabel=f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]", title=f"Joint {i + 1}: held-out recording, measured minus simulated")
+        axis.set(
+            xlabel="time [s]",
+            ylabel=f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
+            title=f"Joint {i + 1}: held-out recording, measured minus simulated",
+        )
         axis.legend(frameon=False)
         path = folder / f"error_joint{i + 1}.png"
         figure.savefig(path)

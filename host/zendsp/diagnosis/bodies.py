@@ -1,11 +1,14 @@
-"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and what must be told from them.
+"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and what must be told
+from them.
 
-Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all joints decide together. To first order, the torque that a
-body adds along the measured motion leaves its response in the observers' innovations (``physics.joint.response``), and torque is linear
-in ten numbers of each link (``physics.bodies``). Beside them, every joint has nuisance columns of its own: offset, viscous and dry
-friction, drag, rotor inertia. So friction that the model lacks does not pass for a body, nor a body for friction. All that a hypothesis
-needs is in the blocks' Gram matrices: estimate, evidence on other recordings and rivals cost next to nothing. What wins is estimated
-again around itself, so that what a body does to the inertia is exact.
+Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all joints decide
+together. To first order, the torque that a body adds along the measured motion leaves its response
+in the observers' innovations (``physics.joint.response``), and torque is linear in ten numbers of
+each link (``physics.bodies``). Beside them, every joint has nuisance columns of its own: offset,
+viscous and dry friction, drag, rotor inertia. So friction that the model lacks does not pass for a
+body, nor a body for friction. All that a hypothesis needs is in the blocks' Gram matrices:
+estimate, evidence on other recordings and rivals cost next to nothing. What wins is estimated again
+around itself, so that what a body does to the inertia is exact.
 """
 
 from __future__ import annotations
@@ -32,12 +35,15 @@ Progress = Callable[[str], None]
 class BodyLimits:
     """What the search for bodies takes for granted."""
 
-    bandwidth: float = 64.0  # rad/s of the observers: fast, since much is missing when bodies are looked for
+    # rad/s of the observers: fast, since much is missing when bodies are looked for
+    bandwidth: float = 64.0
     block: float = 1.0  # s: what an observer remembers, and a swing of an arm, lie within
     blocks: int = 16  # at least so many, or they are shorter
-    still: float = 0.05  # of the RMS speed: slower, a joint may stick, and says nothing of what pulls it
+    # of the RMS speed: slower, a joint may stick, and says nothing of what pulls it
+    still: float = 0.05
     memory: float = 0.1  # s for which an observer remembers that a joint stuck
-    tie: float = 2.5  # standard deviations over the blocks within which two explanations are as good
+    # standard deviations over the blocks within which two explanations are as good
+    tie: float = 2.5
     share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
     sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
     part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
@@ -49,17 +55,28 @@ class BodyLimits:
     gain: float = 0.5  # no actuator gives half as much again, or half
     constant: float = 0.05  # relative standard deviation of the torque constants that makers state
     step: float = 1e-6  # relative, of numerical derivatives
-    calibrated: float = 0.15  # a free parameter of the mechanism farther off than so much of itself is no calibration
+    # a free parameter of the mechanism farther off than so much of itself is no calibration
+    calibrated: float = 0.15
     rounds: int = 3  # estimates around the one before
-    starts: tuple[float, ...] = (0.05, 0.15, 0.4)  # m from the link's origin, of a payload's centre to begin with
+    # m from the link's origin, of a payload's centre to begin with
+    starts: tuple[float, ...] = (0.05, 0.15, 0.4)
 
 
 LIMITS = BodyLimits()
 NUISANCE = 6  # columns that every joint has for itself
 OWN = 6  # further columns of one joint, its rivals to a body: gain, sin q, cos q, q, sin 2q, cos 2q
 COM = ("com_x", "com_y", "com_z")
-# what an explanation costs where several are as good: the fewest numbers, and the most frequent cause first
-COST = {"payload": 4.0, "body": 1.0, "base_tilt": 1.0, "torque_gain": 1.0, "gravity": 2.0, "stiffness": 3.0, "unknown": 8.0}
+# what an explanation costs where several are as good: the fewest numbers, and the most frequent
+# cause first
+COST = {
+    "payload": 4.0,
+    "body": 1.0,
+    "base_tilt": 1.0,
+    "torque_gain": 1.0,
+    "gravity": 2.0,
+    "stiffness": 3.0,
+    "unknown": 8.0,
+}
 TOOL = 2.0  # of a payload at the end of a chain
 RARE = 4.0  # of causes that act on the whole machine: its gravity, all its gains
 
@@ -71,8 +88,9 @@ class Hypothesis:
     Attributes
     ----------
     effect : str
-        Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the mechanism's own free parameters), ``nothing``;
-        ``unknown`` is any torque of one joint's own position and command.
+        Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the
+        mechanism's own free parameters), ``nothing``; ``unknown`` is any torque of one joint's own
+        position and command.
     joint : int
         1-based; the last joint that moves the body. 0: all joints.
     body : str
@@ -96,8 +114,12 @@ class Hypothesis:
     def name(self) -> str:
         """Name for a list of what cannot be told apart."""
         if self.effect == "torque_gain":
-            return f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
-        return self.effect + (f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else "")
+            return (
+                f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
+            )
+        return self.effect + (
+            f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else ""
+        )
 
 
 @dataclass(frozen=True)
@@ -137,18 +159,27 @@ class Explained:
 
     def __repr__(self) -> str:
         numbers = ", ".join(
-            f"{n} = {v:.4g} ± {s:.2g}" for n, v, s in zip(self.hypothesis.free, self.values, self.std, strict=True)
+            f"{n} = {v:.4g} ± {s:.2g}"
+            for n, v, s in zip(self.hypothesis.free, self.values, self.std, strict=True)
         )
-        return f"<{self.hypothesis.name}: {numbers}; gain {self.gain:.0f}, z = {self.z:.1f}, behind {self.behind:.1f}>"
+        return (
+            f"<{self.hypothesis.name}: {numbers}; gain {self.gain:.0f}, z = {self.z:.1f}, behind"
+            f" {self.behind:.1f}>"
+        )
 
 
-LOST = 1e6  # standard deviations of the sensor's noise: an observer that is so far off has left the track
+# standard deviations of the sensor's noise: an observer that is so far off has left the track
+LOST = 1e6
 
 
 class Sums:
-    """Gram matrices of all columns and the innovations, per joint and block; the innovations are the last column."""
+    """Gram matrices of all columns and the innovations, per joint and block; the innovations are
+    the last column.
+    """
 
-    def __init__(self, data: Data, model: Model, limits: BodyLimits = LIMITS, jobs: int = 1) -> None:
+    def __init__(
+        self, data: Data, model: Model, limits: BodyLimits = LIMITS, jobs: int = 1
+    ) -> None:
         seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
         block = min(limits.block, seconds / limits.blocks)
         grams: list[Array] = []
@@ -156,7 +187,11 @@ class Sums:
         for rec in data.records:
             starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
             with ThreadPoolExecutor(jobs) as pool:  # the kernel runs outside the interpreter's lock
-                done = list(pool.map(lambda record, starts=starts: _grams(record, model, starts, limits), rec))
+                done = list(
+                    pool.map(
+                        lambda record, starts=starts: _grams(record, model, starts, limits), rec
+                    )
+                )
             grams.append(np.stack([g for g, _ in done]))
             counts.append(np.stack([c for _, c in done]).astype(np.float64))
         self.grams = np.concatenate(grams, axis=1)  # (joints, blocks, columns, columns)
@@ -168,7 +203,9 @@ class Sums:
         return np.asarray(self.grams.sum(axis=1))
 
 
-def _grams(record: JointRecord, model: Model, starts: Array, limits: BodyLimits) -> tuple[Array, Array]:
+def _grams(
+    record: JointRecord, model: Model, starts: Array, limits: BodyLimits
+) -> tuple[Array, Array]:
     """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
     columns, moving = _columns(record, model, limits)
     columns = np.ascontiguousarray(columns[:, moving].T)
@@ -177,8 +214,12 @@ def _grams(record: JointRecord, model: Model, starts: Array, limits: BodyLimits)
     return np.stack([part.T @ part for part in parts]), np.diff(edges)
 
 
-def _columns(record: JointRecord, model: Model, limits: BodyLimits) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the joint moves."""
+def _columns(
+    record: JointRecord, model: Model, limits: BodyLimits
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the
+    joint moves.
+    """
     bandwidth = min(limits.bandwidth, fastest_of(record))
     q, qd, qdd = record.motion.states
     speed, j = record.scale.speed, record.joint - 1
@@ -214,7 +255,9 @@ def fastest_of(record: JointRecord) -> float:
 
 
 def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list[Array]:
-    """Columns that all joints share: ten numbers of each link, tilt about x and y, gravity's size, mechanism parameters."""
+    """Columns that all joints share: ten numbers of each link, tilt about x and y, gravity's size,
+    mechanism parameters.
+    """
     n = record.n
     out: list[Array] = []
     for k in range(len(links.bodies)):
@@ -236,7 +279,9 @@ def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list
 
 def calibrated(model: Model) -> tuple[str, ...]:
     """Mechanism parameters of a model that may be calibrated."""
-    return tuple(key for key, items in model.mechanism.items() if any(i.free and i.value for i in items))
+    return tuple(
+        key for key, items in model.mechanism.items() if any(i.free and i.value for i in items)
+    )
 
 
 class Layout:
@@ -259,11 +304,16 @@ class Layout:
         return Term(
             h.effect,
             max(h.joint, 1),
-            {p.name: Quantity(known.get(p.name, p.default or 0.0), p.name in known) for p in effect.parameters},
+            {
+                p.name: Quantity(known.get(p.name, p.default or 0.0), p.name in known)
+                for p in effect.parameters
+            },
         )
 
     def place(self, h: Hypothesis, values: Array) -> Array:
-        """Coefficients of the columns, (joints, width); a last number ``gain`` is the error of all joints' actuators beside it."""
+        """Coefficients of the columns, (joints, width); a last number ``gain`` is the error of all
+        joints' actuators beside it.
+        """
         if h.free and h.free[-1] == "gain":
             x = self.place(replace(h, free=h.free[:-1]), values[:-1])
             x[:, self.own] += values[-1]
@@ -295,10 +345,13 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     """All that is tried."""
     out: list[Hypothesis] = []
     ends = {k for k in range(len(links.bodies)) if all(b.parent != k for b in links.bodies)}
-    flat = model.kind == "planar2r"  # its parameters know nothing of what lies beside the links' lines
+    # its parameters know nothing of what lies beside the links' lines
+    flat = model.kind == "planar2r"
     for k, b in enumerate(links.bodies):
         free: tuple[str, ...] = ("mass", "com_x") if flat else ("mass", *COM)
-        out.append(Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"]))
+        out.append(
+            Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"])
+        )
         if b.mass > 0:
             out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
             out.append(Hypothesis("body", k + 1, b.name, COM, COST["body"] + 3))
@@ -321,10 +374,12 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
 
 
 class Solver:
-    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that choose.
+    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that
+    choose.
 
-    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis; ``aside`` are the joints (1-based)
-    whose own gain and functions of position are nuisance too, since they have a fault of their own.
+    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis;
+    ``aside`` are the joints (1-based) whose own gain and functions of position are nuisance too,
+    since they have a fault of their own.
     """
 
     def __init__(
@@ -340,16 +395,21 @@ class Solver:
         self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
         whole, n = fit.whole, NUISANCE
         free, own = list(range(n)), list(range(layout.own, layout.width))
-        self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))  # (x, 1) with the best nuisance
+        # (x, 1) with the best nuisance
+        self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))
         self.complete[:, n:] = np.eye(layout.width + 1 - n)
         for j, g in enumerate(whole):
             out = free + own if j + 1 in aside else free
             self.complete[j, out] -= _solve(g[np.ix_(out, out)], g[out, n:])
-        self.rest = np.einsum("jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True)
+        self.rest = np.einsum(
+            "jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True
+        )
         self.counts = fit.counts.sum(axis=1)
 
     def _full(self, x: Array) -> Array:
-        """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints, width + 1)."""
+        """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints,
+        width + 1).
+        """
         tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
         return np.asarray(np.einsum("jab,jb->ja", self.complete, tail))
 
@@ -362,7 +422,12 @@ class Solver:
     def deviance(self, x: Array) -> float:
         """Of the fit, with the noise of each joint profiled out."""
         used = self.counts > NUISANCE
-        return float(np.sum(self.counts[used] * np.log(np.maximum(self._left(x)[used], 1e-300) / self.counts[used])))
+        return float(
+            np.sum(
+                self.counts[used]
+                * np.log(np.maximum(self._left(x)[used], 1e-300) / self.counts[used])
+            )
+        )
 
     def at(self, h: Hypothesis, values: Array) -> Array:
         """Coefficients that a hypothesis adds to the model, (joints, width)."""
@@ -381,12 +446,15 @@ class Solver:
         for _ in range(30):
             x, jac = self._linear(h, values)
             left = self._left(x)
-            told = left > 1e-12 * float(np.max(left, initial=0.0))  # a joint that stands still tells nothing
+            # a joint that stands still tells nothing
+            told = left > 1e-12 * float(np.max(left, initial=0.0))
             weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
             tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
             inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
             normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
-            slope = np.einsum("j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail))
+            slope = np.einsum(
+                "j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
+            )
             while damping < 1e6:
                 trial = values - _solve(normal + damping * np.diag(np.diag(normal)), slope)
                 value = self.deviance(self.at(h, trial))
@@ -405,11 +473,15 @@ class Solver:
         """Coefficients and their derivatives without the nuisance, (joints, columns, p)."""
         x = self.at(h, values)
         step = self.limits.step * np.maximum(np.abs(values), 0.1)
-        jac = [(self.at(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))]
+        jac = [
+            (self.at(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))
+        ]
         return x, np.stack(jac, axis=2)[:, NUISANCE:]
 
     def _starts(self, h: Hypothesis) -> list[Array]:
-        """Numbers to begin with: all zero, but for a payload, whose centre nobody can see without its mass."""
+        """Numbers to begin with: all zero, but for a payload, whose centre nobody can see without
+        its mass.
+        """
         if h.effect != "payload":
             return [np.zeros(len(h.free))]
         at = 10 * (h.joint - 1)  # mass and first moment are linear
@@ -435,8 +507,13 @@ class Solver:
         if h.effect == "body":
             far = max(abs(known.get(key, 0.0)) for key in COM)
             link, mass = bodies[h.joint - 1], abs(known.get("mass", 0.0))
-            most = 3.0 * float(np.max(link.inertia)) * mass / link.mass  # as a link of another density has, and thrice that
-            return bool(mass < link.mass and far < self.limits.reach and abs(known.get("inertia", 0.0)) <= most)
+            # as a link of another density has, and thrice that
+            most = 3.0 * float(np.max(link.inertia)) * mass / link.mass
+            return bool(
+                mass < link.mass
+                and far < self.limits.reach
+                and abs(known.get("inertia", 0.0)) <= most
+            )
         if h.effect in ("torque_gain", "gravity_scale"):
             return bool(abs(known["ratio"]) < self.limits.gain)
         return True
@@ -453,7 +530,8 @@ class Solver:
         normal = np.einsum("j,jap,jab,jbq->pq", weight, jac, self.rest[:, :-1, :-1], jac)
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
         paired = scores[:-1].T @ scores[1:]
-        spread = scores.T @ scores + 0.5 * (paired + paired.T)  # neighbours are alike (Newey and West 1987)
+        # neighbours are alike (Newey and West 1987)
+        spread = scores.T @ scores + 0.5 * (paired + paired.T)
         return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
 
     def squares(self, x: Array) -> Array:
@@ -468,7 +546,11 @@ class Solver:
         counts = self.choose.counts
         mean = left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
         mean = np.maximum(mean, 1e-300)[:, None]
-        return np.asarray(np.where(counts.sum(axis=1)[:, None] > NUISANCE, left / mean + counts * np.log(mean), 0.0))
+        return np.asarray(
+            np.where(
+                counts.sum(axis=1)[:, None] > NUISANCE, left / mean + counts * np.log(mean), 0.0
+            )
+        )
 
 
 def _solve(a: Array, b: Array) -> Array:
@@ -478,13 +560,16 @@ def _solve(a: Array, b: Array) -> Array:
     scaled = (b.T / unit).T
     if not (np.isfinite(a).all() and np.isfinite(scaled).all()):
         return np.zeros(b.shape)  # beyond numbers: nowhere to go from here
-    return np.asarray((np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T)
+    return np.asarray(
+        (np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T
+    )
 
 
 def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
     """All hypotheses after their linear fits, the best first.
 
-    Those that predict as well as the best one that is sure are ordered by what they cost; then all others by their gain.
+    Those that predict as well as the best one that is sure are ordered by what they cost; then all
+    others by their gain.
     """
     nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
     none, before = solver.points(nothing), solver.squares(nothing)
@@ -499,7 +584,17 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
         blocks = gain.sum(axis=0)
         share = np.where(np.isfinite(before), 1.0 - solver.squares(x) / before, 0.0)
         out.append(
-            Explained(h, values, solver.std(h, values), float(blocks.sum()), z_of(blocks), 0.0, gain.sum(axis=1), blocks, share)
+            Explained(
+                h,
+                values,
+                solver.std(h, values),
+                float(blocks.sum()),
+                z_of(blocks),
+                0.0,
+                gain.sum(axis=1),
+                blocks,
+                share,
+            )
         )
     sure = [e for e in out if e.z > solver.limits.sure]
     top = max(sure or out, key=lambda e: e.gain)
@@ -511,7 +606,8 @@ def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
 
 
 def _cost(e: Explained, solver: Solver) -> float:
-    """What an explanation costs; nothing where a model's free parameters need little to do as well."""
+    """What an explanation costs; nothing where a model's free parameters need little to do as well.
+    """
     if e.hypothesis.effect == "calibration":
         given = solver.layout.given
         if np.all(np.abs(e.values) < solver.limits.calibrated * np.abs(given)):
@@ -531,7 +627,8 @@ class FoundBody:
     Attributes
     ----------
     term : Term
-        To be added to a model; its numbers bear their standard deviations and are held in fits of single joints.
+        To be added to a model; its numbers bear their standard deviations and are held in fits of
+        single joints.
     body : str
         Name of the link; empty for gravity.
     explained : Explained
@@ -556,8 +653,8 @@ class FoundBody:
 class BodySearch:
     """What is wrong with the bodies of a machine.
 
-    ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside`` the joints that had been set aside by
-    then for a fault of their own.
+    ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside``
+    the joints that had been set aside by then for a fault of their own.
     """
 
     model: Model
@@ -589,7 +686,8 @@ def find_bodies(
         Proposals: whether they are claimed is decided on recordings that were not touched here.
     """
     links = fit.records[0][0].links
-    if links is None or all(b.parent < 0 for b in links.bodies):  # a single joint's payload is its inertia and its gravity
+    # a single joint's payload is its inertia and its gravity
+    if links is None or all(b.parent < 0 for b in links.bodies):
         return BodySearch(model)
     begun = model
     found: list[FoundBody] = []
@@ -598,23 +696,39 @@ def find_bodies(
     while len(found) < limits.bodies:
         tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
         layout = Layout(model, links)
-        solver, tried, aside = _round(Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits)
+        solver, tried, aside = _round(
+            Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits
+        )
         best = tried[0]
         taken = {(f.term.effect, f.term.joint) for f in found}
-        if not counts(best, solver) or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken:
+        if (
+            not counts(best, solver)
+            or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
+        ):
             break
-        best = refined(fit, choose, model, layout, own_mass(best, tried, links, limits), limits, jobs, aside)
+        best = refined(
+            fit, choose, model, layout, own_mass(best, tried, links, limits), limits, jobs, aside
+        )
         if weight_of(choose, layout, best) < limits.least:
             break
         h = best.hypothesis
-        alike = [e.hypothesis for e in tried if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown"]
-        same = tuple(dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint)))
+        alike = [
+            e.hypothesis
+            for e in tried
+            if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown"
+        ]
+        same = tuple(
+            dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint))
+        )
         others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
         term = stated(layout, best)
         tell(f"bodies: {best.hypothesis.name}")
         found.append(FoundBody(term, best.hypothesis.body, best, same, others, aside))
         if "calibration" in same:  # what the body explains is not to be calibrated away
-            held = {key: tuple(replace(q, free=False) for q in items) for key, items in begun.mechanism.items()}
+            held = {
+                key: tuple(replace(q, free=False) for q in items)
+                for key, items in begun.mechanism.items()
+            }
             begun = replace(begun, mechanism=held)
         model = begun.with_terms((*begun.terms, *(f.term for f in found)))
     return BodySearch(model, tuple(found), tuple(tried), aside)
@@ -623,7 +737,8 @@ def find_bodies(
 def _round(
     fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
 ) -> tuple[Solver, list[Explained], frozenset[int]]:
-    """All explanations, the best first, once joints with a larger fault of their own are set aside."""
+    """All explanations, the best first, once joints with a larger fault of their own are set aside.
+    """
     everything = hypotheses(layout.model, layout.links)
     aside: set[int] = set()
     while True:
@@ -638,10 +753,14 @@ def _round(
 def counts(best: Explained, solver: Solver) -> bool:
     """Whether an explanation is about bodies, and one that the recordings to choose by bear out."""
     limits = solver.limits
-    return best.hypothesis.of_bodies and best.z > limits.sure and float(best.share.max()) > limits.part
+    return (
+        best.hypothesis.of_bodies and best.z > limits.sure and float(best.share.max()) > limits.part
+    )
 
 
-def own_mass(best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits) -> Explained:
+def own_mass(
+    best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
+) -> Explained:
     """The wrong mass of a link in place of a body that sits at its centre of mass."""
     h = best.hypothesis
     if "mass" not in h.free or h.free == ("mass",):
@@ -652,7 +771,12 @@ def own_mass(best: Explained, tried: Sequence[Explained], links: Links, limits: 
     away = com - body.com if h.effect == "payload" else com * (body.mass + mass) / (mass or 1e-12)
     if abs(mass) > 0.5 * body.mass or float(np.linalg.norm(away)) > limits.same:
         return best
-    plain = [e for e in tried if (e.hypothesis.effect, e.hypothesis.joint, e.hypothesis.free) == ("body", h.joint, ("mass",))]
+    plain = [
+        e
+        for e in tried
+        if (e.hypothesis.effect, e.hypothesis.joint, e.hypothesis.free)
+        == ("body", h.joint, ("mass",))
+    ]
     return plain[0] if plain else best
 
 
@@ -666,14 +790,18 @@ def refined(
     jobs: int = 1,
     aside: Collection[int] = (),
 ) -> Explained:
-    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia of its own where that shows.
+    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia
+    of its own where that shows.
 
-    What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it comes back with the poses. Another
-    recording has other poses: standard deviations grow to what the two estimates differ by. They hold also where all actuators give a
-    little more or less than stated, which looks much like mass.
+    What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it
+    comes back with the poses. Another recording has other poses: standard deviations grow to what
+    the two estimates differ by. They hold also where all actuators give a little more or less than
+    stated, which looks much like mass.
     """
     h, values = first.hypothesis, first.values
-    wider = replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
+    wider = (
+        replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
+    )
     last, by_gain = first, np.zeros(len(values))
     for _ in range(limits.rounds):
         here = model.with_terms((*model.terms, layout.term(h, values)))
@@ -688,7 +816,10 @@ def refined(
             if abs(more[-1]) > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
                 h, new, std = wider, more, spread
         known = len(values)
-        stands = len(new) == known and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3
+        stands = (
+            len(new) == known
+            and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3
+        )
         last, values = replace(first, hypothesis=h, values=new, std=std), new
         *beside, gain = solver.estimate(replace(h, free=(*h.free, "gain")), np.append(values, 0.0))
         by_gain = (np.array(beside) - values) * min(1.0, limits.constant / max(abs(gain), 1e-12))
@@ -704,15 +835,20 @@ def refined(
 
 
 def stated(layout: Layout, e: Explained) -> Term:
-    """The term of an explanation, with its standard deviations; no fit of a single joint moves it."""
+    """The term of an explanation, with its standard deviations; no fit of a single joint moves it.
+    """
     term = layout.term(e.hypothesis, e.values)
     spread = dict(zip(e.hypothesis.free, e.std.tolist(), strict=True))
-    numbers = {key: replace(q, free=False, std=spread.get(key, 0.0)) for key, q in term.parameters.items()}
+    numbers = {
+        key: replace(q, free=False, std=spread.get(key, 0.0)) for key, q in term.parameters.items()
+    }
     return Term(term.effect, term.joint, numbers)
 
 
 def weight_of(data: Data, layout: Layout, e: Explained) -> float:
-    """RMS torque of an explanation at the joint where it is largest, as a part of that joint's RMS torque."""
+    """RMS torque of an explanation at the joint where it is largest, as a part of that joint's RMS
+    torque.
+    """
     term = layout.term(e.hypothesis, e.values)
     most = 0.0
     for j in range(layout.joints):
@@ -735,4 +871,6 @@ def z_of(blocks: Array) -> float:
         return 0.0
     off = blocks - blocks.mean()
     variance = float(off @ off) + float(off[:-1] @ off[1:])
-    return float(blocks.sum() / np.sqrt(max(variance, 1e-12 * float(blocks @ blocks), 1e-300) * n / (n - 1)))
+    return float(
+        blocks.sum() / np.sqrt(max(variance, 1e-12 * float(blocks @ blocks), 1e-300) * n / (n - 1))
+    )

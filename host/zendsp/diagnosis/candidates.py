@@ -1,4 +1,6 @@
-"""The hypotheses for one joint: what a screen can rank, and what only a simulation with its own states can judge."""
+"""The hypotheses for one joint: what a screen can rank, and what only a simulation with its own
+states can judge.
+"""
 
 from __future__ import annotations
 
@@ -80,12 +82,17 @@ def starts_of(candidate: Candidate, data: Data) -> list[Candidate]:
 
 
 def simulated(
-    data: Data, model: Model, joint: int, only: frozenset[str] = frozenset(), jobs: int = 1, given: Model | None = None
+    data: Data,
+    model: Model,
+    joint: int,
+    only: frozenset[str] = frozenset(),
+    jobs: int = 1,
+    given: Model | None = None,
 ) -> list[list[Candidate]]:
     """Hypotheses that no column can screen, each with its start values; ``jobs`` threads.
 
-    What makes the cost rough, a gap, is also begun from the numbers of the ``given`` model: calibrated without it, an inertia takes a good
-    part of the gap upon itself.
+    What makes the cost rough, a gap, is also begun from the numbers of the ``given`` model:
+    calibrated without it, an inertia takes a good part of the gap upon itself.
     """
     record = max((rec[joint - 1] for rec in data.records), key=lambda r: r.n)
     present = {t.effect for t in model.at(joint)}
@@ -93,21 +100,36 @@ def simulated(
     for effect in library().values():
         if effect.scan is None or effect.name in present or (only and effect.name not in only):
             continue
-        if not is_supported(effect, present) or not usable(effect, [rec[joint - 1] for rec in data.records]):
+        if not is_supported(effect, present) or not usable(
+            effect, [rec[joint - 1] for rec in data.records]
+        ):
             continue
-        kin = {name for name in present if get_effect(name).sole and get_effect(name).family == effect.family}
+        kin = {
+            name
+            for name in present
+            if get_effect(name).sole and get_effect(name).family == effect.family
+        }
         if effect.sole and kin - set(effect.replaces):
             continue
         beneath = [model]
         if effect.rough and given is not None:
             before = as_given(model, given)
-            change = float(np.mean(effective_inertia(record, before))) / float(np.mean(effective_inertia(record, model)))
+            change = float(np.mean(effective_inertia(record, before))) / float(
+                np.mean(effective_inertia(record, model))
+            )
             if abs(math.log(change)) > SAME_INERTIA:
                 beneath.append(before)
         starts = scan(data, beneath, joint, effect, record, jobs=jobs)
         gone = tuple(name for name in effect.replaces if name in present)
         if starts:
-            out.append([Candidate(effect.name, joint, (term,), gone, math.nan, None if base is model else base) for term, base in starts])
+            out.append(
+                [
+                    Candidate(
+                        effect.name, joint, (term,), gone, math.nan, None if base is model else base
+                    )
+                    for term, base in starts
+                ]
+            )
     return out
 
 
@@ -124,25 +146,43 @@ def as_given(model: Model, given: Model) -> Model:
 
 
 def coarse(data: Data) -> Data:
-    """The same recordings with integration steps of up to a millisecond, for a first look at a hypothesis."""
+    """The same recordings with integration steps of up to a millisecond, for a first look at a
+    hypothesis.
+    """
     steps = [min(data.inner, math.ceil(rec[0].sample_time / COARSE - 1e-6)) for rec in data.records]
     return replace(data, inner=max(1, *steps))
 
 
 def scan(
-    data: Data, models: Sequence[Model], joint: int, effect: Effect, record: JointRecord, keep: int = 2, jobs: int = 1
+    data: Data,
+    models: Sequence[Model],
+    joint: int,
+    effect: Effect,
+    record: JointRecord,
+    keep: int = 2,
+    jobs: int = 1,
 ) -> list[tuple[Term, Model]]:
-    """The most likely of an effect's start values, one simulation each, beneath them any of some models as they stand."""
+    """The most likely of an effect's start values, one simulation each, beneath them any of some
+    models as they stand.
+    """
     assert effect.scan is not None
     listed = []
     for model in models:
         old = next((t for t in model.at(joint) if t.effect in effect.replaces), None)
         numbers = {name: q.value for name, q in old.parameters.items()} if old else {}
-        listed += [(make_term(effect, joint, dict(values)), model) for values in effect.scan(facts(record, model, numbers))]
+        listed += [
+            (make_term(effect, joint, dict(values)), model)
+            for values in effect.scan(facts(record, model, numbers))
+        ]
     if effect.rough:
         data = coarse(data)
-    trials = [with_candidate(model, Candidate(effect.name, joint, (term,), effect.replaces, math.nan)) for term, model in listed]
+    trials = [
+        with_candidate(model, Candidate(effect.name, joint, (term,), effect.replaces, math.nan))
+        for term, model in listed
+    ]
     values_of = deviances(data, trials, joint, jobs)
     order = sorted(range(len(listed)), key=lambda i: (values_of[i], i))
     unlike = {listed[i][0].value(effect.apart, float(i)): i for i in reversed(order)}
-    return [listed[i] for i in order if unlike.get(listed[i][0].value(effect.apart, float(i))) == i][:keep]
+    return [
+        listed[i] for i in order if unlike.get(listed[i][0].value(effect.apart, float(i))) == i
+    ][:keep]

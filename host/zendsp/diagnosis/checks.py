@@ -54,21 +54,27 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
 def _moves(where: str, y: Array, resolution: float) -> None:
     span = float(np.ptp(y))
     if span <= 1e-9 * max(1e-9, float(np.max(np.abs(y)))):
-        raise RecordingError(f"{where}: the position is constant; nothing moved, so nothing can be diagnosed")
+        raise RecordingError(
+            f"{where}: the position is constant; nothing moved, so nothing can be diagnosed"
+        )
     if resolution > 0 and span < MIN_COUNTS * resolution:
         raise RecordingError(
-            f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis needs at least {MIN_COUNTS}: excite the joint more"
+            f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis"
+            f" needs at least {MIN_COUNTS}: excite the joint more"
         )
     # white noise of 20 000 samples spans 8 standard deviations
     noise = noise_beside_quantisation(y, resolution)
     if span < 15 * noise:
         raise RecordingError(
-            f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of {noise:.2g}: it is noise, not motion; excite the joint more"
+            f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of"
+            f" {noise:.2g}: it is noise, not motion; excite the joint more"
         )
 
 
 def _follows(where: str, y: Array, r: Array, kind: str) -> None:
-    """The reference has the unit and sign of the position: a factor of 180/pi or -1 between them is a mistake."""
+    """The reference has the unit and sign of the position: a factor of 180/pi or -1 between them is
+    a mistake.
+    """
     a, b = y - y.mean(), r - r.mean()
     power = float(b @ b)
     if power <= 0:
@@ -79,14 +85,20 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
         return
     if slope < -0.5:
         raise RecordingError(
-            f"{where}: the position runs opposite to its reference (slope {slope:.3g}): the sign of one of them is flipped"
+            f"{where}: the position runs opposite to its reference (slope {slope:.3g}): the sign of"
+            " one of them is flipped"
         )
-    factors = ((DEGREE, "degrees and radians"),) if kind == "rotary" else ((1e3, "millimetres and metres"),)
+    factors = (
+        ((DEGREE, "degrees and radians"),)
+        if kind == "rotary"
+        else ((1e3, "millimetres and metres"),)
+    )
     for factor, units in factors:
         for value, first in ((factor, "position"), (1 / factor, "reference")):
             if 0.7 < slope / value < 1.4:
                 raise RecordingError(
-                    f"{where}: the position is {slope:.3g} times its reference: {units} are mixed (the {first} has the larger numbers)"
+                    f"{where}: the position is {slope:.3g} times its reference: {units} are mixed"
+                    f" (the {first} has the larger numbers)"
                 )
 
 
@@ -94,22 +106,27 @@ def _limits(where: str, u: Array, limit: float) -> list[str]:
     top = float(np.max(np.abs(u)))
     if limit > 0 and top > 10 * limit and float(np.mean(np.abs(u) > limit)) > 0.5:
         raise RecordingError(
-            f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's limit of {limit:.4g}: is it in other units than the model's [actuator]?"
+            f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's"
+            f" limit of {limit:.4g}: is it in other units than the model's [actuator]?"
         )
     if limit > 0 and top > 1.001 * limit:
         return [
-            f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g}; it is clipped in the model"
+            f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g};"
+            " it is clipped in the model"
         ]
     stuck = float(np.mean(np.abs(u) >= 0.999 * top)) if top > 0 else 0.0
     if limit <= 0 and stuck > 0.03 and len(np.unique(np.round(np.abs(u) / top, 6))) > 20:
         return [
-            f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of the time; it looks clipped and the model states no limit"
+            f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of"
+            " the time; it looks clipped and the model states no limit"
         ]
     return []
 
 
 def _glued(where: str, y: Array, s: Signals) -> None:
-    """A jump that no neighbour announces: a speed for one sample that the motion before and after does not have."""
+    """A jump that no neighbour announces: a speed for one sample that the motion before and after
+    does not have.
+    """
     step = np.diff(y)
     usual = float(np.quantile(np.abs(step), 0.999))
     k = int(np.argmax(np.abs(step)))
@@ -124,12 +141,15 @@ def _glued(where: str, y: Array, s: Signals) -> None:
         and jump > 0.004 * float(np.ptp(y))
     ):
         raise RecordingError(
-            f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g} s: are two runs glued together, or were samples dropped? Give them as two files"
+            f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g}"
+            " s: are two runs glued together, or were samples dropped? Give them as two files"
         )
 
 
 def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> None:
-    """A joint that stands at its extreme from one sample to the next: the stop would need an acceleration that it shows nowhere else."""
+    """A joint that stands at its extreme from one sample to the next: the stop would need an
+    acceleration that it shows nowhere else.
+    """
     width = max(2, round(0.004 / sample_time))  # arrival speed over 4 ms
     lag = max(1, round(0.02 / sample_time))
     mean = np.convolve(y, np.ones(lag) / lag, mode="valid")
@@ -147,19 +167,23 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
         for k in starts[long]:
             if k > width:
                 travel = abs(float(y[k - 1] - y[k - 1 - width]))
-                # braking at the usual acceleration from this speed would take well over the 4 ms, and several counts
+                # braking at the usual acceleration from this speed would take well over the 4 ms,
+                # and several counts
                 sudden += (
                     travel > 4 * resolution
                     and travel / (width * sample_time) > 6 * usual * width * sample_time
                 )
         if share > 0.01 and sudden >= 2 and sudden >= 0.6 * max(1, int(long.sum())):
             raise RecordingError(
-                f"{where}: the position stops dead at its {name} ({edge:.4g}, {100 * share:.0f} % of the time): the sensor's range was exceeded, the values are clipped, or the joint hits a stop"
+                f"{where}: the position stops dead at its {name} ({edge:.4g}, {100 * share:.0f} %"
+                " of the time): the sensor's range was exceeded, the values are clipped, or the"
+                " joint hits a stop"
             )
 
 
 def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
-    """Look at the motion against the command: units, signs, swapped columns (see ``contradictions``).
+    """Look at the motion against the command: units, signs, swapped columns (see
+    ``contradictions``).
 
     Parameters
     ----------
@@ -177,7 +201,8 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
     Raises
     ------
     RecordingError
-        Where position and command contradict the model so plainly that the data must be wrong, with the likeliest mistake.
+        Where position and command contradict the model so plainly that the data must be wrong, with
+        the likeliest mistake.
     """
     for rec, name in zip(data.records, names, strict=True):
         where = [f"{name}: joint {record.joint}" if len(rec) > 1 else name for record in rec]
@@ -186,11 +211,13 @@ def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
             if not np.any(record.command):
                 if model.columns.get("command"):
                     raise RecordingError(
-                        f"{place}: the command is zero throughout; a machine that is not driven has no command column in [columns]"
+                        f"{place}: the command is zero throughout; a machine that is not driven has"
+                        " no command column in [columns]"
                     )
             elif float(np.ptp(record.command)) == 0:
                 raise RecordingError(
-                    f"{place}: the command is constant ({record.command[0]:.4g}); a diagnosis needs an excited recording"
+                    f"{place}: the command is constant ({record.command[0]:.4g}); a diagnosis needs"
+                    " an excited recording"
                 )
             else:
                 driven = True
@@ -206,6 +233,7 @@ def check_excitation(data: Data) -> list[str]:
         reversals = sum(int(np.sum(np.diff(np.sign(r.motion.states[1])) != 0)) for r in records)
         if reversals == 0:
             notes.append(
-                f"joint {j} never reverses: Coulomb friction, offset and asymmetry cannot be told apart"
+                f"joint {j} never reverses: Coulomb friction, offset and asymmetry cannot be told"
+                " apart"
             )
     return notes

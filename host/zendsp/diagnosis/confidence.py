@@ -1,7 +1,8 @@
 """How often a finding like this one is right.
 
-The mechanism is as sure as its size beyond the discrepancy says; the law as the race of the laws of its mechanism left it. Both are
-held below what was tested: no figure above ``MOST`` has been (docs/diagnosis.md, confidence).
+The mechanism is as sure as its size beyond the discrepancy says; the law as the race of the laws of
+its mechanism left it. Both are held below what was tested: no figure above ``MOST`` has been
+(docs/diagnosis.md, confidence).
 """
 
 from __future__ import annotations

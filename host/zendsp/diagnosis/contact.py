@@ -1,8 +1,11 @@
-"""A gap's narrow optimum: contacts that begin and end at other instants make a rough cost with a deep valley of a few percent's width.
+"""A gap's narrow optimum: contacts that begin and end at other instants make a rough cost with a
+deep valley of a few percent's width.
 
-A fit from afar ends in a ripple of that cost. Three moves lead on from there by turns, each of which sees past what stops the others: a contact
-that loses much (one that bounces for ever, or sticks, has no gradient to follow), ever slower observers (a fast one corrects the load
-at every sample and hides when a contact begins), and a coarse grid of gaps and stiffnesses around what was found.
+A fit from afar ends in a ripple of that cost. Three moves lead on from there by turns, each of
+which sees past what stops the others: a contact that loses much (one that bounces for ever, or
+sticks, has no gradient to follow), ever slower observers (a fast one corrects the load at every
+sample and hides when a contact begins), and a coarse grid of gaps and stiffnesses around what was
+found.
 """
 
 from __future__ import annotations
@@ -22,7 +25,9 @@ ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 STIFFNESSES = (0.5, 0.7, 1.0, 1.4, 2.0)
-IDLE = 2  # slower observers one after the other that lead to nothing better: so did all after them, in the cases looked at
+# slower observers one after the other that lead to nothing better: so did all after them, in the
+# cases looked at
+IDLE = 2
 TRIED = 3  # points of the grid that are fitted
 
 
@@ -60,7 +65,9 @@ def refine(scored: Scored, joint: int, before: float, worth: float, jobs: int) -
 
 
 def lossy(scored: Scored, joint: int, jobs: int) -> Scored:
-    """Refit from a contact that loses a fifth of critical; the same where it loses about so much already."""
+    """Refit from a contact that loses a fifth of critical; the same where it loses about so much
+    already.
+    """
     values = _values(scored.model, joint)
     damping = _moderate(values)
     if damping == values.get("damping", 0.0):
@@ -82,7 +89,15 @@ def descend(scored: Scored, joint: int, jobs: int) -> Scored:
         if value < best.deviance:
             best, idle = Scored(slow.fit, data, value, (joint,)), 0
     for _ in range(2):
-        result = fit(best.data, best.model, scored.fit.handles, joints=(joint,), iterations=6, jobs=jobs, central=True)
+        result = fit(
+            best.data,
+            best.model,
+            scored.fit.handles,
+            joints=(joint,),
+            iterations=6,
+            jobs=jobs,
+            central=True,
+        )
         data, value = tune_bandwidth(best.data, result.model, (joint,))
         if not value < best.deviance - 2.0:
             break
@@ -94,7 +109,16 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
     """Fits from the likeliest points of a grid of gaps and stiffnesses around what was found."""
     values = _values(scored.model, joint)
     points = [
-        with_numbers(scored.model, "backlash", joint, {"gap": g * values["gap"], "stiffness": k * values["stiffness"], "damping": math.sqrt(k) * _moderate(values)})
+        with_numbers(
+            scored.model,
+            "backlash",
+            joint,
+            {
+                "gap": g * values["gap"],
+                "stiffness": k * values["stiffness"],
+                "damping": math.sqrt(k) * _moderate(values),
+            },
+        )
         for g, k in itertools.product(GAPS, STIFFNESSES)
         if (g, k) != (1.0, 1.0)
     ]
@@ -105,13 +129,19 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
 
 
 def _moderate(values: Mapping[str, float]) -> float:
-    """A contact's damping: as found, or a fifth of critical where it is next to none or next to critical."""
-    critical, damping = math.sqrt(values["stiffness"] * values["load_inertia"]), values.get("damping", 0.0)
+    """A contact's damping: as found, or a fifth of critical where it is next to none or next to
+    critical.
+    """
+    critical, damping = math.sqrt(values["stiffness"] * values["load_inertia"]), values.get(
+        "damping", 0.0
+    )
     return damping if 0.05 * critical < damping < 0.5 * critical else LOSSY * critical
 
 
 def _refitted(scored: Scored, data: Data, model: Model, joint: int, jobs: int) -> Scored:
-    result = fit(data, model, scored.fit.handles, joints=(joint,), iterations=8, tolerance=1e-3, jobs=jobs)
+    result = fit(
+        data, model, scored.fit.handles, joints=(joint,), iterations=8, tolerance=1e-3, jobs=jobs
+    )
     return Scored(result, data, deviance(data, result.model, (joint,)), (joint,))
 
 

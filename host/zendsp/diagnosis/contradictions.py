@@ -1,9 +1,11 @@
-"""Recordings that contradict mechanics: wrong units, flipped signs, swapped columns, commands that do not belong to the motion.
+"""Recordings that contradict mechanics: wrong units, flipped signs, swapped columns, commands that
+do not belong to the motion.
 
-Each joint's command is regressed on what the model's rigid body needs along the measured motion, below about 20 Hz
-(inverse dynamics with the same filter on both sides; Gautier and Khalil 1990). The coefficient of the rigid body is 1 where recording and model agree,
-whatever friction, spring or offset is missing, for those have columns of their own. Where it is far from 1 the likely mistakes are undone one by one;
-the one that brings it back is named.
+Each joint's command is regressed on what the model's rigid body needs along the measured motion,
+below about 20 Hz (inverse dynamics with the same filter on both sides; Gautier and Khalil 1990).
+The coefficient of the rigid body is 1 where recording and model agree, whatever friction, spring or
+offset is missing, for those have columns of their own. Where it is far from 1 the likely mistakes
+are undone one by one; the one that brings it back is named.
 """
 
 from __future__ import annotations
@@ -27,12 +29,15 @@ DEGREE = 180.0 / np.pi
 BAND = (20.0, 10.0, 5.0, 2.5)  # Hz
 EDGE = 0.999  # of the largest command: at it
 SHOWS = 0.25  # of the command: a rigid body's torque below is no ground to accuse a column
-FULL = 1.5  # of the torque: friction that drives by more is two columns of the regression against each other
+# of the torque: friction that drives by more is two columns of the regression against each other
+FULL = 1.5
 
 
 @dataclass(frozen=True)
 class Slow:
-    """All joints of one recording below the cutoff, thinned: arrays (joints, n); ``at_edge`` marks commands at their largest value."""
+    """All joints of one recording below the cutoff, thinned: arrays (joints, n); ``at_edge`` marks
+    commands at their largest value.
+    """
 
     q: Array
     qd: Array
@@ -43,9 +48,11 @@ class Slow:
 
 @dataclass(frozen=True)
 class Regression:
-    """Torque = slope · rigid body + friction + spring + offset: slope with its standard error, R², torque of the friction columns over the RMS torque.
+    """Torque = slope · rigid body + friction + spring + offset: slope with its standard error, R²,
+    torque of the friction columns over the RMS torque.
 
-    ``share``: RMS of the model's rigid-body torque over that of the command; ``excess``: torque missing at the largest commands over that command.
+    ``share``: RMS of the model's rigid-body torque over that of the command; ``excess``: torque
+    missing at the largest commands over that command.
     """
 
     slope: float
@@ -67,7 +74,8 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     sample_time : float
         s.
     noise : ndarray, shape (joints,)
-        Standard deviation of the position's noise, rad or m: the cutoff falls until its share of the acceleration does not matter.
+        Standard deviation of the position's noise, rad or m: the cutoff falls until its share of
+        the acceleration does not matter.
 
     Returns
     -------
@@ -76,7 +84,8 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     nyquist = 0.5 / sample_time
     for cutoff in BAND:
         cutoff = min(cutoff, 0.4 * nyquist)
-        width = math.sqrt(2 * math.log(2)) / (2 * np.pi * cutoff * sample_time)  # samples: half the amplitude is left at the cutoff
+        # samples: half the amplitude is left at the cutoff
+        width = math.sqrt(2 * math.log(2)) / (2 * np.pi * cutoff * sample_time)
         q = gaussian_filter1d(positions, width, axis=1, mode="nearest")
         qd = np.gradient(q, sample_time, axis=1)
         qdd = np.gradient(qd, sample_time, axis=1)
@@ -89,7 +98,12 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
     top = np.max(np.abs(commands), axis=1, keepdims=True)
     reach = max(1, round(0.5 / (cutoff * sample_time)))
     edge = np.abs(commands) >= EDGE * np.maximum(top, 1e-300)
-    solid = np.stack([np.convolve(row, np.ones(2 * reach + 1), mode="same") >= 2 * reach for row in edge.astype(float)])
+    solid = np.stack(
+        [
+            np.convolve(row, np.ones(2 * reach + 1), mode="same") >= 2 * reach
+            for row in edge.astype(float)
+        ]
+    )
     u = gaussian_filter1d(commands, width, axis=1, mode="nearest")
     return Slow(q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use])
 
@@ -104,10 +118,16 @@ def _torques(model: Model, states: Sequence[Array]) -> Array:
 
 
 def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
-    """Torques of the model's rigid body along a motion: of the motion, and of the weight where the mechanism knows it, (joints, n) each."""
+    """Torques of the model's rigid body along a motion: of the motion, and of the weight where the
+    mechanism knows it, (joints, n) each.
+    """
     rest = np.zeros_like(slow.q)
     states = list(np.stack([slow.q, slow.qd, slow.qdd], axis=1))
-    weight = _torques(model, list(np.stack([slow.q, rest, rest], axis=1))) if model.kind == "urdf" else rest
+    weight = (
+        _torques(model, list(np.stack([slow.q, rest, rest], axis=1)))
+        if model.kind == "urdf"
+        else rest
+    )
     rigid = _torques(model, states) - weight
     for term in model.terms:
         if term.effect == "inertia":
@@ -116,7 +136,9 @@ def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
 
 
 def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> Regression | None:
-    """Regress one joint's torque (1-based) on its rigid ``body``; None where there are too few samples or nothing varies."""
+    """Regress one joint's torque (1-based) on its rigid ``body``; None where there are too few
+    samples or nothing varies.
+    """
     i = joint - 1
     rigid, weight = body[0][i], body[1][i]
     torque = per_joint(model.actuator.gain, joint, 1.0) * slow.command[i]
@@ -141,7 +163,9 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     theta = theta / scale
     rub = a[:, 1] * theta[1] + a[:, 2] * theta[2]
     size = float(np.sqrt(np.mean(torque**2)))
-    excess, excess_t = _excess(a @ theta - torque, torque, slow.at_edge[i], float(np.sqrt(variance)))
+    excess, excess_t = _excess(
+        a @ theta - torque, torque, slow.at_edge[i], float(np.sqrt(variance))
+    )
     return Regression(
         slope=float(theta[0]),
         error=float(np.sqrt(max(covariance[0, 0], 0.0)) / scale[0]),
@@ -153,14 +177,18 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     )
 
 
-def _excess(beyond: Array, torque: Array, at_edge: npt.NDArray[np.bool_], spread: float) -> tuple[float, float]:
+def _excess(
+    beyond: Array, torque: Array, at_edge: npt.NDArray[np.bool_], spread: float
+) -> tuple[float, float]:
     count = int(at_edge.sum())
     if count < 12:
         return 0.0, 0.0
     push = beyond[at_edge] * np.sign(torque[at_edge])
     mean = float(push.mean())
     error = max(float(push.std()), spread) / np.sqrt(count / 4)
-    return mean / max(float(np.mean(np.abs(torque[at_edge]))), 1e-300), mean / max(float(error), 1e-300)
+    return mean / max(float(np.mean(np.abs(torque[at_edge]))), 1e-300), mean / max(
+        float(error), 1e-300
+    )
 
 
 def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Model) -> None:
@@ -182,7 +210,9 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
     period = records[0].sample_time
     y = np.stack([r.position for r in records])
     u = np.stack([r.command for r in records])
-    noise = np.array([np.hypot(r.measurement.noise, r.measurement.resolution / np.sqrt(12)) for r in records])
+    noise = np.array(
+        [np.hypot(r.measurement.noise, r.measurement.resolution / np.sqrt(12)) for r in records]
+    )
     plain = look(y, u, period, noise)
     body = rigid_body(plain, model)
     for i, name in enumerate(where):
@@ -192,15 +222,24 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
         if found is None:
             continue
         _sign(name, found)
-        if found.slope + 4 * found.error < 0.3 or (found.slope - 4 * found.error > 5.0 and found.r2 > 0.5):
+        if found.slope + 4 * found.error < 0.3 or (
+            found.slope - 4 * found.error > 5.0 and found.r2 > 0.5
+        ):
             _undo(name, found, y, u, period, noise, model, i)
         top = float(np.max(np.abs(u[i])))
         stated = per_joint(model.actuator.limit, i + 1, 0.0)
         allowed = stated > 0 and top > 0.98 * stated  # the actuator saturates there as well
-        if not allowed and found.excess > 0.15 and found.excess_t > 4.5 and found.r2 > 0.8 and 0.4 < found.slope < 2.5:
+        if (
+            not allowed
+            and found.excess > 0.15
+            and found.excess_t > 4.5
+            and found.r2 > 0.8
+            and 0.4 < found.slope < 2.5
+        ):
             raise RecordingError(
-                f"{name}: while the command column stands at its largest value {top:.4g} the joint moves as if by {100 * found.excess:.0f} % more: "
-                "the column is clipped; record it with a wider range"
+                f"{name}: while the command column stands at its largest value {top:.4g} the joint"
+                f" moves as if by {100 * found.excess:.0f} % more: the column is clipped; record it"
+                " with a wider range"
             )
 
 
@@ -208,23 +247,46 @@ def _sign(name: str, found: Regression) -> None:
     sure = found.r2 > 0.6
     if sure and found.share > 0.05 and found.slope < -0.2 and found.slope < -10 * found.error:
         raise RecordingError(
-            f"{name}: the joint accelerates against its command (its inertia comes out as {found.slope:.2g} of the model's): "
-            "the sign of the command or of the position is flipped"
+            f"{name}: the joint accelerates against its command (its inertia comes out as"
+            f" {found.slope:.2g} of the model's): the sign of the command or of the position is"
+            " flipped"
         )
     if sure and -FULL < found.friction < -0.3 and found.slope < 0.3:
         raise RecordingError(
-            f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the torque along the motion): "
-            "the sign of the command or of the position is flipped"
+            f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the"
+            " torque along the motion): the sign of the command or of the position is flipped"
         )
 
 
-def _undo(name: str, found: Regression, y: Array, u: Array, period: float, noise: Array, model: Model, i: int) -> None:
+def _undo(
+    name: str,
+    found: Regression,
+    y: Array,
+    u: Array,
+    period: float,
+    noise: Array,
+    model: Model,
+    i: int,
+) -> None:
     """Undo the likely mistakes; name the one that makes recording and model agree."""
     rotary = model.joint_kind(i + 1) == "rotary"
     mistakes: list[tuple[str, Callable[[], tuple[Array, Array, Array]]]] = [
-        ("the position is in degrees, not radians" if rotary else "the position is in millimetres, not metres", lambda: (y / (DEGREE if rotary else 1e3), u, noise / (DEGREE if rotary else 1e3))),
-        ("the command is in milli-units of what the model's gain expects", lambda: (y, u / 1e3, noise)),
-        ("the command is in thousands of what the model's gain expects", lambda: (y, u * 1e3, noise)),
+        (
+            (
+                "the position is in degrees, not radians"
+                if rotary
+                else "the position is in millimetres, not metres"
+            ),
+            lambda: (y / (DEGREE if rotary else 1e3), u, noise / (DEGREE if rotary else 1e3)),
+        ),
+        (
+            "the command is in milli-units of what the model's gain expects",
+            lambda: (y, u / 1e3, noise),
+        ),
+        (
+            "the command is in thousands of what the model's gain expects",
+            lambda: (y, u * 1e3, noise),
+        ),
         ("position and command are swapped", lambda: (u, y, 0 * noise)),
     ]
     for words, undo in mistakes:
@@ -232,14 +294,25 @@ def _undo(name: str, found: Regression, y: Array, u: Array, period: float, noise
         slow = look(q, command, period, spread)
         again = regress(slow, model, i + 1, rigid_body(slow, model))
         if again is None or again.share < SHOWS:
-            continue  # so read the inertia would hardly show, as it does where a joint is hardly driven at all: no explanation
-        if again.r2 > max(0.6, found.r2 - 0.05) and 0.5 < again.slope < 2.0 and again.slope > 8 * again.error:
-            raise RecordingError(f"{name}: the model's inertia comes out as {found.slope:.2g} of what it should be: {words}")
-    # inertia dominates a motion that the model's inertia cannot come from: not physics that could be added
+            # so read the inertia would hardly show, as it does where a joint is hardly driven at
+            # all: no explanation
+            continue
+        if (
+            again.r2 > max(0.6, found.r2 - 0.05)
+            and 0.5 < again.slope < 2.0
+            and again.slope > 8 * again.error
+        ):
+            raise RecordingError(
+                f"{name}: the model's inertia comes out as {found.slope:.2g} of what it should be:"
+                f" {words}"
+            )
+    # inertia dominates a motion that the model's inertia cannot come from: not physics that could
+    # be added
     if found.slope + 4 * found.error < 0.2 and found.share > 0.3 and found.r2 < 0.5:
         raise RecordingError(
-            f"{name}: the command does not produce this motion (it explains {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): "
-            "are the columns of different runs, joints or units?"
+            f"{name}: the command does not produce this motion (it explains"
+            f" {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): are"
+            " the columns of different runs, joints or units?"
         )
 
 
@@ -260,16 +333,28 @@ def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Mode
         noise = np.array([np.hypot(m.noise, m.resolution / np.sqrt(12))])
         ratio, r2 = _swing(record.position[None], record.sample_time, noise, inertia, weight)
         if r2 > 0.6 and ratio < -0.3:
-            raise RecordingError(f"{name}: the joint swings about the position pi; the model takes 0 as hanging down: add pi by [sensor] offset")
-        other, better = _swing(record.position[None] / DEGREE, record.sample_time, noise / DEGREE, inertia, weight)
+            raise RecordingError(
+                f"{name}: the joint swings about the position pi; the model takes 0 as hanging"
+                " down: add pi by [sensor] offset"
+            )
+        other, better = _swing(
+            record.position[None] / DEGREE, record.sample_time, noise / DEGREE, inertia, weight
+        )
         if r2 < 0.6 < better and other > 0.3:
-            raise RecordingError(f"{name}: the joint swings as gravity says only if the position is in degrees; expected radians")
+            raise RecordingError(
+                f"{name}: the joint swings as gravity says only if the position is in degrees;"
+                " expected radians"
+            )
 
 
-def _swing(q: Array, period: float, noise: Array, inertia: float, weight: float) -> tuple[float, float]:
+def _swing(
+    q: Array, period: float, noise: Array, inertia: float, weight: float
+) -> tuple[float, float]:
     slow = look(q, np.zeros_like(q), period, noise)
     need = inertia * slow.qdd[0]
     a = np.stack([-weight * np.sin(slow.q[0]), slow.qd[0], np.ones_like(slow.q[0])], axis=1)
     theta, *_ = np.linalg.lstsq(a, need, rcond=1e-10)
     left = need - a @ theta
-    return float(theta[0]), 1.0 - float(left @ left) / max(float(np.sum((need - need.mean()) ** 2)), 1e-300)
+    return float(theta[0]), 1.0 - float(left @ left) / max(
+        float(np.sum((need - need.mean()) ** 2)), 1e-300
+    )

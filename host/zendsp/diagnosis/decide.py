@@ -1,9 +1,10 @@
 """The decision: which mechanisms are claimed, by which law, and what is said of the rest.
 
-One principle (docs/diagnosis.md, "How it decides"): a recording is the named physics, a discrepancy that nobody has named, and the
-sensor. A finding is a mechanism without which the discrepancy must grow, on recordings that neither the fit nor any choice has
-touched. The search proposes; here every mechanism that it wrote down is taken away, everything else is fitted again, and what that
-costs decides.
+One principle (docs/diagnosis.md, "How it decides"): a recording is the named physics, a discrepancy
+that nobody has named, and the sensor. A finding is a mechanism without which the discrepancy must
+grow, on recordings that neither the fit nor any choice has touched. The search proposes; here every
+mechanism that it wrote down is taken away, everything else is fitted again, and what that costs
+decides.
 """
 
 from __future__ import annotations
@@ -43,14 +44,18 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 # Every number that decides stands here; docs/diagnosis.md has the measurement behind each.
-FALSE_DISCOVERIES = 0.05  # of what is claimed, at most so much is nothing: e-values, over joints and mechanisms
+# of what is claimed, at most so much is nothing: e-values, over joints and mechanisms
+FALSE_DISCOVERIES = 0.05
 LAW_ERROR = 0.03  # no law describes its own mechanism better than to so much of its size
-LEFT_BY_A_LAW = 0.2  # of a mechanism's size, as a function of its own variables: a law of one number that leaves more is none
+# of a mechanism's size, as a function of its own variables: a law of one number that leaves more is
+# none
+LEFT_BY_A_LAW = 0.2
 NUMERIC = 0.001  # of the RMS torque: where two simulators differ by so much, it is no lack of a law
 FINEST = 0.0003  # of the RMS torque: what is less is never a finding, however likely
 OWN_SHARE = 0.1  # of the explainable mismatch: a second law of one mechanism below is a refinement
 MACHINE = 0.03  # of the RMS torque: below, slow random torques that every machine has
-OF_STATE = 0.01  # of the RMS torque: a function of state above is missing physics, whatever its name
+# of the RMS torque: a function of state above is missing physics, whatever its name
+OF_STATE = 0.01
 TIED = 0.05  # probability above which a law is still in the race
 DRAWS = 400  # of the Bayesian bootstrap
 SURE = 3.0  # standard deviations over blocks of time
@@ -62,7 +67,9 @@ CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 
 @dataclass(frozen=True)
 class Piece:
-    """A mechanism at one joint as it stands in the model, and what taking it away costs on untouched recordings."""
+    """A mechanism at one joint as it stands in the model, and what taking it away costs on
+    untouched recordings.
+    """
 
     mechanism: str
     terms: tuple[Term, ...]
@@ -79,7 +86,9 @@ class Piece:
 
 @dataclass(frozen=True)
 class Claim:
-    """One law of one mechanism: claimed, or a refinement. ``effect`` is "unknown" where no law describes the mechanism."""
+    """One law of one mechanism: claimed, or a refinement. ``effect`` is "unknown" where no law
+    describes the mechanism.
+    """
 
     effect: str
     mechanism: str
@@ -90,7 +99,8 @@ class Claim:
     laws: dict[str, float]
     same: tuple[str, ...]
     replaces: tuple[str, ...]
-    lost: tuple[tuple[str, str, float], ...]  # rivals: effect, why not, log-likelihood against the law's
+    # rivals: effect, why not, log-likelihood against the law's
+    lost: tuple[tuple[str, str, float], ...]
     left: Structure | None = None  # what the law leaves in its own variables
 
 
@@ -109,7 +119,8 @@ class Decision:
     state: Structure  # what any function of state predicts of what is left
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
-    lost: tuple[tuple[str, str, float], ...] = ()  # hypotheses that were tried where nothing is claimed
+    # hypotheses that were tried where nothing is claimed
+    lost: tuple[tuple[str, str, float], ...] = ()
 
 
 def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress) -> Decision:
@@ -137,13 +148,19 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     before = discrepancy(parts.test, base.model, joint)
     new = new_terms(given, final.model, joint)
     if new:
-        pieces = [_piece(parts.test, given, final, joint, key, terms, jobs) for key, terms in _grouped(given, final.model, new).items()]
+        pieces = [
+            _piece(parts.test, given, final, joint, key, terms, jobs)
+            for key, terms in _grouped(given, final.model, new).items()
+        ]
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = _claimed(parts, given, final, joint, pieces)
         if claimed:
             decision = _named(parts, given, search, final, claimed, rest, before, jobs, tell)
-            errors = [rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)]
-            if decision.claims and errors[1] <= errors[0]:  # what makes an untouched recording worse is no finding, ever
+            errors = [
+                rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
+            ]
+            # what makes an untouched recording worse is no finding, ever
+            if decision.claims and errors[1] <= errors[0]:
                 return decision
     return _nothing_named(parts, search, before)
 
@@ -151,27 +168,41 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
 # --- which mechanisms
 
 
-def _grouped(given: Model, final: Model, terms: Sequence[Term]) -> dict[tuple[str, int], tuple[Term, ...]]:
+def _grouped(
+    given: Model, final: Model, terms: Sequence[Term]
+) -> dict[tuple[str, int], tuple[Term, ...]]:
     """Terms by mechanism; couplings by the joint that they come from."""
     out: dict[tuple[str, int], tuple[Term, ...]] = {}
     for term in terms:
         if weight_of_payload(given, final, term):
             out["inertia", 0] = (*out.get(("inertia", 0), ()), term)
             continue
-        key = (mechanism_of(term.effect), int(term.value("from_joint")) if term.effect == "coupling" else 0)
+        key = (
+            mechanism_of(term.effect),
+            int(term.value("from_joint")) if term.effect == "coupling" else 0,
+        )
         out[key] = (*out.get(key, ()), term)
     return out
 
 
 def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
-    """Whether a gravity term is the weight of an inertia that was found with it: a payload is one finding, not two."""
+    """Whether a gravity term is the weight of an inertia that was found with it: a payload is one
+    finding, not two.
+    """
     found = {t.effect for t in new_terms(given, final, term.joint)}
     hangs = any(q.value for q in given.mechanism.get("gravity", ()))
-    return term.effect == "gravity" and "inertia" in found and hangs and abs(math.sin(term.value("angle"))) < 0.2
+    return (
+        term.effect == "gravity"
+        and "inertia" in found
+        and hangs
+        and abs(math.sin(term.value("angle"))) < 0.2
+    )
 
 
 def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
-    """The model without some terms, with those of the given model that they had replaced, fitted again."""
+    """The model without some terms, with those of the given model that they had replaced, fitted
+    again.
+    """
     gone = {id(t) for t in terms}
     kept = tuple(t for t in final.model.terms if id(t) not in gone)
     wanted = {m for t in terms for m in _kind(mechanism_of(t.effect))}
@@ -183,7 +214,9 @@ def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], job
         elif mechanism_of(term.effect) in wanted:
             back.append(term)
     model = final.model.with_terms((*kept, *back))
-    return fit_scored(final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3)
+    return fit_scored(
+        final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3
+    )
 
 
 def _worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
@@ -195,7 +228,11 @@ def _worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) 
             return final
         worst: tuple[float, Scored] | None = None
         for term in new:
-            if any(term.effect in get_effect(t.effect).needs for t in final.model.at(joint) if t is not term):
+            if any(
+                term.effect in get_effect(t.effect).needs
+                for t in final.model.at(joint)
+                if t is not term
+            ):
                 continue
             without = _without(given, final, joint, (term,), jobs)
             held = compare(without, final, parts.choose, joint)
@@ -206,19 +243,33 @@ def _worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) 
         final = worst[1]
 
 
-def _piece(test: Data, given: Model, final: Scored, joint: int, key: tuple[str, int], terms: tuple[Term, ...], jobs: int) -> Piece:
+def _piece(
+    test: Data,
+    given: Model,
+    final: Scored,
+    joint: int,
+    key: tuple[str, int],
+    terms: tuple[Term, ...],
+    jobs: int,
+) -> Piece:
     without = _without(given, final, joint, terms, jobs)
     held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
-    return Piece(key[0], terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint))
+    return Piece(
+        key[0], terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
+    )
 
 
 def dependence(scored: Scored, test: Data, joint: int) -> float:
-    """By how much fewer independent samples a recording has than samples, from the innovations' correlation in time; 1 or more."""
+    """By how much fewer independent samples a recording has than samples, from the innovations'
+    correlation in time; 1 or more.
+    """
     total, worst = 0.0, 1.0
     for rec in test.records:
         record = rec[joint - 1]
-        r = run(record, scored.model, scored.data.bandwidth[joint - 1], inner=test.inner).innovations
+        r = run(
+            record, scored.model, scored.data.bandwidth[joint - 1], inner=test.inner
+        ).innovations
         r = np.clip(r[record.counted], -1e3, 1e3)
         most = min(len(r) // 4, round(0.25 / record.sample_time))
         energy = float(r @ r)
@@ -236,10 +287,11 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
 def _claimed(
     parts: Parts, given: Model, final: Scored, joint: int, pieces: Sequence[Piece]
 ) -> tuple[list[Piece], list[Piece]]:
-    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of their size.
+    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of
+    their size.
 
-    What a mechanism gives must be more than what stays unexplained in its own variables, and more than the laws of
-    the larger ones of its kind, found or given, may be wrong by.
+    What a mechanism gives must be more than what stays unexplained in its own variables, and more
+    than the laws of the larger ones of its kind, found or given, may be wrong by.
     """
     needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     learn = together(parts.fit, parts.choose)
@@ -249,21 +301,35 @@ def _claimed(
     for piece in pieces:
         left = after
         if piece.mechanism in STRUCTURED:
-            left = min(after, structure(learn, parts.test, final.model, joint, [piece.mechanism]).size)
+            left = min(
+                after, structure(learn, parts.test, final.model, joint, [piece.mechanism]).size
+            )
         larger = max((p.size for p in claimed), default=0.0)
         kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
         if kept_laws:
-            apart = final.model.with_terms(tuple(t for t in final.model.terms if t not in kept_laws))
+            apart = final.model.with_terms(
+                tuple(t for t in final.model.terms if t not in kept_laws)
+            )
             larger = max(larger, difference(parts.test, apart, final.model, joint))
         sure = piece.log_e > needed and piece.evidence.z > PLAIN
-        (claimed if sure and piece.size > max(FINEST, math.hypot(left, LAW_ERROR * larger)) else rest).append(piece)
+        (
+            claimed
+            if sure and piece.size > max(FINEST, math.hypot(left, LAW_ERROR * larger))
+            else rest
+        ).append(piece)
     return claimed, rest
 
 
 def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
-    """Terms of the given model at a joint that are of a mechanism's kind and still stand in the final one."""
+    """Terms of the given model at a joint that are of a mechanism's kind and still stand in the
+    final one.
+    """
     new = new_terms(given, final, joint)
-    return [t for t in final.at(joint) if not any(t is n for n in new) and mechanism_of(t.effect) in _kind(mechanism)]
+    return [
+        t
+        for t in final.at(joint)
+        if not any(t is n for n in new) and mechanism_of(t.effect) in _kind(mechanism)
+    ]
 
 
 def _kind(mechanism: str) -> frozenset[str]:
@@ -297,47 +363,79 @@ def _named(
         ranked = _ranked(parts.test, given, final, piece, joint, jobs)
         first = ranked[0]
         law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
-        left = structure(learn, parts.test, final.model, joint, [piece.mechanism]) if piece.mechanism in STRUCTURED else None
+        left = (
+            structure(learn, parts.test, final.model, joint, [piece.mechanism])
+            if piece.mechanism in STRUCTURED
+            else None
+        )
         own = [first]
         for other in ranked[1:]:
-            second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(after.value, LAW_ERROR * first.size)
+            second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(
+                after.value, LAW_ERROR * first.size
+            )
             if second and other.log_e > 0 and other.evidence.z > PLAIN:
                 own.append(other)
             else:
                 refinements.append(_plain(other))
         kind = [p for p in claimed if p.mechanism in _kind(piece.mechanism)]
         allowed = max(_may_leave(p) for p in kind)  # a larger law's error is no lack of this one
-        again = [p.size for p in ranked[1:] if _repeats(p, first)]  # what the law by itself leaves to itself
-        poor = math.hypot(*again) > allowed or (left is not None and left.z > SURE and left.size > max(allowed, NUMERIC))
+        # what the law by itself leaves to itself
+        again = [p.size for p in ranked[1:] if _repeats(p, first)]
+        poor = math.hypot(*again) > allowed or (
+            left is not None and left.z > SURE and left.size > max(allowed, NUMERIC)
+        )
         if poor or len(own) >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
-            claims.append(replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0}))
+            claims.append(
+                replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0})
+            )
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
         claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
     refinements += [_plain(p) for p in rest]
     claims.sort(key=lambda c: -c.evidence.gain)
     best = claims[0].size
-    if state.size > best and state.z > SURE:  # more is left that depends on the state than anything claimed explains
+    # more is left that depends on the state than anything claimed explains
+    if state.size > best and state.z > SURE:
         claims = []
     return Decision(
-        joint, "missing", tuple(claims), tuple(refinements), search.base, final, before, after, state, rms_torque(parts.test, joint)
+        joint,
+        "missing",
+        tuple(claims),
+        tuple(refinements),
+        search.base,
+        final,
+        before,
+        after,
+        state,
+        rms_torque(parts.test, joint),
     )
 
 
 def _repeats(other: Piece, first: Piece) -> bool:
-    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not a sum of such shapes by itself."""
+    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not
+    a sum of such shapes by itself.
+    """
     effect = get_effect(first.terms[0].effect)
-    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)  # a sum of harmonics is one law; settings choose one
-    return other.effects == first.effects and not several and other.log_e > 0 and other.evidence.z > PLAIN
+    # a sum of harmonics is one law; settings choose one
+    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)
+    return (
+        other.effects == first.effects
+        and not several
+        and other.log_e > 0
+        and other.evidence.z > PLAIN
+    )
 
 
 def _may_leave(piece: Piece) -> float:
     """What a mechanism's laws may leave in its own variables, as a part of the RMS torque.
 
-    A law of several free numbers can be bent to resemble what it is not, and leaves the less for it.
+    A law of several free numbers can be bent to resemble what it is not, and leaves the less for
+    it.
     """
-    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(piece.terms)
+    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(
+        piece.terms
+    )
     freedom = min(sum(q.free for q in t.parameters.values()) for t in laws)
     return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
 
@@ -347,7 +445,9 @@ def together(*data: Data) -> Data:
     return replace(data[0], records=tuple(r for d in data for r in d.records))
 
 
-def _ranked(test: Data, given: Model, final: Scored, piece: Piece, joint: int, jobs: int) -> list[Piece]:
+def _ranked(
+    test: Data, given: Model, final: Scored, piece: Piece, joint: int, jobs: int
+) -> list[Piece]:
     """Each law of a mechanism by itself, the one whose removal costs most first."""
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
     if len(laws) == 1:
@@ -358,7 +458,9 @@ def _ranked(test: Data, given: Model, final: Scored, piece: Piece, joint: int, j
 
 def _plain(piece: Piece) -> Claim:
     term = piece.terms[0]
-    return Claim(term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, {}, (), (), ())
+    return Claim(
+        term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, {}, (), (), ()
+    )
 
 
 def _law(
@@ -372,16 +474,24 @@ def _law(
     jobs: int,
     tell: Progress,
 ) -> Claim:
-    """The law of a mechanism with its probability: laws that could stand in its place are fitted, and compete block by block."""
+    """The law of a mechanism with its probability: laws that could stand in its place are fitted,
+    and compete block by block.
+    """
     joint, term = search.joint, first.terms[0]
     tell(f"joint {joint}: what could stand in for {term.effect}")
     known = library()
     mates = {e for e in LAWS_OF.get(piece.mechanism, ()) if e in known}
     names = frozenset(mates | set(get_effect(term.effect).rivals)) - {"coupling"} | {term.effect}
-    rivals = [r for r in searcher.stand_ins(first.without, names) if r.effect != term.effect and not contains(r, term)]
+    rivals = [
+        r
+        for r in searcher.stand_ins(first.without, names)
+        if r.effect != term.effect and not contains(r, term)
+    ]
     learn = together(parts.fit, parts.choose)
     settle = max(settling(x, joint) for x in (final, *[r.scored for r in rivals]))
-    scores = np.stack([block_scores(x, learn, joint, settle) for x in (final, *[r.scored for r in rivals])])
+    scores = np.stack(
+        [block_scores(x, learn, joint, settle) for x in (final, *[r.scored for r in rivals])]
+    )
     own = price((term,), informative(parts.fit, joint))
     scores += np.array([own, *[r.price for r in rivals]])[:, None] / scores.shape[1]
     weights = _weights(scores)
@@ -389,22 +499,42 @@ def _law(
     same, lost = [], []
     for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
         behind = float(score.sum() - scores[0].sum())
-        near = behind < 0.5 * first.evidence.gain and difference(parts.choose, rival.scored.model, final.model, joint) < after
+        near = (
+            behind < 0.5 * first.evidence.gain
+            and difference(parts.choose, rival.scored.model, final.model, joint) < after
+        )
         if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
             same.append(rival.effect)
         else:
             share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
-            why = f"explains {100 * max(0.0, min(share, 0.99)):.0f} % of it" if share > 0.1 else "does not explain the mismatch"
+            why = (
+                f"explains {100 * max(0.0, min(share, 0.99)):.0f} % of it"
+                if share > 0.1
+                else "does not explain the mismatch"
+            )
             lost.append((rival.effect, why, -0.5 * behind))
     laws: dict[str, float] = {}
     for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
         if mechanism_of(name) == piece.mechanism:
             laws[name] = laws.get(name, 0.0) + float(weight)
     total = sum(laws.values())
-    laws = {n: w / total for n, w in laws.items() if w / total > 1e-3} if total > 0 else {term.effect: 1.0}
+    laws = (
+        {n: w / total for n, w in laws.items() if w / total > 1e-3}
+        if total > 0
+        else {term.effect: 1.0}
+    )
     gone = replaced(given, final.model, term)
     return Claim(
-        term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, laws, tuple(dict.fromkeys(same)), gone, tuple(lost[:6])
+        term.effect,
+        piece.mechanism,
+        term,
+        piece.size,
+        piece.evidence,
+        piece.log_e,
+        laws,
+        tuple(dict.fromkeys(same)),
+        gone,
+        tuple(lost[:6]),
     )
 
 
@@ -414,7 +544,9 @@ def rival_gain(piece: Piece, final: Scored) -> float:
 
 
 def _weights(scores: Array) -> Array:
-    """Probability of each law (a row of scores of blocks) to predict best, by the Bayesian bootstrap (pseudo-BMA+, Yao et al. 2018)."""
+    """Probability of each law (a row of scores of blocks) to predict best, by the Bayesian
+    bootstrap (pseudo-BMA+, Yao et al. 2018).
+    """
     n = scores.shape[1]
     draws = np.random.default_rng(0).dirichlet(np.ones(n), DRAWS) * n
     totals = -0.5 * draws @ scores.T
@@ -425,7 +557,9 @@ def _weights(scores: Array) -> Array:
 
 
 def contains(rival: Rival, term: Term) -> bool:
-    """Whether the rival is the same effect with more freedom: a special case of it, or with a parameter at its bound."""
+    """Whether the rival is the same effect with more freedom: a special case of it, or with a
+    parameter at its bound.
+    """
     if term.effect in get_effect(rival.effect).replaces:
         return True
     own = sum(p.fitted for p in get_effect(term.effect).parameters)
@@ -436,12 +570,18 @@ def contains(rival: Rival, term: Term) -> bool:
         t = rival.scored.model.terms[index]
         return t.joint == rival.joint and t.effect == rival.effect
 
-    bounded = (fitted.at_bound[i] for i, h in enumerate(fitted.handles) if h.place == "term" and is_row(h.index))
+    bounded = (
+        fitted.at_bound[i]
+        for i, h in enumerate(fitted.handles)
+        if h.place == "term" and is_row(h.index)
+    )
     return more and any(bounded)
 
 
 def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
-    """Effects of the given model that are gone, and that this term stands for: laws of its own kind of friction, or of its mechanism."""
+    """Effects of the given model that are gone, and that this term stands for: laws of its own kind
+    of friction, or of its mechanism.
+    """
     joint = term.joint
     have = [t.effect for t in final.at(joint)]
     gone = []
@@ -465,12 +605,26 @@ def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
 
 
 def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
-    """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated model's discrepancy alone."""
+    """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated
+    model's discrepancy alone.
+    """
     joint, base = search.joint, search.base
     learn = together(parts.fit, parts.choose)
     state = structure(learn, parts.test, base.model, joint, STRUCTURED)
     lost = tuple(_why(r, base) for r in search.tried[:6])
-    out = Decision(joint, "complete", (), (), base, base, before, before, state, rms_torque(parts.test, joint), lost=lost)
+    out = Decision(
+        joint,
+        "complete",
+        (),
+        (),
+        base,
+        base,
+        before,
+        before,
+        state,
+        rms_torque(parts.test, joint),
+        lost=lost,
+    )
     of_state = state.size > OF_STATE and state.z > SURE
     if before.value > OF_STATE and state.share < MOST:
         here = bursts(parts.held, base.model, joint)
@@ -487,7 +641,11 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
 
 def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:
     gain = base.deviance - rival.value
-    why = "no more likely than the calibrated model" if gain < 40 else "is not what is missing, on the recordings held out"
+    why = (
+        "no more likely than the calibrated model"
+        if gain < 40
+        else "is not what is missing, on the recordings held out"
+    )
     return rival.effect, why, 0.5 * gain
 
 
@@ -497,7 +655,9 @@ def rms_torque(data: Data, joint: int) -> float:
 
 
 def _without_law(parts: Parts, learn: Data, search: JointSearch, state: Structure) -> Claim | None:
-    """The one mechanism whose own variables predict most of what any function of state does; None where several do, or none."""
+    """The one mechanism whose own variables predict most of what any function of state does; None
+    where several do, or none.
+    """
     joint, base = search.joint, search.base
     alone = {m: structure(learn, parts.test, base.model, joint, [m]) for m in STRUCTURED}
     order = sorted(alone, key=lambda m: -alone[m].size)
@@ -509,4 +669,6 @@ def _without_law(parts: Parts, learn: Data, search: JointSearch, state: Structur
         return None
     evidence = Evidence(0.0, best.z, np.zeros(1))
     term = Term("unknown", joint, {})
-    return Claim("unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best)
+    return Claim(
+        "unknown", order[0], term, best.size, evidence, 0.0, {"unknown": 1.0}, (), (), (), best
+    )

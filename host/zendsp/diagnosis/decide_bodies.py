@@ -1,8 +1,10 @@
-"""The decision about bodies: as for the mechanisms of one joint, by what taking a body away costs on untouched recordings.
+"""The decision about bodies: as for the mechanisms of one joint, by what taking a body away costs
+on untouched recordings.
 
-The search of the joints has gone on with the bodies in the model. Here each body is taken away, everything else at the joints that it
-moves is fitted again, and the joints decide together: it is claimed where most of its torque acts at joints that miss it more than
-anything that stays unexplained there.
+The search of the joints has gone on with the bodies in the model. Here each body is taken away,
+everything else at the joints that it moves is fitted again, and the joints decide together: it is
+claimed where most of its torque acts at joints that miss it more than anything that stays
+unexplained there.
 """
 
 from __future__ import annotations
@@ -26,14 +28,17 @@ from zendsp.physics.bodies import Links
 from zendsp.physics.fit import joint_handles
 from zendsp.physics.model import Model
 
-MOST = 0.5  # of a body's squared torque, over the joints: at so much it has to be larger than what is left
+# of a body's squared torque, over the joints: at so much it has to be larger than what is left
+MOST = 0.5
 SURE = 0.97  # no confidence beyond has been tested
 REJECTED = 4  # of its rivals are reported
 
 
 @dataclass(frozen=True)
 class BodyClaim:
-    """A body that is claimed: ``sizes`` are its RMS torques as a part of each joint's, ``gain`` is its deviance on the test recordings."""
+    """A body that is claimed: ``sizes`` are its RMS torques as a part of each joint's, ``gain`` is
+    its deviance on the test recordings.
+    """
 
     found: FoundBody
     sizes: dict[int, float]
@@ -42,7 +47,8 @@ class BodyClaim:
 
     @property
     def square(self) -> float:
-        """Its part in the explainable mismatch, in the unit of all joints' squared discrepancies."""
+        """Its part in the explainable mismatch, in the unit of all joints' squared discrepancies.
+        """
         return sum(s**2 for s in self.sizes.values())
 
 
@@ -68,7 +74,9 @@ def decide_bodies(
         Those whose removal costs most first.
     """
     links = parts.fit.records[0][0].links
-    claims = [c for f in search.found if (c := _decided(parts, f, decisions, links, jobs)) is not None]
+    claims = [
+        c for f in search.found if (c := _decided(parts, f, decisions, links, jobs)) is not None
+    ]
     return tuple(sorted(claims, key=lambda c: -c.gain))
 
 
@@ -111,8 +119,12 @@ def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
     return links.moves(joint - 1, found.term.joint - 1)
 
 
-def settled(parts: Parts, claims: Sequence[BodyClaim], improved: Model, jobs: int) -> tuple[tuple[BodyClaim, ...], Model]:
-    """The claims with their numbers estimated again beside all that was found at the joints, and the model with these."""
+def settled(
+    parts: Parts, claims: Sequence[BodyClaim], improved: Model, jobs: int
+) -> tuple[tuple[BodyClaim, ...], Model]:
+    """The claims with their numbers estimated again beside all that was found at the joints, and
+    the model with these.
+    """
     links = parts.fit.records[0][0].links
     if links is None:
         return tuple(claims), improved
@@ -121,7 +133,16 @@ def settled(parts: Parts, claims: Sequence[BodyClaim], improved: Model, jobs: in
         term = claim.found.term
         rest = improved.with_terms(tuple(t for t in improved.terms if t != term))
         layout = Layout(rest, links)
-        again = refined(parts.fit, parts.choose, rest, layout, claim.found.explained, replace(LIMITS, rounds=2), jobs, claim.found.aside)
+        again = refined(
+            parts.fit,
+            parts.choose,
+            rest,
+            layout,
+            claim.found.explained,
+            replace(LIMITS, rounds=2),
+            jobs,
+            claim.found.aside,
+        )
         new = stated(layout, again)
         improved = improved.with_terms(tuple(new if t == term else t for t in improved.terms))
         out.append(replace(claim, found=replace(claim.found, term=new, explained=again)))
@@ -134,7 +155,11 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
     h, term = found.explained.hypothesis, found.term
     values = {}
     for key, value, std in zip(h.free, found.explained.values, found.explained.std, strict=True):
-        unit = "kg" if key == "mass" else "rad" if key.startswith("angle") else "kg m^2" if key == "inertia" else "m"
+        unit = (
+            "kg"
+            if key == "mass"
+            else "rad" if key.startswith("angle") else "kg m^2" if key == "inertia" else "m"
+        )
         scale = abs(value) if key in ("mass", "inertia") else max(abs(value), 0.1)
         values[key] = Estimate(float(value), float(np.hypot(std, NUMERIC * scale)), unit)
     text = _sentence(found, values)
@@ -144,7 +169,17 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
     numbers = {"body": found.body} if found.body else {}
     law = {term.effect: 1.0}
     return Finding(
-        term.effect, term.joint, values, claim.confidence, share, _effects(found.indistinguishable), (), text, numbers, "inertia", law
+        term.effect,
+        term.joint,
+        values,
+        claim.confidence,
+        share,
+        _effects(found.indistinguishable),
+        (),
+        text,
+        numbers,
+        "inertia",
+        law,
     )
 
 
@@ -153,37 +188,59 @@ def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
     link = f"The link {body} (joint {found.term.joint})"
     centre = ", ".join(number(values[key]).removesuffix(" m") for key in COM if key in values)
     if effect == "payload":
-        where = f"({centre}) m" if len([k for k in COM if k in values]) == 3 else f"{centre} m along it"
-        return f"{link} carries {number(values['mass'])} that the model lacks, with its centre at {where} in the link's frame."
+        where = (
+            f"({centre}) m" if len([k for k in COM if k in values]) == 3 else f"{centre} m along it"
+        )
+        return (
+            f"{link} carries {number(values['mass'])} that the model lacks, with its centre at"
+            f" {where} in the link's frame."
+        )
     if effect == "base_tilt":
         about_x, about_y = (number(values[key]) for key in ("angle_x", "angle_y"))
         return (
-            f"Gravity does not point where the model says: it is turned by {about_x} about the base's x axis and by"
-            f" {about_y} about its y axis, as on a tilted base."
+            f"Gravity does not point where the model says: it is turned by {about_x} about the"
+            f" base's x axis and by {about_y} about its y axis, as on a tilted base."
         )
     if "mass" in values:
-        return f"{link} has another mass than the model says: the difference is {number(values['mass'])}."
-    return f"{link} has its centre of mass elsewhere than the model says: the difference is ({centre}) m."
+        return (
+            f"{link} has another mass than the model says: the difference is"
+            f" {number(values['mass'])}."
+        )
+    return (
+        f"{link} has its centre of mass elsewhere than the model says: the difference is"
+        f" ({centre}) m."
+    )
 
 
 def rejected_bodies(search: BodySearch, claims: Sequence[BodyClaim]) -> list[Rejected]:
-    """Bodies that were proposed and not claimed, and rivals of those that are; where none was proposed, the best of what was tried."""
+    """Bodies that were proposed and not claimed, and rivals of those that are; where none was
+    proposed, the best of what was tried.
+    """
     claimed = {(c.found.term.effect, c.found.term.joint) for c in claims}
     refused = [f.explained for f in search.found if (f.term.effect, f.term.joint) not in claimed]
     if not search.found:
         refused = [e for e in search.tried if e.hypothesis.of_bodies and e.gain > 0][:REJECTED]
     why = "is not what is missing, on the recordings held out"
-    out = [Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, -abs(e.gain)) for e in refused]
+    out = [
+        Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, -abs(e.gain))
+        for e in refused
+    ]
     for claim in claims:
         best = claim.found.explained.gain
         for e in claim.found.rejected[:REJECTED]:
             part = 100 * min(0.99, float(np.clip(e.share, 0, 1).mean()))
             if e.hypothesis.effect != "unknown":
                 why = f"explains {part:.0f} % of it ({e.hypothesis.name})"
-                out.append(Rejected(e.hypothesis.effect, max(e.hypothesis.joint, 1), why, 0.5 * (e.gain - best)))
+                out.append(
+                    Rejected(
+                        e.hypothesis.effect, max(e.hypothesis.joint, 1), why, 0.5 * (e.gain - best)
+                    )
+                )
     return out
 
 
 def _effects(words: Sequence[str]) -> tuple[str, ...]:
-    """Effects of hypotheses in words ("payload of link3"), each once: reports name effects, the sentence says of which body."""
+    """Effects of hypotheses in words ("payload of link3"), each once: reports name effects, the
+    sentence says of which body.
+    """
     return tuple(dict.fromkeys(w.split(" of ")[0] for w in words))

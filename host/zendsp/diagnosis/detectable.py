@@ -1,9 +1,12 @@
-"""What these recordings would have shown: for each joint and mechanism the smallest effect that the decision would have claimed.
+"""What these recordings would have shown: for each joint and mechanism the smallest effect that the
+decision would have claimed.
 
-An effect of some size leaves its trace in the innovations of the model that was found; what the calibrated parameters can imitate is
-taken out of it. From the trace's energy in the recordings to test on follows the evidence that an effect of that size would have had
-there, and from its torque whether it would have stood out of the discrepancy: the smallest size that passes both is stated. The
-decision itself is not run again for every size; ``zendsp prove --implant`` measures how well the figures hold.
+An effect of some size leaves its trace in the innovations of the model that was found; what the
+calibrated parameters can imitate is taken out of it. From the trace's energy in the recordings to
+test on follows the evidence that an effect of that size would have had there, and from its torque
+whether it would have stood out of the discrepancy: the smallest size that passes both is stated.
+The decision itself is not run again for every size; ``zendsp prove --implant`` measures how well
+the figures hold.
 """
 
 from __future__ import annotations
@@ -25,11 +28,25 @@ from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: nine in ten
-STATED = ("coulomb", "viscous", "quadratic_drag", "gravity", "stiffness", "ripple", "inertia", "torque_gain", "torque_offset", "delay", "encoder_eccentricity")
+STATED = (
+    "coulomb",
+    "viscous",
+    "quadratic_drag",
+    "gravity",
+    "stiffness",
+    "ripple",
+    "inertia",
+    "torque_gain",
+    "torque_offset",
+    "delay",
+    "encoder_eccentricity",
+)
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
 
-def detectable(parts: Parts, given: Model, decisions: Sequence[Decision], jobs: int) -> tuple[Detectable, ...]:
+def detectable(
+    parts: Parts, given: Model, decisions: Sequence[Decision], jobs: int
+) -> tuple[Detectable, ...]:
     """The smallest effects that would have been found.
 
     Parameters
@@ -75,7 +92,12 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
             continue
         key = effect.linear[0] if effect.linear else effect.parameters[0].name
         parameter = effect.parameter(key)
-        unit = unit_of(COUPLED[0] if name == "coupling" else parameter.size, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint))
+        unit = unit_of(
+            COUPLED[0] if name == "coupling" else parameter.size,
+            given.joint_kind(joint),
+            given.actuator.unit,
+            given.torque_unit(joint),
+        )
         out.append(Detectable(joint, mechanism_of(name), name, size[0], unit, size[1]))
     return out
 
@@ -83,7 +105,9 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
 def _smallest(
     screen: Screen, name: str, variance: float, root: float, beyond: float, scale: float
 ) -> tuple[float, float] | None:
-    """Size, and the torque that it makes as a part of the RMS torque; None where the recording shows nothing of it at all."""
+    """Size, and the torque that it makes as a part of the RMS torque; None where the recording
+    shows nothing of it at all.
+    """
     effect = get_effect(name)
     points = grid_of(effect, screen.records[0], screen.model) or [{}]
     points = points[:: max(1, len(points) // GRID)]
@@ -110,7 +134,9 @@ def _torque(screen: Screen, column: np.ndarray) -> float:  # type: ignore[type-a
     total, count, at = 0.0, 0, 0
     for record in screen.records:
         here = band_of(record, screen.bandwidth)
-        part = as_torque(record, screen.model, column[at : at + record.n], here)[kept(record, min(here, BANDS[0]))]
+        part = as_torque(record, screen.model, column[at : at + record.n], here)[
+            kept(record, min(here, BANDS[0]))
+        ]
         total += float(part @ part)
         count += len(part)
         at += record.n

@@ -1,8 +1,9 @@
 """The discrepancy: the torque that nothing named explains, how large it is, and what it depends on.
 
-An observer that keeps a model on the measured motion corrects its velocity; that correction, as a torque, is what the model lacks,
-whatever hidden states the model has. Part of it is sensor noise that went through the observer: how much follows from the sensor's
-variance, by sending noise of that variance the same way. What is larger is the discrepancy (Kennedy and O'Hagan 2001).
+An observer that keeps a model on the measured motion corrects its velocity; that correction, as a
+torque, is what the model lacks, whatever hidden states the model has. Part of it is sensor noise
+that went through the observer: how much follows from the sensor's variance, by sending noise of
+that variance the same way. What is larger is the discrepancy (Kennedy and O'Hagan 2001).
 """
 
 from __future__ import annotations
@@ -22,21 +23,27 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-BANDS = (64.0, 32.0, 16.0, 8.0)  # rad/s of the observers; slower ones see less of a torque, and far less noise
-BLOCK = 0.5  # s, over which energies are summed before their variance is taken; less where there would be
+# rad/s of the observers; slower ones see less of a torque, and far less noise
+BANDS = (64.0, 32.0, 16.0, 8.0)
+# s, over which energies are summed before their variance is taken; less where there would be
+BLOCK = 0.5
 BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
-CONCENTRATED = 0.5  # of the energy outside of that time, against what a random torque that is normally distributed has there
+# of the energy outside of that time, against what a random torque that is normally distributed has
+# there
+CONCENTRATED = 0.5
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY = 12  # intervals
 
 
 @dataclass(frozen=True)
 class Size:
-    """RMS torque as a part of the RMS torque of the recordings: the estimate, and where it lies with 95 % probability."""
+    """RMS torque as a part of the RMS torque of the recordings: the estimate, and where it lies
+    with 95 % probability.
+    """
 
     value: float
     low: float
@@ -49,9 +56,15 @@ def band_of(record: JointRecord, band: float) -> float:
 
 
 def as_torque(record: JointRecord, model: Model, innovations: Array, band: float) -> Array:
-    """Torque by which an observer with such weighted innovations corrects a model, (..., n), N m or N; its own delay taken out."""
+    """Torque by which an observer with such weighted innovations corrects a model, (..., n), N m or
+    N; its own delay taken out.
+    """
     _, k2, w = record.gains(band)
-    factor = np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0) * effective_inertia(record, model) / record.sample_time
+    factor = (
+        np.where(w > 0, k2 / np.maximum(w, 1e-300), 0.0)
+        * effective_inertia(record, model)
+        / record.sample_time
+    )
     lag = round(np.sqrt(2) / band / record.sample_time)
     out = -innovations * factor
     moved = np.zeros_like(out)
@@ -82,12 +95,18 @@ def noise(record: JointRecord, model: Model, band: float) -> float:
     here = band_of(record, band)
     draws = np.random.default_rng(0).standard_normal((DRAWS, record.n))
     draws *= np.sqrt(np.maximum(record.measurement.variance, 0.0))
-    r = response(record, here, effective_inertia(record, model), np.zeros(record.n), draws, on_sensor=True)
+    r = response(
+        record, here, effective_inertia(record, model), np.zeros(record.n), draws, on_sensor=True
+    )
     return float(np.mean(as_torque(record, model, r, here)[:, kept(record, band)] ** 2))
 
 
-def energy_blocks(data: Data, squares: Sequence[Array], joint: int, band: float) -> tuple[Array, Array]:
-    """Sums over blocks of time of some series, one a recording, and the number of samples in each block."""
+def energy_blocks(
+    data: Data, squares: Sequence[Array], joint: int, band: float
+) -> tuple[Array, Array]:
+    """Sums over blocks of time of some series, one a recording, and the number of samples in each
+    block.
+    """
     sums, counts = [], []
     seconds = sum(rec[joint - 1].n * rec[joint - 1].sample_time for rec in data.records)
     block = max(min(BLOCK, seconds / BLOCKS), 8.0 / band)
@@ -103,7 +122,9 @@ def energy_blocks(data: Data, squares: Sequence[Array], joint: int, band: float)
 
 
 def deviation(values: Array) -> float:
-    """Standard deviation of the sum of a series whose neighbours resemble each other (Newey and West 1987)."""
+    """Standard deviation of the sum of a series whose neighbours resemble each other (Newey and
+    West 1987).
+    """
     n = len(values)
     if n < 3:
         return float("inf")
@@ -148,9 +169,16 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
 
 
 def difference(data: Data, one: Model, other: Model, joint: int, band: float = BANDS[0]) -> float:
-    """RMS torque between two models along the recordings, as a part of the RMS torque; the sensor's noise cancels."""
+    """RMS torque between two models along the recordings, as a part of the RMS torque; the sensor's
+    noise cancels.
+    """
     total = count = 0.0
-    pairs = zip(lacking(data, one, joint, band), lacking(data, other, joint, band), data.records, strict=True)
+    pairs = zip(
+        lacking(data, one, joint, band),
+        lacking(data, other, joint, band),
+        data.records,
+        strict=True,
+    )
     for a, b, rec in pairs:
         use = kept(rec[joint - 1], band)
         total += float(np.sum((a[use] - b[use]) ** 2))
@@ -181,7 +209,9 @@ def _products(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class Ranges:
-    """Where a joint's variables lie: limits of position, of speed and of command, and of the other joints' positions."""
+    """Where a joint's variables lie: limits of position, of speed and of command, and of the other
+    joints' positions.
+    """
 
     position: tuple[float, float]
     speed: float
@@ -213,7 +243,9 @@ def _unit(x: Array, limits: tuple[float, float]) -> Array:
 
 
 def shapes(rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Ranges) -> Array:
-    """Torques over time, (columns, n), whose sums are all that a mechanism may do, whatever its law: functions of its own variables."""
+    """Torques over time, (columns, n), whose sums are all that a mechanism may do, whatever its
+    law: functions of its own variables.
+    """
     record = rec[joint - 1]
     q, v, _ = record.motion.states
     place = _unit(q, ranges.position)
@@ -226,7 +258,9 @@ def shapes(rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Range
             columns.append(_products(_splines(place, 5), _splines(there, 5)))
         return np.concatenate(columns)
     if mechanism == "dry_friction":
-        return np.concatenate([sign * _splines(fast, 6), _products(sign * _splines(place, 8), _splines(fast, 3))])
+        return np.concatenate(
+            [sign * _splines(fast, 6), _products(sign * _splines(place, 8), _splines(fast, 3))]
+        )
     if mechanism == "fluid_friction":
         return np.concatenate([_splines(0.5 + 0.5 * np.clip(v / ranges.speed, -1, 1), 8)])
     if mechanism == "actuator":
@@ -239,10 +273,11 @@ STRUCTURED = ("position_torque", "dry_friction", "fluid_friction", "actuator")
 
 @dataclass(frozen=True)
 class Structure:
-    """What a mechanism's own variables predict of the torque that a model lacks, on recordings that the prediction was not fitted to.
+    """What a mechanism's own variables predict of the torque that a model lacks, on recordings that
+    the prediction was not fitted to.
 
-    ``size`` is its RMS as a part of the RMS torque, ``share`` its part of the lacking energy beyond the noise, ``z`` its
-    evidence in standard deviations over blocks of time.
+    ``size`` is its RMS as a part of the RMS torque, ``share`` its part of the lacking energy beyond
+    the noise, ``z`` its evidence in standard deviations over blocks of time.
     """
 
     size: float
@@ -250,7 +285,9 @@ class Structure:
     z: float
 
 
-def structure(learn: Data, test: Data, model: Model, joint: int, mechanisms: Sequence[str]) -> Structure:
+def structure(
+    learn: Data, test: Data, model: Model, joint: int, mechanisms: Sequence[str]
+) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
     Parameters
@@ -293,7 +330,14 @@ def structure(learn: Data, test: Data, model: Model, joint: int, mechanisms: Seq
     return best
 
 
-def _columns(rec: Sequence[JointRecord], model: Model, joint: int, mechanisms: Sequence[str], ranges: Ranges, band: float) -> Array:
+def _columns(
+    rec: Sequence[JointRecord],
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    ranges: Ranges,
+    band: float,
+) -> Array:
     record = rec[joint - 1]
     here = band_of(record, band)
     raw = np.concatenate([shapes(rec, joint, m, ranges) for m in mechanisms])
@@ -319,9 +363,11 @@ def _regression(
 
 @dataclass(frozen=True)
 class Bursts:
-    """Times (s) in which nearly all of a lacking torque acts, though the joint is in the same states at other times.
+    """Times (s) in which nearly all of a lacking torque acts, though the joint is in the same
+    states at other times.
 
-    ``share`` is their part of its energy, ``peak`` the largest torque (N m or N), ``rms`` its RMS within them.
+    ``share`` is their part of its energy, ``peak`` the largest torque (N m or N), ``rms`` its RMS
+    within them.
     """
 
     intervals: tuple[tuple[float, float], ...]
@@ -331,7 +377,8 @@ class Bursts:
 
 
 def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts | None:
-    """Find the times outside of which a model lacks next to nothing; None where there are none such.
+    """Find the times outside of which a model lacks next to nothing; None where there are none
+    such.
 
     Parameters
     ----------
@@ -361,7 +408,9 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         record = rec[joint - 1]
         use = kept(record, band)
         high = level > max(10.0 * quiet, 0.05 * float(level.max()))
-        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[1:-1]
+        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[
+            1:-1
+        ]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
         place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
@@ -379,7 +428,8 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
             (start + a * record.sample_time, start + (b - 1) * record.sample_time)
             for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
         ]
-        if high.any():  # a smooth peak: single samples are noise, and the observer's own ringing at the edges
+        # a smooth peak: single samples are noise, and the observer's own ringing at the edges
+        if high.any():
             width = max(3, round(3.0 / band / record.sample_time))
             smooth = np.convolve(lack[use], np.ones(width) / width, mode="same")
             peak = max(peak, float(np.quantile(np.abs(smooth[high]), 0.95)))
@@ -387,7 +437,8 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
     if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
         return None
     z = float(norm.isf(0.5 * covered / count))
-    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))  # of a random torque's energy, in its largest values for so long
+    # of a random torque's energy, in its largest values for so long
+    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))
     if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
         return None
     return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))

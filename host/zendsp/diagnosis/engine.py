@@ -1,4 +1,6 @@
-"""The diagnosis: read, check, calibrate, search each joint, judge on held-out recordings, name, and say what remains."""
+"""The diagnosis: read, check, calibrate, search each joint, judge on held-out recordings, name, and
+say what remains.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ Progress = Callable[[str], None]
 
 
 class Acceptance:
-    """What the search goes on with: a step that pays for its parameters, on the recordings to choose by too. No claim is made here."""
+    """What the search goes on with: a step that pays for its parameters, on the recordings to
+    choose by too. No claim is made here.
+    """
 
     def __init__(self, choose: Data) -> None:
         self.choose = choose
@@ -71,11 +75,13 @@ def diagnose(
     Parameters
     ----------
     recordings : path, Recording, Table, or a sequence of them
-        To calibrate and to search on; several are fitted jointly. SI units, columns as the model names them.
+        To calibrate and to search on; several are fitted jointly. SI units, columns as the model
+        names them.
     model : Model, path or dict
         The given model (docs/diagnosis.md).
     heldout : like ``recordings``, optional
-        To judge on; where none is given, the last third of each is held out (of its motion, where it comes to rest).
+        To judge on; where none is given, the last third of each is held out (of its motion, where
+        it comes to rest).
     seed : int
         Of what is drawn at random (the proposed reference).
     jobs : int
@@ -99,7 +105,8 @@ def diagnose(
     >>> d.verdict, [f.effect for f in d.findings]     # doctest: +SKIP
     ('missing', ['coulomb'])
     """
-    # matrices are small and many run at a time: more threads of the linear algebra only wait for each other
+    # matrices are small and many run at a time: more threads of the linear algebra only wait for
+    # each other
     with threadpool_limits(limits=1):
         return _diagnose(recordings, model, heldout, seed, jobs, progress or (lambda _text: None))
 
@@ -124,7 +131,9 @@ def _diagnose(
     tell("reading the recordings")
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
     tell("smoothing the motion")
-    fit, choose, test = (prepare(s, given, 64.0) for s in (fit_signals, choose_signals, test_signals))
+    fit, choose, test = (
+        prepare(s, given, 64.0) for s in (fit_signals, choose_signals, test_signals)
+    )
     parts = Parts(fit, choose, choose if choose_signals is test_signals else test)
     names = [s.name for s in (*fit_signals, *choose_signals, *test_signals)]
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
@@ -145,14 +154,19 @@ def _diagnose(
         ripple
         for search, decision in zip(searches, decisions, strict=True)
         if decision.kind in ("complete", "missing")
-        for ripple in fine_ripples(parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs)
+        for ripple in fine_ripples(
+            parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
+        )
     ]
-    if fine:  # a ripple that nobody models lends itself to effects that are not there: search again upon it
+    # a ripple that nobody models lends itself to effects that are not there: search again upon it
+    if fine:
         beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
-        bases = [calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)]
+        bases = [
+            calibrate_joint(bare.fit, given, joint, jobs) for joint in range(1, given.joints + 1)
+        ]
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
     findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
@@ -179,7 +193,9 @@ def _diagnose(
         heldout=_table(parts.held, given, whole.calibrated, improved),
         test=_table(parts.test, given, whole.calibrated, improved),
         noise_floor=noise_floor(parts.test),
-        discrepancy=tuple(Left(d.joint, d.after.value, (d.after.low, d.after.high)) for d in decisions),
+        discrepancy=tuple(
+            Left(d.joint, d.after.value, (d.after.low, d.after.high)) for d in decisions
+        ),
         detectable=seen,
         rejected=rejected,
         next_recording=proposal,
@@ -191,7 +207,13 @@ def _diagnose(
         unexplained=left_over(decisions, given),
         missing=lacking,
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
-        details={"searches": searches, "whole": whole, "train": parts.fit, "test": parts.test, "decisions": decisions},
+        details={
+            "searches": searches,
+            "whole": whole,
+            "train": parts.fit,
+            "test": parts.test,
+            "decisions": decisions,
+        },
     )
 
 
@@ -227,7 +249,9 @@ def _read(
 def _explain(
     parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
 ) -> tuple[list[JointSearch], list[Decision], Assembled]:
-    """Search and decide every joint, and put the machine together; ``beneath`` is the given model, with what is known of it by now."""
+    """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
+    with what is known of it by now.
+    """
     searches, decisions = _search(parts, given, beneath, jobs, tell)
     tell("fitting the improved model")
     whole = assemble(parts.fit, beneath, decisions, jobs)
@@ -237,7 +261,9 @@ def _explain(
 
 
 def _with_bodies(parts: Parts, model: Model) -> Parts:
-    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are known."""
+    """The same recordings, with what inverse dynamics says of the joints' inertias once bodies are
+    known.
+    """
     return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
 
 
@@ -248,7 +274,8 @@ def _search(
     if jobs == 1 or given.joints == 1:
         done = [_search_joint(parts, beneath, joint, jobs, tell) for joint in joints]
         return [s for s, _ in done], [d for _, d in done]
-    # joints are independent: a process each, which inherits the recordings and the effects that a user has added
+    # joints are independent: a process each, which inherits the recordings and the effects that a
+    # user has added
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(min(jobs, given.joints), context, _inherit, (parts, beneath)) as pool:
         out = []
@@ -292,4 +319,6 @@ def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:
 
 
 def _table(data: Data, given: Model, calibrated: Model, improved: Model) -> FitTable:
-    return FitTable(*(float(np.float64(model_error(data, m))) for m in (given, calibrated, improved)))
+    return FitTable(
+        *(float(np.float64(model_error(data, m))) for m in (given, calibrated, improved))
+    )

@@ -1,4 +1,6 @@
-"""Held-out evidence: how much better a hypothesis predicts recordings that it was not fitted to, block by block."""
+"""Held-out evidence: how much better a hypothesis predicts recordings that it was not fitted to,
+block by block.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,17 @@ Array = npt.NDArray[np.float64]
 
 LOST = 1e4  # medians: an innovation beyond says only that the prediction has left the track
 BLOCK = 0.25  # s; shorter where the recordings would give fewer than 40 blocks, never below 0.05 s
-DRAWN_IN = 10.0  # median deviations: a few blocks where either model loses the track must not decide
-RING = 0.3  # share of a recording in which a load behind a spring, whose own state nobody measured, settles
+# median deviations: a few blocks where either model loses the track must not decide
+DRAWN_IN = 10.0
+# share of a recording in which a load behind a spring, whose own state nobody measured, settles
+RING = 0.3
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Gain in deviance of one hypothesis over another on some recordings: total, and in standard deviations over blocks of time."""
+    """Gain in deviance of one hypothesis over another on some recordings: total, and in standard
+    deviations over blocks of time.
+    """
 
     gain: float
     z: float
@@ -48,7 +54,9 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
         Its z allows for blocks that resemble their neighbours (Newey and West 1987).
     """
     settle = settling(before, joint), settling(after, joint)
-    values = block_scores(before, test, joint, max(settle)) - block_scores(after, test, joint, max(settle))
+    values = block_scores(before, test, joint, max(settle)) - block_scores(
+        after, test, joint, max(settle)
+    )
     if len(values) < 2:
         return Evidence(float(values.sum()), 0.0, values)
     width = DRAWN_IN * max(float(np.median(np.abs(values))), 1e-12)
@@ -59,14 +67,20 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
 
 def settling(scored: Scored, joint: int) -> float:
     """Share of a recording in which an observer of a model settles."""
-    return RING if any(get_effect(t.effect).family == "transmission" for t in scored.model.at(joint)) else 0.1
+    return (
+        RING
+        if any(get_effect(t.effect).family == "transmission" for t in scored.model.at(joint))
+        else 0.1
+    )
 
 
 def block_scores(scored: Scored, data: Data, joint: int, settle: float = 0.1) -> Array:
-    """-2 log density of each block of time, all recordings one after the other; at most the share ``settle`` of each is left out.
+    """-2 log density of each block of time, all recordings one after the other; at most the share
+    ``settle`` of each is left out.
 
-    The observer is that of the fit or a faster one, whichever suits these recordings best: how much noise the world adds belongs to a
-    recording, not to a hypothesis; a slow observer that misses one contact or one start from rest never finds the track again.
+    The observer is that of the fit or a faster one, whichever suits these recordings best: how much
+    noise the world adds belongs to a recording, not to a hypothesis; a slow observer that misses
+    one contact or one start from rest never finds the track again.
     """
     bandwidth = scored.data.bandwidth[joint - 1]
     best: list[Array] | None = None
@@ -91,7 +105,9 @@ def block_scores(scored: Scored, data: Data, joint: int, settle: float = 0.1) ->
 
 
 def point_deviance(data: Data, model: Model, joint: int) -> list[Array]:
-    """-2 log density of each sample that counts, per recording, with the noise scale that suits these recordings best."""
+    """-2 log density of each sample that counts, per recording, with the noise scale that suits
+    these recordings best.
+    """
     runs, total, count = [], 0.0, 0
     for rec in data.records:
         record = rec[joint - 1]

@@ -34,7 +34,11 @@ BEFORE, AFTER, DATA, FLOOR = (
 
 def axis_of(effect: str) -> str:
     """The variable over which an effect is best seen."""
-    return library()[effect].over if effect in library() else "time" if effect == "disturbance" else "velocity"
+    return (
+        library()[effect].over
+        if effect in library()
+        else "time" if effect == "disturbance" else "velocity"
+    )
 
 
 def _style() -> None:
@@ -68,10 +72,14 @@ def _thin(count: int, most: int = 6000) -> slice:
 
 
 def error_figure(d: Diagnosis, joint: int) -> Figure:
-    """Does the improved model predict the held-out recording better, and how close is it to the noise?"""
+    """Does the improved model predict the held-out recording better, and how close is it to the
+    noise?
+    """
     test: Data = d.details["test"]
     whole = d.details["whole"]
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(7.2, 4.6), height_ratios=[2, 1], layout="constrained")
+    figure, (top, bottom) = plt.subplots(
+        2, 1, figsize=(7.2, 4.6), height_ratios=[2, 1], layout="constrained"
+    )
     unit = _units(d, joint)["position"]
     period = test.records[0][joint - 1].sample_time
     for model, colour, label in (
@@ -110,11 +118,15 @@ def torque_figure(d: Diagnosis, joint: int) -> Figure:
     for k, (a, b) in enumerate(zip(before, after, strict=True)):
         cut = _thin(len(a.time))
         t = a.time - a.time[0] + offset
-        axis.plot(t[cut], a.torque[cut], color=BEFORE, lw=0.7, label="calibrated" if k == 0 else None)
+        axis.plot(
+            t[cut], a.torque[cut], color=BEFORE, lw=0.7, label="calibrated" if k == 0 else None
+        )
         axis.plot(t[cut], b.torque[cut], color=AFTER, lw=0.7, label="improved" if k == 0 else None)
         offset += float(t[-1] - t[0])
     for start, stop in d.times[:4]:
-        axis.axvspan(start - before[0].time[0], stop - before[0].time[0], color="#e8c39e", alpha=0.4, lw=0)
+        axis.axvspan(
+            start - before[0].time[0], stop - before[0].time[0], color="#e8c39e", alpha=0.4, lw=0
+        )
     axis.set(
         xlabel="time [s]",
         ylabel=_torque_label(unit),
@@ -164,7 +176,9 @@ def law_figure(d: Diagnosis, finding: Finding) -> Figure:
     name = axis_of(finding.effect)
     terms = [t for t in whole.improved.at(joint) if t.effect == finding.effect]
     without = whole.improved.with_terms(tuple(t for t in whole.improved.terms if t not in terms))
-    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained", sharex=True, sharey=True)
+    figure, panels = plt.subplots(
+        1, 2, figsize=(7.2, 3.2), layout="constrained", sharex=True, sharey=True
+    )
     lacks, left = mismatch(train, without, joint), mismatch(train, whole.improved, joint)
     x = np.concatenate([m.time if name == "time" else m.variables[name] for m in lacks])
     before, after = (np.concatenate([m.torque for m in found]) for found in (lacks, left))
@@ -175,7 +189,16 @@ def law_figure(d: Diagnosis, finding: Finding) -> Figure:
     ):
         axis.plot(x[cut], y[cut], ".", color=DATA, ms=1.5, alpha=0.35, rasterized=True)
         centre, mean, spread = _binned(x, y)
-        axis.errorbar(centre, mean, spread, color=colour, fmt="o", ms=3, lw=0.8, label="what the model lacks: samples, means")
+        axis.errorbar(
+            centre,
+            mean,
+            spread,
+            color=colour,
+            fmt="o",
+            ms=3,
+            lw=0.8,
+            label="what the model lacks: samples, means",
+        )
         axis.set(xlabel=f"{name} [{units[name]}]", title=title)
     centre, mean, _ = _binned(x, before - after, 120)
     panels[0].plot(centre, mean, color="black", lw=1.2, label=f"{finding.effect}, as found")
@@ -193,12 +216,25 @@ def _torque_label(unit: str) -> str:
 
 def _legend(figure: Figure, *axes: Axes) -> None:
     """Below the figure, where it covers no data."""
-    entries = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=4, frameon=False, fontsize=8)
+    entries = {
+        label: handle
+        for axis in axes
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        loc="outside lower center",
+        ncols=4,
+        frameon=False,
+        fontsize=8,
+    )
 
 
 def _too_fine(d: Diagnosis, finding: Finding) -> bool:
-    """Whether a pattern repeats too often over the travel to be drawn, and faster than the torque in the figure is seen."""
+    """Whether a pattern repeats too often over the travel to be drawn, and faster than the torque
+    in the figure is seen.
+    """
     order = finding.parameters.get("order")
     travel = max(rec[finding.joint - 1].scale.position for rec in d.details["train"].records)
     return order is not None and order.value * travel > 40 * 2 * np.pi
@@ -275,9 +311,16 @@ def draw_all(d: Diagnosis, out: Path) -> list[tuple[str, str, Path]]:
             )
         )
     for k, f in enumerate(d.findings, 1):
-        if any(t.effect == f.effect for t in d.details["whole"].improved.at(f.joint)) and not _too_fine(d, f):
+        if any(
+            t.effect == f.effect for t in d.details["whole"].improved.at(f.joint)
+        ) and not _too_fine(d, f):
             figures.append(
-                ("law", f.sentence, f"law_{k}_{f.effect}_joint{f.joint}.png", partial(law_figure, d, f))
+                (
+                    "law",
+                    f.sentence,
+                    f"law_{k}_{f.effect}_joint{f.joint}.png",
+                    partial(law_figure, d, f),
+                )
             )
     for j in joints[:7]:
         figures.append(
@@ -289,10 +332,20 @@ def draw_all(d: Diagnosis, out: Path) -> list[tuple[str, str, Path]]:
             )
         )
         figures.append(
-            ("where", f"Joint {j}: map of the mismatch", f"map_joint{j}.png", partial(map_figure, d, j))
+            (
+                "where",
+                f"Joint {j}: map of the mismatch",
+                f"map_joint{j}.png",
+                partial(map_figure, d, j),
+            )
         )
         figures.append(
-            ("white", f"Joint {j}: whiteness", f"whiteness_joint{j}.png", partial(white_figure, d, j))
+            (
+                "white",
+                f"Joint {j}: whiteness",
+                f"whiteness_joint{j}.png",
+                partial(white_figure, d, j),
+            )
         )
     done = []
     for section, caption, name, draw in figures:

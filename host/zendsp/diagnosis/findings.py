@@ -1,4 +1,6 @@
-"""From fitted models to findings: which terms are new, their numbers with units and uncertainty, and the sentence that explains them."""
+"""From fitted models to findings: which terms are new, their numbers with units and uncertainty,
+and the sentence that explains them.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,9 @@ from zendsp.physics.model import Model, Term
 
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 COUPLED = ("inertia", "torque/speed2", "torque/speed", "torque")  # what their coefficients measure
-# Beside the statistical uncertainty and that of the integration's step stands what the equations of any two simulators do differently: of the value,
-# or rad for angles (measured on concealed cases: docs/diagnosis.md, uncertainty).
+# Beside the statistical uncertainty and that of the integration's step stands what the equations of
+# any two simulators do differently: of the value, or rad for angles (measured on concealed cases:
+# docs/diagnosis.md, uncertainty).
 NUMERIC = 3e-4
 
 
@@ -31,8 +34,12 @@ def new_terms(given: Model, final: Model, joint: int) -> list[Term]:
     return out
 
 
-def estimates(fit: Fit, term: Term, kind: str, command_unit: str, torque_unit: str = "") -> dict[str, Estimate]:
-    """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the Coulomb level."""
+def estimates(
+    fit: Fit, term: Term, kind: str, command_unit: str, torque_unit: str = ""
+) -> dict[str, Estimate]:
+    """Parameters of a term with standard deviations and units; the Stribeck breakaway includes the
+    Coulomb level.
+    """
     effect = get_effect(term.effect)
     term = counterpart(fit.model.terms, term)
     row = next(i for i, t in enumerate(fit.model.terms) if t is term)
@@ -42,7 +49,9 @@ def estimates(fit: Fit, term: Term, kind: str, command_unit: str, torque_unit: s
             continue
         value = term.value(p.name, p.default or 0.0)
         at = [
-            i for i, h in enumerate(fit.handles) if h.place == "term" and h.index == row and h.key == p.name
+            i
+            for i, h in enumerate(fit.handles)
+            if h.place == "term" and h.index == row and h.key == p.name
         ]
         variance = float(fit.covariance[at[0], at[0]]) if at else 0.0
         if term.effect == "stribeck" and p.name == "breakaway":
@@ -56,18 +65,24 @@ def estimates(fit: Fit, term: Term, kind: str, command_unit: str, torque_unit: s
             if term.effect == "coupling" and p.name == "coefficient"
             else p.size
         )
-        out[p.name] = Estimate(value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit, torque_unit))
+        out[p.name] = Estimate(
+            value, math.hypot(statistical, numeric), unit_of(size, kind, command_unit, torque_unit)
+        )
     return out
 
 
 def _whole(name: str, value: float) -> float:
-    """What the numerics' relative error refers to; how often a pattern repeats depends on positions alone, which are measured."""
+    """What the numerics' relative error refers to; how often a pattern repeats depends on positions
+    alone, which are measured.
+    """
     if name in ("order", "period"):
         return 0.0
     return 1.0 if name in ("phase", "angle") else abs(value)
 
 
-def _breakaway(fit: Fit, term: Term, excess: float, variance: float, at: list[int]) -> tuple[float, float]:
+def _breakaway(
+    fit: Fit, term: Term, excess: float, variance: float, at: list[int]
+) -> tuple[float, float]:
     for i, t in enumerate(fit.model.terms):
         if t.effect == "coulomb" and t.joint == term.joint:
             where = [
@@ -83,7 +98,9 @@ def _breakaway(fit: Fit, term: Term, excess: float, variance: float, at: list[in
 
 
 def file_model(model: Model) -> Model:
-    """The model as files give it: Stribeck terms with the breakaway level, not the excess over Coulomb."""
+    """The model as files give it: Stribeck terms with the breakaway level, not the excess over
+    Coulomb.
+    """
     return _shift_breakaway(model, +1.0)
 
 
@@ -135,7 +152,8 @@ def sentence(term: Term, values: dict[str, Estimate]) -> str:
         else:
             period = 2 * math.pi / order.value
             words["repeats"] = (
-                f"every {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
+                "every"
+                f" {number(Estimate(1e3 * period, 1e3 * period * order.std / order.value, 'mm'))}"
             )
     if term.effect == "coupling":
         words["from_joint"] = str(int(term.value("from_joint")))

@@ -1,9 +1,10 @@
 """Ripple that passes too fast for the observers of the search.
 
-A screw turn of 2.5 mm passes at 40 Hz when the carriage moves at 0.1 m/s: far above the band in which hypotheses are fitted, and beneath
-friction a hundred times larger. A fast observer follows what is slow, whatever it is, and leaves the ripple; at that speed friction laws
-hardly differ, so nothing else is asked of it. The position's zero need not return from one recording to the next (homing), so the
-held-out recordings may choose the phase anew, and only the phase.
+A screw turn of 2.5 mm passes at 40 Hz when the carriage moves at 0.1 m/s: far above the band in
+which hypotheses are fitted, and beneath friction a hundred times larger. A fast observer follows
+what is slow, whatever it is, and leaves the ripple; at that speed friction laws hardly differ, so
+nothing else is asked of it. The position's zero need not return from one recording to the next
+(homing), so the held-out recordings may choose the phase anew, and only the phase.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from zendsp.diagnosis.screen import Candidate, Screen, with_candidate
 from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles
 from zendsp.physics.model import Model, Term
 
-BAND = 400.0  # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples are not
+# rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples
+# are not
+BAND = 400.0
 SHARE = 0.03  # of the fast innovations' energy that a ripple has to explain
 GAIN = 60.0  # deviance beyond the price, on the training and on the held-out recordings
 Z = 4.0
@@ -38,7 +41,9 @@ class FineRipple:
     finding: Finding
 
 
-def fine_ripples(train: Data, test: Data, search: JointSearch, kind: str, jobs: int) -> list[FineRipple]:
+def fine_ripples(
+    train: Data, test: Data, search: JointSearch, kind: str, jobs: int
+) -> list[FineRipple]:
     """Ripples that only a fast observer sees.
 
     Parameters
@@ -54,7 +59,8 @@ def fine_ripples(train: Data, test: Data, search: JointSearch, kind: str, jobs: 
     Returns
     -------
     list of FineRipple
-        Empty where the sample time allows no faster observer, or nothing passes on the held-out recordings.
+        Empty where the sample time allows no faster observer, or nothing passes on the held-out
+        recordings.
     """
     joint, record = search.joint, train.records[0][search.joint - 1]
     band = min(BAND, 0.4 / record.sample_time)
@@ -82,8 +88,12 @@ def fine_ripples(train: Data, test: Data, search: JointSearch, kind: str, jobs: 
 
 
 def fixed(term: Term) -> Term:
-    """The term with every parameter held: slower observers know less of it than the fast one that found it."""
-    return Term(term.effect, term.joint, {n: replace(q, free=False) for n, q in term.parameters.items()})
+    """The term with every parameter held: slower observers know less of it than the fast one that
+    found it.
+    """
+    return Term(
+        term.effect, term.joint, {n: replace(q, free=False) for n, q in term.parameters.items()}
+    )
 
 
 def _fast(candidate: Candidate, speed: float) -> bool:
@@ -97,14 +107,20 @@ def _fitted(data: Data, model: Model, joint: int, iterations: int, jobs: int) ->
 
 
 def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> Scored:
-    """The fitted ripple with the phase that suits the held-out recordings: the best of the circle, then refined."""
+    """The fitted ripple with the phase that suits the held-out recordings: the best of the circle,
+    then refined.
+    """
     term = after.model.terms[index]
     best: tuple[float, Fit] | None = None
     for phase in np.linspace(-math.pi, math.pi, 8, endpoint=False):
         values = {**term.parameters, "phase": replace(term.parameters["phase"], value=float(phase))}
         turned = Term(term.effect, term.joint, values)
-        model = after.model.with_terms((*after.model.terms[:index], turned, *after.model.terms[index + 1 :]))
-        result = fit(held, model, (Handle("term", index, "phase"),), joints=(joint,), iterations=2, jobs=jobs)
+        model = after.model.with_terms(
+            (*after.model.terms[:index], turned, *after.model.terms[index + 1 :])
+        )
+        result = fit(
+            held, model, (Handle("term", index, "phase"),), joints=(joint,), iterations=2, jobs=jobs
+        )
         if best is None or result.cost < best[0]:
             best = result.cost, result
     assert best is not None
@@ -115,15 +131,36 @@ def _reported(search: JointSearch, before: Scored, after: Scored, kind: str) -> 
     term = after.model.terms[-1]
     values = estimates(after.fit, term, kind, "")
     noted = {
-        name: replace(q, std=values[name].std) if name in values else q for name, q in term.parameters.items()
+        name: replace(q, std=values[name].std) if name in values else q
+        for name, q in term.parameters.items()
     }
     term = Term(term.effect, term.joint, noted)
     joint = search.joint
-    own = difference(before.data, before.model, after.model, joint, before.data.bandwidth[joint - 1]) ** 2
-    whole = difference(before.data, search.base.model, search.final.model, joint) ** 2 if search.steps else 0.0
+    own = (
+        difference(before.data, before.model, after.model, joint, before.data.bandwidth[joint - 1])
+        ** 2
+    )
+    whole = (
+        difference(before.data, search.base.model, search.final.model, joint) ** 2
+        if search.steps
+        else 0.0
+    )
     text = (
         sentence(term, values)
-        + " It passes faster than the other effects; its phase holds for the position zero of these recordings."
+        + " It passes faster than the other effects; its phase holds for the position zero of these"
+        " recordings."
     )
-    finding = Finding("ripple", search.joint, values, 0.9, own / max(own + whole, 1e-300), (), (), text, {}, "position_torque", {"ripple": 1.0})
+    finding = Finding(
+        "ripple",
+        search.joint,
+        values,
+        0.9,
+        own / max(own + whole, 1e-300),
+        (),
+        (),
+        text,
+        {},
+        "position_torque",
+        {"ripple": 1.0},
+    )
     return FineRipple(term, finding)

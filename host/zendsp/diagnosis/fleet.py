@@ -1,7 +1,9 @@
-"""Many recordings, each diagnosed on its own against one model: on this machine's cores, or on a Dask cluster.
+"""Many recordings, each diagnosed on its own against one model: on this machine's cores, or on a
+Dask cluster.
 
-Each diagnosis is one task that returns its report as plain numbers and strings, so that nothing but files and dictionaries crosses between
-processes and machines. On a cluster the recordings, the model and the output folder must be readable under the same paths by every worker.
+Each diagnosis is one task that returns its report as plain numbers and strings, so that nothing but
+files and dictionaries crosses between processes and machines. On a cluster the recordings, the
+model and the output folder must be readable under the same paths by every worker.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Item:
-    """Outcome of one recording: its report (report.json of the contract), or the sentence that says why there is none."""
+    """Outcome of one recording: its report (report.json of the contract), or the sentence that says
+    why there is none.
+    """
 
     recording: str
     report: dict[str, Any] | None
@@ -47,7 +51,8 @@ def diagnose_each(
     recordings : sequence of path
     model : path
     heldout : sequence of path
-        Judged on by all of them; where none is given the last third of each is held out (of its motion, where it comes to rest).
+        Judged on by all of them; where none is given the last third of each is held out (of its
+        motion, where it comes to rest).
     out : path, optional
         Folder; each recording's report goes into a folder of its name below it.
     seed : int
@@ -74,7 +79,12 @@ def diagnose_each(
     """
     names = [str(Path(r).resolve()) for r in recordings]
     folders = [None if out is None else str((Path(out) / stem).resolve()) for stem in stems(names)]
-    rest = (str(Path(model).resolve()), [str(Path(h).resolve()) for h in heldout], seed, [str(Path(e).resolve()) for e in effects])
+    rest = (
+        str(Path(model).resolve()),
+        [str(Path(h).resolve()) for h in heldout],
+        seed,
+        [str(Path(e).resolve()) for e in effects],
+    )
     tasks = [(name, folder, *rest) for name, folder in zip(names, folders, strict=True)]
     done: dict[str, Item] = {}
     tell = progress or (lambda _text: None)
@@ -85,7 +95,9 @@ def diagnose_each(
 
 
 def stems(names: Sequence[str]) -> list[str]:
-    """A folder name for each recording: its file's name without suffix, with its place in the list where two would be the same."""
+    """A folder name for each recording: its file's name without suffix, with its place in the list
+    where two would be the same.
+    """
     short = [Path(n).name.split(".")[0] for n in names]
     return [s if short.count(s) == 1 else f"{k}_{s}" for k, s in enumerate(short, 1)]
 
@@ -114,7 +126,9 @@ def _local(tasks: Sequence[Any], jobs: int) -> Iterator[Item]:
         yield from map(diagnose_one, tasks)
         return
     # spawned, not forked: this process may hold threads and opened libraries
-    with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        min(jobs, len(tasks)), mp_context=multiprocessing.get_context("spawn")
+    ) as pool:
         for future in as_completed([pool.submit(diagnose_one, task) for task in tasks]):
             yield future.result()
 
@@ -130,7 +144,8 @@ def _cluster(tasks: Sequence[Any], address: str) -> Iterator[Item]:
 
 
 def table(items: Sequence[Item], common: bool = True) -> str:
-    """One line a recording: verdict, findings with their first parameter, held-out error calibrated to improved.
+    """One line a recording: verdict, findings with their first parameter, held-out error calibrated
+    to improved.
 
     Parameters
     ----------
@@ -143,7 +158,9 @@ def table(items: Sequence[Item], common: bool = True) -> str:
     str
     """
     width = max([len(Path(i.recording).name) for i in items] + [9])
-    lines = [f"{'recording':<{width}}  {'verdict':<11}  {'calibrated':>10}  {'improved':>10}  findings"]
+    lines = [
+        f"{'recording':<{width}}  {'verdict':<11}  {'calibrated':>10}  {'improved':>10}  findings"
+    ]
     tally: dict[tuple[str, int], int] = {}
     for item in items:
         name = Path(item.recording).name
@@ -155,11 +172,24 @@ def table(items: Sequence[Item], common: bool = True) -> str:
             key = (f["effect"], f["joint"])
             tally[key] = tally.get(key, 0) + 1
             first = next(iter(f["parameters"].items()), None)
-            number = f" {first[0]} {first[1]['value']:.4g} ± {first[1]['std']:.1g} {first[1]['unit']}" if first else ""
+            number = (
+                f" {first[0]} {first[1]['value']:.4g} ± {first[1]['std']:.1g} {first[1]['unit']}"
+                if first
+                else ""
+            )
             found.append(f"{f['effect']} (joint {f['joint']}){number}")
         held = item.report["fit"]["heldout"]
-        lines.append(f"{name:<{width}}  {item.report['verdict']:<11}  {held['calibrated']:>10.3g}  {held['improved']:>10.3g}  {'; '.join(found)}")
+        lines.append(
+            f"{name:<{width}}  {item.report['verdict']:<11}  {held['calibrated']:>10.3g} "
+            f" {held['improved']:>10.3g}  {'; '.join(found)}"
+        )
     usable = sum(i.report is not None for i in items)
     if common and tally:
-        lines += ["", *[f"{effect}, joint {joint}: in {count} of {usable} recordings" for (effect, joint), count in sorted(tally.items(), key=lambda t: -t[1])]]
+        lines += [
+            "",
+            *[
+                f"{effect}, joint {joint}: in {count} of {usable} recordings"
+                for (effect, joint), count in sorted(tally.items(), key=lambda t: -t[1])
+            ],
+        ]
     return "\n".join(lines)

@@ -19,10 +19,11 @@ h1{font-size:1.5rem;margin:0}h2{font-size:1.1rem;margin:2rem 0 .5rem;border-bott
 table{border-collapse:collapse;width:100%;margin:.5rem 0}th,td{text-align:left;padding:.25rem .6rem;border-bottom:1px solid #e2e2e2;vertical-align:top}
 td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%;display:block;margin:.4rem 0}
 .small{color:#666;font-size:.85rem}figure{margin:.6rem 0;break-inside:avoid}@media print{body{margin:0;max-width:none}h2{break-after:avoid}.more{break-before:page}}
-"""
+"""  # noqa: E501
 
 def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
-    """HTML of the whole report, pictures inside: first what matters on one sheet, then everything else.
+    """HTML of the whole report, pictures inside: first what matters on one sheet, then everything
+    else.
 
     Parameters
     ----------
@@ -33,11 +34,16 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
     -------
     str
     """
-    first = next((f for f in figures if f[0] == "law"), None) or next((f for f in figures if f[0] in ("where", "fit")), None)
+    first = next((f for f in figures if f[0] == "law"), None) or next(
+        (f for f in figures if f[0] in ("where", "fit")), None
+    )
     rest = [f for f in figures if f is not first]
     title = f"Diagnosis of the model “{escape(d.given.name)}”"
     parts = [
-        f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'><title>{title}</title>",
+        (
+            "<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport"
+            f" content='width=device-width'><title>{title}</title>"
+        ),
         f"<style>{STYLE}</style><h1>{title}</h1>",
         f"<div class='verdict {d.verdict}'><b>{escape(headline(d))}</b>{_sentences(d)}</div>",
         _pictures([first] if first else [], first[0] if first else ""),
@@ -60,8 +66,9 @@ def page(d: Diagnosis, figures: list[tuple[str, str, Path]]) -> str:
     if d.notes:
         parts += ["<h2>About the data</h2><ul>", *[f"<li>{escape(n)}" for n in d.notes], "</ul>"]
     parts.append(
-        f"<p class=small>{d.seconds:.1f} s. Calibrated: the given model with its free parameters fitted again. "
-        "Untouched: recordings that neither the fit nor any choice has seen.</p></div></html>"
+        f"<p class=small>{d.seconds:.1f} s. Calibrated: the given model with its free parameters"
+        " fitted again. Untouched: recordings that neither the fit nor any choice has"
+        " seen.</p></div></html>"
     )
     return "\n".join(parts)
 
@@ -79,17 +86,21 @@ def _sentences(d: Diagnosis) -> str:
 def _untouched(d: Diagnosis) -> str:
     t = d.test or d.heldout
     if not d.findings:
-        return f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} {d.unit}; the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+        return (
+            f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} {d.unit}; the"
+            f" sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+        )
     times = t.calibrated / t.improved if t.improved > 0 else float("inf")
     return (
-        f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g} {d.unit} "
-        f"({times:.2g} times smaller); the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+        f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g}"
+        f" {d.unit} ({times:.2g} times smaller); the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
     )
 
 
 def _left(d: Diagnosis) -> str:
     items = [
-        f"joint {x.joint}: {100 * x.share:.2g} % of its torque ({100 * x.interval[0]:.2g} … {100 * min(x.interval[1], 9.99):.2g} %)"
+        f"joint {x.joint}: {100 * x.share:.2g} % of its torque ({100 * x.interval[0]:.2g} …"
+        f" {100 * min(x.interval[1], 9.99):.2g} %)"
         for x in d.discrepancy
     ]
     return f"<p><b>What nothing named explains:</b> {'; '.join(items)}.</p>" if items else ""
@@ -101,29 +112,46 @@ def _could_not(d: Diagnosis) -> str:
     rows = []
     for joint in joints:
         sizes = ", ".join(
-            f"{escape(x.effect)} {x.size:.2g}{'' if x.unit == '1' else f' {escape(x.unit)}'}" for x in d.detectable if x.joint == joint
+            f"{escape(x.effect)} {x.size:.2g}{'' if x.unit == '1' else f' {escape(x.unit)}'}"
+            for x in d.detectable
+            if x.joint == joint
         )
         rows.append(f"<li>joint {joint}: {sizes}")
-    return f"<p><b>What would not have been seen</b> (90 of 100 times), below:</p><ul>{''.join(rows)}</ul>" if rows else ""
+    return (
+        "<p><b>What would not have been seen</b> (90 of 100 times),"
+        f" below:</p><ul>{''.join(rows)}</ul>"
+        if rows
+        else ""
+    )
 
 
 def _fit_table(d: Diagnosis) -> str:
     def row(name: str, t: FitTable) -> str:
-        return f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td class=n><b>{t.improved:.3g}</b><td class=n>{d.noise_floor:.3g}"
+        return (
+            f"<tr><td>{name}<td class=n>{t.given:.3g}<td class=n>{t.calibrated:.3g}<td"
+            f" class=n><b>{t.improved:.3g}</b><td class=n>{d.noise_floor:.3g}"
+        )
 
-    head = f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th class=n>calibrated<th class=n>improved<th class=n>noise floor"
-    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"
+    head = (
+        f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th"
+        " class=n>calibrated<th class=n>improved<th class=n>noise floor"
+    )
+    return (
+        f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"  # noqa: E501
+    )
 
 
 def _findings_table(findings: Sequence[Finding]) -> str:
     rows = [
-        "<tr><th>mechanism<th>law<th>joint<th>parameters<th class=n>share<th class=n>confidence<th>cannot be told from<th>replaces"
+        "<tr><th>mechanism<th>law<th>joint<th>parameters<th class=n>share<th"
+        " class=n>confidence<th>cannot be told from<th>replaces"
     ]
     for f in findings:
         numbers = "<br>".join(f"{escape(n)} = {escape(number(e))}" for n, e in f.parameters.items())
         rows.append(
-            f"<tr><td>{escape(WORDS.get(f.mechanism, f.mechanism))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td class=n>{100 * f.share:.0f} %<td class=n>{100 * f.confidence:.0f} %"
-            f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"
+            f"<tr><td>{escape(WORDS.get(f.mechanism, f.mechanism))}<td>{escape(f.effect)}<td>{f.joint}<td>{numbers}<td"  # noqa: E501
+            f" class=n>{100 * f.share:.0f} %<td class=n>{100 * f.confidence:.0f} %"
+            f"<td>{escape(', '.join(f.indistinguishable)) or '—'}<td>{escape(', '.join(f.replaces)) or '—'}"  # noqa: E501
         )
     return f"<table>{''.join(rows)}</table>"
 
@@ -131,10 +159,13 @@ def _findings_table(findings: Sequence[Finding]) -> str:
 def _where(d: Diagnosis) -> str:
     if not d.regions:
         return "<p>Nowhere in particular.</p>"
-    rows = ["<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"]
+    rows = [
+        "<tr><th>joint<th>variable<th>from … to<th class=n>of the mismatch<th class=n>of the time"
+    ]
     for r in d.regions:
         rows.append(
-            f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}<td class=n>{100 * r.share:.0f} %<td class=n>{100 * r.time_share:.0f} %"
+            f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}<td"
+            f" class=n>{100 * r.share:.0f} %<td class=n>{100 * r.time_share:.0f} %"
         )
     spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in d.times)
     return f"<table>{''.join(rows)}</table><p>In time: {spans or 'spread evenly'}.</p>"
@@ -155,6 +186,7 @@ def _pictures(figures: list[tuple[str, str, Path]], section: str) -> str:
         if place == section:
             data = base64.b64encode(path.read_bytes()).decode()
             out.append(
-                f"<figure><img alt='{escape(caption, quote=True)}' src='data:image/png;base64,{data}'></figure>"
+                f"<figure><img alt='{escape(caption, quote=True)}'"
+                f" src='data:image/png;base64,{data}'></figure>"
             )
     return "".join(out)

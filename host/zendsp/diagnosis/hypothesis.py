@@ -18,7 +18,9 @@ SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes 
 
 @dataclass(frozen=True)
 class Rival:
-    """A hypothesis that was fitted: what it adds to the model before it, and how likely it made the recording."""
+    """A hypothesis that was fitted: what it adds to the model before it, and how likely it made the
+    recording.
+    """
 
     effect: str
     joint: int
@@ -63,7 +65,9 @@ class JointSearch:
 
 
 def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float:
-    """What the free parameters of some terms cost in deviance: BIC, and a grid searched counts as a parameter more."""
+    """What the free parameters of some terms cost in deviance: BIC, and a grid searched counts as a
+    parameter more.
+    """
     count = 0.0
     for term in terms:
         effect = get_effect(term.effect)
@@ -88,7 +92,14 @@ def with_numbers(model: Model, effect: str, joint: int, numbers: Mapping[str, fl
     def changed(term: Term) -> Term:
         if (term.effect, term.joint) != (effect, joint):
             return term
-        return Term(effect, joint, {**term.parameters, **{n: replace(term.parameters[n], value=v) for n, v in numbers.items()}})
+        return Term(
+            effect,
+            joint,
+            {
+                **term.parameters,
+                **{n: replace(term.parameters[n], value=v) for n, v in numbers.items()},
+            },
+        )
 
     return model.with_terms(tuple(map(changed, model.terms)))
 
@@ -96,14 +107,17 @@ def with_numbers(model: Model, effect: str, joint: int, numbers: Mapping[str, fl
 def sizes(effect: str) -> tuple[str, ...]:
     """Names of the numbers that say how large an effect is."""
     entry = get_effect(effect)
-    return _essence(effect) or entry.linear or tuple(p.name for p in entry.parameters if p.fitted)[:1]
+    return (
+        _essence(effect) or entry.linear or tuple(p.name for p in entry.parameters if p.fitted)[:1]
+    )
 
 
 def counterpart(terms: Sequence[Term], term: Term) -> Term:
     """The same term in another fit of the model, where its fitted numbers have moved.
 
-    A joint may have several terms of one effect: they are told apart by what no fit moves (a coupling's law and its joint), then by
-    how often they repeat (a ripple's order, the period of a friction that varies with position).
+    A joint may have several terms of one effect: they are told apart by what no fit moves (a
+    coupling's law and its joint), then by how often they repeat (a ripple's order, the period of a
+    friction that varies with position).
 
     Raises
     ------
@@ -118,12 +132,17 @@ def counterpart(terms: Sequence[Term], term: Term) -> Term:
 
     alike = [t for t in terms if (t.effect, t.joint) == (term.effect, term.joint)]
     if not alike:
-        raise LookupError(f"no {term.effect} at joint {term.joint} among {', '.join(t.effect for t in terms) or 'no terms'}")
+        raise LookupError(
+            f"no {term.effect} at joint {term.joint} among"
+            f" {', '.join(t.effect for t in terms) or 'no terms'}"
+        )
     return min(alike, key=unlike)
 
 
 def vanishes(fitted: Fit, term: Term) -> bool:
-    """Whether a number that makes an effect what it is cannot be told from zero, or from endless, or lies at the bound of what can be seen."""
+    """Whether a number that makes an effect what it is cannot be told from zero, or from endless,
+    or lies at the bound of what can be seen.
+    """
     effect, same = term.effect, counterpart(fitted.model.terms, term)
     own = {
         handle.key: i

@@ -1,8 +1,10 @@
-"""A first estimate of each joint's inertia by inverse dynamics, to keep the calibration of an incomplete model on the ground.
+"""A first estimate of each joint's inertia by inverse dynamics, to keep the calibration of an
+incomplete model on the ground.
 
-While much physics is missing, the most likely model under a fast observer is a heavy one: a huge inertia ignores the wrong torques. Low-pass
-filtered inverse dynamics with rich friction, gravity and coupling columns as nuisance gives the inertia within a few percent
-whatever is missing (Gautier 1997), and the calibration may move only around it.
+While much physics is missing, the most likely model under a fast observer is a heavy one: a huge
+inertia ignores the wrong torques. Low-pass filtered inverse dynamics with rich friction, gravity
+and coupling columns as nuisance gives the inertia within a few percent whatever is missing (Gautier
+1997), and the calibration may move only around it.
 """
 
 from __future__ import annotations
@@ -29,13 +31,18 @@ OWN = {"rotary": ("inertia",), "linear": ("mass",), "planar2r": ("p1", "p2")}
 
 
 def own_key(model: Model, joint: int) -> str:
-    """Name of the number that is the joint's own inertia: a mechanism parameter, or "inertia J" for a rotor term of joint J."""
+    """Name of the number that is the joint's own inertia: a mechanism parameter, or "inertia J" for
+    a rotor term of joint J.
+    """
     keys = OWN.get(model.kind)
     return f"inertia {joint}" if keys is None else keys[min(joint, len(keys)) - 1]
 
 
-def inertia_ranges(records: Sequence[Sequence[JointRecord]], model: Model) -> dict[str, tuple[float, float]]:
-    """Range of each joint's own inertia, kg m² or kg, by ``own_key``; only where the recordings determine it.
+def inertia_ranges(
+    records: Sequence[Sequence[JointRecord]], model: Model
+) -> dict[str, tuple[float, float]]:
+    """Range of each joint's own inertia, kg m² or kg, by ``own_key``; only where the recordings
+    determine it.
 
     Parameters
     ----------
@@ -80,7 +87,9 @@ def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
     width = max(3, round(WINDOW / rec.sample_time))
 
     def low(v: Array) -> Array:
-        out: Array = uniform_filter1d(uniform_filter1d(v, width), width)[2 * width : -2 * width : width]
+        out: Array = uniform_filter1d(uniform_filter1d(v, width), width)[
+            2 * width : -2 * width : width
+        ]
         return out
 
     q, qd, qdd = rec.motion.states
@@ -115,7 +124,8 @@ def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
         if other + 1 != rec.joint and model.kind == "urdf":
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]
-    # a joint that sticks bears any torque up to its friction: only what slides says anything of its inertia
+    # a joint that sticks bears any torque up to its friction: only what slides says anything of its
+    # inertia
     still = max(3.0 * float(np.sqrt(np.median(rec.motion.variances[1]))), SLIDING * rec.scale.speed)
     sliding = low((np.abs(qd) > still).astype(np.float64)) > 1.0 - 1e-9
     return np.stack([low(c) for c in columns], axis=1)[sliding], low(torque - known)[sliding]

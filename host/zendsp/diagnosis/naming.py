@@ -1,4 +1,6 @@
-"""From what was decided to what is reported: findings and refinements with their numbers, their sentence and how sure they are."""
+"""From what was decided to what is reported: findings and refinements with their numbers, their
+sentence and how sure they are.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,11 @@ VARIABLE = {
 
 
 def name_findings(
-    test: Data, given: Model, decisions: Sequence[Decision], whole: Assembled, bodies: Sequence[BodyClaim] = ()
+    test: Data,
+    given: Model,
+    decisions: Sequence[Decision],
+    whole: Assembled,
+    bodies: Sequence[BodyClaim] = (),
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
     """Put what was decided at each joint into words.
 
@@ -42,10 +48,22 @@ def name_findings(
         if decision.bursts is not None:
             ranked.append((math.inf, _disturbance(decision, given)))
         for claim in decision.claims:
-            ranked.append((claim.evidence.gain, _finding(given, decision, whole, claim, claim.size**2 / everything)))
-            rejected += [Rejected(effect, decision.joint, why, score) for effect, why, score in claim.lost]
-        refinements += [_finding(given, decision, whole, c, c.size**2 / everything) for c in decision.refinements]
-        rejected += [Rejected(effect, decision.joint, why, score) for effect, why, score in decision.lost]
+            ranked.append(
+                (
+                    claim.evidence.gain,
+                    _finding(given, decision, whole, claim, claim.size**2 / everything),
+                )
+            )
+            rejected += [
+                Rejected(effect, decision.joint, why, score) for effect, why, score in claim.lost
+            ]
+        refinements += [
+            _finding(given, decision, whole, c, c.size**2 / everything)
+            for c in decision.refinements
+        ]
+        rejected += [
+            Rejected(effect, decision.joint, why, score) for effect, why, score in decision.lost
+        ]
         named = {c.term.effect for c in decision.claims}
         ranked += [(0.5 * abs(z), f) for z, f in shifted(given, decision, whole, named, test)]
     ranked.sort(key=lambda item: -item[0])
@@ -54,7 +72,9 @@ def name_findings(
     return tuple(f for _, f in ranked), tuple(refinements), tuple(worst_first[:12])
 
 
-def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float) -> Finding:
+def _finding(
+    given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float
+) -> Finding:
     joint, term = decision.joint, claim.term
     kind = given.joint_kind(joint)
     unit = given.torque_unit(joint)
@@ -65,17 +85,37 @@ def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, s
         size = Estimate(claim.size * scale, 0.25 * claim.size * scale, unit)
         what = VARIABLE.get(claim.mechanism, "state")
         text = (
-            f"A torque that depends on the {what} of joint {joint} is missing, {percent(claim.size)} % of its torque; "
-            "none of the known laws describes it."
+            f"A torque that depends on the {what} of joint {joint} is missing,"
+            f" {percent(claim.size)} % of its torque; none of the known laws describes it."
         )
         laws = claim.laws
-        return Finding("unknown", joint, {"size": size}, sure, share, (), claim.replaces, text, {}, claim.mechanism, laws)
+        return Finding(
+            "unknown",
+            joint,
+            {"size": size},
+            sure,
+            share,
+            (),
+            claim.replaces,
+            text,
+            {},
+            claim.mechanism,
+            laws,
+        )
     values = estimates(whole.fits[joint], term, kind, given.actuator.unit, unit)
     text = sentence(term, values)
     if term.effect == "inertia":
-        weight = [t for t in new_terms(given, decision.final.model, joint) if weight_of_payload(given, decision.final.model, t)]
+        weight = [
+            t
+            for t in new_terms(given, decision.final.model, joint)
+            if weight_of_payload(given, decision.final.model, t)
+        ]
         if weight:
-            text += f" It weighs: gravity grows by {weight[0].value('torque') * math.cos(weight[0].value('angle')):.3g} N m with it."
+            text += (
+                " It weighs: gravity grows by"
+                f" {weight[0].value('torque') * math.cos(weight[0].value('angle')):.3g} N m"
+                " with it."
+            )
     if claim.replaces:
         text += f" It makes {', '.join(claim.replaces)} unnecessary."
     if claim.same:
@@ -83,7 +123,19 @@ def _finding(given: Model, decision: Decision, whole: Assembled, claim: Claim, s
     numbers: dict[str, int | str] = {}
     if term.effect == "coupling":
         numbers = {"from_joint": int(term.value("from_joint")), "law": LAWS[int(term.value("law"))]}
-    return Finding(term.effect, joint, values, sure, share, claim.same, claim.replaces, text, numbers, claim.mechanism, claim.laws)
+    return Finding(
+        term.effect,
+        joint,
+        values,
+        sure,
+        share,
+        claim.same,
+        claim.replaces,
+        text,
+        numbers,
+        claim.mechanism,
+        claim.laws,
+    )
 
 
 def _disturbance(decision: Decision, given: Model) -> Finding:
@@ -91,26 +143,47 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
     assert found is not None
     spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in found.intervals[:4])
     unit = given.torque_unit(joint)
-    text = f"A torque over time that no state explains acts on joint {joint} at {spans}, up to {found.peak:.3g} {unit}."
+    text = (
+        f"A torque over time that no state explains acts on joint {joint} at {spans}, up to"
+        f" {found.peak:.3g} {unit}."
+    )
     values = {"rms": Estimate(found.rms, 0.0, unit), "peak": Estimate(found.peak, 0.0, unit)}
-    numbers: dict[str, object] = {"intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals]}
-    return Finding("disturbance", joint, values, 0.9, found.share, (), (), text, numbers, "disturbance", {"disturbance": 1.0})
+    numbers: dict[str, object] = {
+        "intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals]
+    }
+    return Finding(
+        "disturbance",
+        joint,
+        values,
+        0.9,
+        found.share,
+        (),
+        (),
+        text,
+        numbers,
+        "disturbance",
+        {"disturbance": 1.0},
+    )
 
 
 def left_over(decisions: Sequence[Decision], given: Model) -> str:
-    """What nothing named explains, joint by joint, in words; empty where it is too little to matter."""
+    """What nothing named explains, joint by joint, in words; empty where it is too little to
+    matter.
+    """
     words = []
     for d in decisions:
         unit = given.torque_unit(d.joint)
         if d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
-                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS ({percent(d.state.size)} % of the torque) "
-                "depends on the state of the joint and is none of the known effects"
+                f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS"
+                f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"
+                " is none of the known effects"
             )
         elif d.kind == "unexplained":
             words.append(
-                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS ({percent(d.after.value)} % of the torque) "
-                "is missing that neither a known effect nor any function of the joint's state predicts"
+                f"Joint {d.joint}: a torque of {d.after.value * d.scale:.2g} {unit} RMS"
+                f" ({percent(d.after.value)} % of the torque) is missing that neither a known"
+                " effect nor any function of the joint's state predicts"
             )
         elif d.kind == "missing" and d.after.low > OF_STATE:
             words.append(

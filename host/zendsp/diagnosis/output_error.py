@@ -1,4 +1,6 @@
-"""Output error of simulators that can only be called: fit, evidence, and the library of effects screened by finite differences."""
+"""Output error of simulators that can only be called: fit, evidence, and the library of effects
+screened by finite differences.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ SCREENED = 400  # simulations that one screen may take
 
 @dataclass(frozen=True)
 class Output:
-    """A fitted model with its output errors (N,) over all recordings and joints, in units of the sensor's noise."""
+    """A fitted model with its output errors (N,) over all recordings and joints, in units of the
+    sensor's noise.
+    """
 
     fit: Fit
     error: Array
@@ -52,7 +56,9 @@ def sensor_noise(b: Bench, i: int) -> float:
     return max(white, 1e-7 * b.records[i].scale.position)
 
 
-def _bounds(benches: Sequence[Bench], model: Model, handles: Sequence[Handle]) -> tuple[Array, Array, Array]:
+def _bounds(
+    benches: Sequence[Bench], model: Model, handles: Sequence[Handle]
+) -> tuple[Array, Array, Array]:
     low, high, size = [], [], []
     for h in handles:
         value = abs(float(get_values(model, [h])[0]))
@@ -72,32 +78,69 @@ def _bounds(benches: Sequence[Bench], model: Model, handles: Sequence[Handle]) -
     return np.array(low), np.array(high), np.array(size)
 
 
-def fit_output(benches: Sequence[Bench], model: Model, handles: Sequence[Handle], evaluations: int = 12) -> Output:
+def fit_output(
+    benches: Sequence[Bench], model: Model, handles: Sequence[Handle], evaluations: int = 12
+) -> Output:
     """Least squares on the simulated position, all free numbers together."""
     from scipy.optimize import least_squares
 
     handles = tuple(handles)
     if not handles:
         error = errors(benches, model)
-        return Output(Fit(model, (), np.zeros(0), np.zeros((0, 0)), float(error @ error), 0, (), True, np.zeros((len(error), 0)), error), error)
+        return Output(
+            Fit(
+                model,
+                (),
+                np.zeros(0),
+                np.zeros((0, 0)),
+                float(error @ error),
+                0,
+                (),
+                True,
+                np.zeros((len(error), 0)),
+                error,
+            ),
+            error,
+        )
     low, high, size = _bounds(benches, model, handles)
     start = np.clip(get_values(model, handles), low + 1e-9 * size, high - 1e-9 * size)
 
     def evaluate(z: Array) -> Array:
         return errors(benches, set_values(model, handles, z * size))
 
-    done = least_squares(evaluate, start / size, bounds=(low / size, high / size), diff_step=np.full(len(size), 1e-4), max_nfev=evaluations, ftol=1e-5, xtol=1e-6)
+    done = least_squares(
+        evaluate,
+        start / size,
+        bounds=(low / size, high / size),
+        diff_step=np.full(len(size), 1e-4),
+        max_nfev=evaluations,
+        ftol=1e-5,
+        xtol=1e-6,
+    )
     x = done.x * size
     jacobian = np.asarray(done.jac, dtype=np.float64) / size
     block = max(10, round(BLOCK / benches[0].signals.sample_time))
     covariance = robust_covariance(jacobian, done.fun, block)
     bound = tuple(bool(v) for v in (np.isclose(x, low) | np.isclose(x, high)))
-    result = Fit(set_values(model, handles, x), handles, x, covariance, float(done.fun @ done.fun), int(done.nfev), bound, bool(done.success), jacobian, done.fun)
+    result = Fit(
+        set_values(model, handles, x),
+        handles,
+        x,
+        covariance,
+        float(done.fun @ done.fun),
+        int(done.nfev),
+        bound,
+        bool(done.success),
+        jacobian,
+        done.fun,
+    )
     return Output(result, done.fun)
 
 
 def effective(error: Array) -> float:
-    """Number of independent samples in a correlated series: n (1 - rho) / (1 + rho) with the lag-one correlation of an AR(1)."""
+    """Number of independent samples in a correlated series: n (1 - rho) / (1 + rho) with the
+    lag-one correlation of an AR(1).
+    """
     e = error - error.mean()
     power = float(e @ e)
     rho = float(e[1:] @ e[:-1]) / power if power > 0 else 0.0
@@ -105,33 +148,52 @@ def effective(error: Array) -> float:
 
 
 def gain(before: Array, after: Array, parameters: int) -> float:
-    """Log-likelihood ratio of two output errors with the effective number of samples, less the price of the parameters."""
+    """Log-likelihood ratio of two output errors with the effective number of samples, less the
+    price of the parameters.
+    """
     n = max(effective(after), len(after) / 100.0)
-    return 0.5 * n * math.log(max(float(before @ before), 1e-300) / max(float(after @ after), 1e-300)) - 0.5 * parameters * math.log(n)
+    return 0.5 * n * math.log(
+        max(float(before @ before), 1e-300) / max(float(after @ after), 1e-300)
+    ) - 0.5 * parameters * math.log(n)
 
 
 def held_z(before: Array, after: Array, block: int) -> float:
-    """Paired z over blocks of the held-out recording: logarithm of the error's power before over after."""
+    """Paired z over blocks of the held-out recording: logarithm of the error's power before over
+    after.
+    """
     count = len(before) // block
     if count < 4:
         return 0.0
-    power = [np.mean(e[: count * block].reshape(count, block) ** 2, axis=1) + 1.0 for e in (before, after)]
+    power = [
+        np.mean(e[: count * block].reshape(count, block) ** 2, axis=1) + 1.0
+        for e in (before, after)
+    ]
     ratio = np.log(power[0] / power[1])
     spread = float(np.std(ratio, ddof=1)) / math.sqrt(count)
     return float(ratio.mean()) / max(spread, 1e-12)
 
 
-def screen(benches: Sequence[Bench], current: Output, joint: int, tell: Progress) -> list[tuple[float, Term]]:
-    """Each effect at its best grid point by finite differences: share of the squared error that it promises to remove, best first."""
+def screen(
+    benches: Sequence[Bench], current: Output, joint: int, tell: Progress
+) -> list[tuple[float, Term]]:
+    """Each effect at its best grid point by finite differences: share of the squared error that it
+    promises to remove, best first.
+    """
     left, basis = _projected(current)
     cost = float(left @ left)
     record = benches[0].records[joint - 1]
     found, calls = [], 0
     present = {t.effect for t in current.model.at(joint)}
     for effect in library().values():
-        if not on_input(effect) or effect.retime is not None or (effect.name in present and not effect.repeatable):
+        if (
+            not on_input(effect)
+            or effect.retime is not None
+            or (effect.name in present and not effect.repeatable)
+        ):
             continue
-        if not is_supported(effect, present) or not usable(effect, [b.records[joint - 1] for b in benches]):
+        if not is_supported(effect, present) or not usable(
+            effect, [b.records[joint - 1] for b in benches]
+        ):
             continue
         best: tuple[float, Term] | None = None
         points = _points(effect, record, current.model)
@@ -147,7 +209,9 @@ def screen(benches: Sequence[Bench], current: Output, joint: int, tell: Progress
             b = np.stack(columns)
             b = b - (b @ basis) @ basis.T
             gram, moment = b @ b.T, b @ left
-            theta: Array = np.asarray(-np.linalg.lstsq(gram, moment, rcond=1e-9)[0], dtype=np.float64)
+            theta: Array = np.asarray(
+                -np.linalg.lstsq(gram, moment, rcond=1e-9)[0], dtype=np.float64
+            )
             promise = float(-2 * theta @ moment - theta @ gram @ theta) / cost
             start = _start(effect, record, values, linear, theta)
             if start is not None and (best is None or promise > best[0]):
@@ -172,8 +236,11 @@ def with_term(model: Model, term: Term) -> Model:
     return model.with_terms((*kept, term))
 
 
-def _points(effect: Effect, record: Any, model: Model) -> list[tuple[dict[str, float], list[dict[str, float]]]]:
-    """Grid points with, for each, the directions to try: one per linear parameter, two for a phase."""
+def _points(
+    effect: Effect, record: Any, model: Model
+) -> list[tuple[dict[str, float], list[dict[str, float]]]]:
+    """Grid points with, for each, the directions to try: one per linear parameter, two for a phase.
+    """
     out: list[tuple[dict[str, float], list[dict[str, float]]]] = []
     phase = next((p for p in effect.names if p in ("phase", "angle")), "")
     for point in grid_of(effect, record, model):
@@ -181,25 +248,55 @@ def _points(effect: Effect, record: Any, model: Model) -> list[tuple[dict[str, f
             out.append((point, [{}]))
         elif phase:
             quarter = -math.pi / 2 if phase == "angle" else math.pi / 2
-            out.append((point, [{effect.linear[0]: 1.0, phase: 0.0}, {effect.linear[0]: 1.0, phase: quarter}]))
+            out.append(
+                (
+                    point,
+                    [{effect.linear[0]: 1.0, phase: 0.0}, {effect.linear[0]: 1.0, phase: quarter}],
+                )
+            )
         else:
-            out.append((point, [{name: 1.0 if name == one else 0.0 for name in effect.linear} for one in effect.linear]))
+            out.append(
+                (
+                    point,
+                    [
+                        {name: 1.0 if name == one else 0.0 for name in effect.linear}
+                        for one in effect.linear
+                    ],
+                )
+            )
     return out
 
 
 def _step(effect: Effect, record: Any, direction: dict[str, float]) -> dict[str, float]:
     """A small step along a direction: one percent of the effect's natural size."""
-    return {name: (value if name in ("phase", "angle") else 0.01 * value * record.scale.of(effect.parameter(name).size)) for name, value in direction.items()}
+    return {
+        name: (
+            value
+            if name in ("phase", "angle")
+            else 0.01 * value * record.scale.of(effect.parameter(name).size)
+        )
+        for name, value in direction.items()
+    }
 
 
-def _start(effect: Effect, record: Any, values: dict[str, float], linear: list[dict[str, float]], theta: Array) -> dict[str, float] | None:
+def _start(
+    effect: Effect,
+    record: Any,
+    values: dict[str, float],
+    linear: list[dict[str, float]],
+    theta: Array,
+) -> dict[str, float] | None:
     if not effect.linear:
         return values if theta[0] > 0 else None
     phase = next((p for p in effect.names if p in ("phase", "angle")), "")
     unit = 0.01 * record.scale.of(effect.parameter(effect.linear[0]).size)
     if phase:
         angle = math.atan2(float(theta[1]), float(theta[0])) * (-1 if phase == "angle" else 1)
-        return {**values, effect.linear[0]: unit * math.hypot(float(theta[0]), float(theta[1])), phase: angle}
+        return {
+            **values,
+            effect.linear[0]: unit * math.hypot(float(theta[0]), float(theta[1])),
+            phase: angle,
+        }
     out = dict(values)
     for name, value in zip(effect.linear, theta, strict=True):
         size = 0.01 * record.scale.of(effect.parameter(name).size)
@@ -211,7 +308,9 @@ def _start(effect: Effect, record: Any, values: dict[str, float], linear: list[d
     return out
 
 
-def late_candidates(benches: Sequence[Bench], current: Output, joint: int) -> list[tuple[float, Term]]:
+def late_candidates(
+    benches: Sequence[Bench], current: Output, joint: int
+) -> list[tuple[float, Term]]:
     """What acts on the command's timing."""
     out = []
     for effect in on_timing():

@@ -1,4 +1,6 @@
-"""From signals to joint records: measurement model, smoothed motion, coefficients of the mechanism, scales."""
+"""From signals to joint records: measurement model, smoothed motion, coefficients of the mechanism,
+scales.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,10 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     for j in range(joints):
         y = np.ascontiguousarray(s.position[:, j])
         resolution = float(s.resolution[j])
-        noise = max(noise_beside_quantisation(y, resolution), float(s.least_noise[j]) if s.least_noise is not None else 0.0)
+        noise = max(
+            noise_beside_quantisation(y, resolution),
+            float(s.least_noise[j]) if s.least_noise is not None else 0.0,
+        )
         measurement = measure(y, s.sample_time, resolution, noise)
         torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
         inertia = _guess_inertia(model, j + 1, s, torque)
@@ -59,8 +64,8 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     links = Links(tuple(tree[0]), tree[1], others) if tree else None
     if links is None and (terms := body_terms(model)):
         raise ModelError(
-            f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind = 'urdf' or"
-            f" 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
+            f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind ="
+            f" 'urdf' or 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
         )
     weights = _weights(model, within)
     out = []
@@ -74,8 +79,13 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
         inertia = float(np.mean(inertia_series)) + sum(
             t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
         )
-        # a joint that is hardly driven itself moves all the same: its weight is the torque that moves it then
-        weight = mechanism_value(model, "gravity", j + 1) * np.sin(q) if model.kind == "rotary" else weights[j]
+        # a joint that is hardly driven itself moves all the same: its weight is the torque that
+        # moves it then
+        weight = (
+            mechanism_value(model, "gravity", j + 1) * np.sin(q)
+            if model.kind == "rotary"
+            else weights[j]
+        )
         effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
         effort = effort or inertia * float(np.sqrt(np.mean(qdd**2)))
         scale = Scale(
@@ -85,7 +95,9 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             inertia=max(inertia, 1e-12),
             command=max(float(np.sqrt(np.mean(s.command[:, j] ** 2))), 1e-12),
             seconds=float(s.time[-1] - s.time[0]),
-            turn=1.0 if model.joint_kind(j + 1) == "rotary" else max(float(np.ptp(q)), 1e-9) / 6.283,
+            turn=(
+                1.0 if model.joint_kind(j + 1) == "rotary" else max(float(np.ptp(q)), 1e-9) / 6.283
+            ),
         )
         out.append(
             JointRecord(
@@ -113,13 +125,18 @@ def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
     if model.kind != "urdf":
         return [np.zeros(s.shape[1]) for s in states]
     at_rest = [np.stack([s[0], 0 * s[0], 0 * s[0]]) for s in states]
-    return [sum((np.asarray(b.bias) for b in basis.values()), np.zeros(1)) for basis in bases(model, at_rest)]
+    return [
+        sum((np.asarray(b.bias) for b in basis.values()), np.zeros(1))
+        for basis in bases(model, at_rest)
+    ]
 
 
 def _within_samples(states: Array, sample_time: float) -> Array:
-    """Mean q, qd, qdd between each sample and the next, (3, n): over that time the kernel holds what other joints do to a joint.
+    """Mean q, qd, qdd between each sample and the next, (3, n): over that time the kernel holds
+    what other joints do to a joint.
 
-    The acceleration is the difference of the velocities, so that over any number of samples a push is what the velocities say.
+    The acceleration is the difference of the velocities, so that over any number of samples a push
+    is what the velocities say.
     """
     q, qd, qdd = states
     mean = np.stack([0.5 * (q[1:] + q[:-1]), 0.5 * (qd[1:] + qd[:-1]), np.diff(qd) / sample_time])

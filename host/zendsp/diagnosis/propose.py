@@ -1,8 +1,8 @@
 """The next recording: the reference that best separates what is still open.
 
-Candidate motions within the reach of the recordings at hand are simulated in closed loop under the best hypothesis; the rival is refitted to
-what was simulated, and the motion that leaves it most in error is proposed (T-optimality: Hunter and Reiner 1965; Atkinson and
-Fedorov 1975).
+Candidate motions within the reach of the recordings at hand are simulated in closed loop under the
+best hypothesis; the rival is refitted to what was simulated, and the motion that leaves it most in
+error is proposed (T-optimality: Hunter and Reiner 1965; Atkinson and Fedorov 1975).
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ SECONDS = 10.0
 ROUND_S = 0.1
 
 
-def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Generator) -> dict[str, Array]:
+def motions(
+    record: JointRecord, limits: tuple[float, float], rng: np.random.Generator
+) -> dict[str, Array]:
     """Candidate references of 10 s within position limits and the speeds already seen, rad or m."""
     period = record.sample_time
     t = np.arange(round(SECONDS / period)) * period
@@ -46,15 +48,19 @@ def motions(record: JointRecord, limits: tuple[float, float], rng: np.random.Gen
         shape = shape / max(float(np.max(np.abs(shape))), 1e-12)
         fastest = float(np.max(np.abs(np.gradient(shape, period))))
         moved = min(span, speed / max(fastest, 1e-12)) * shape * fade
-        # Corners of triangles, fades and joints are steps of the speed, which no machine follows: rounded over ROUND_S.
+        # Corners of triangles, fades and joints are steps of the speed, which no machine follows:
+        # rounded over ROUND_S.
         window = np.hanning(max(3, round(ROUND_S / period) | 1))
-        rounded = np.convolve(np.pad(moved, len(window) // 2, mode="edge"), window / window.sum(), "valid")
+        rounded = np.convolve(
+            np.pad(moved, len(window) // 2, mode="edge"), window / window.sum(), "valid"
+        )
         out: Array = centre + rounded
         return out
 
     lines = np.arange(1, 25)
     multisine = sum(
-        np.cos(2 * np.pi * k * 0.1 * t - np.pi * k * (k - 1) / 24 + rng.uniform(0, 0.5)) / k for k in lines
+        np.cos(2 * np.pi * k * 0.1 * t - np.pi * k * (k - 1) / 24 + rng.uniform(0, 0.5)) / k
+        for k in lines
     )
     slow = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.28)) for f in (0.07, 0.13, 0.23))
     triangle = 2 * np.abs(2 * ((0.2 * t) % 1) - 1) - 1
@@ -104,7 +110,11 @@ def propose(
     finding = open_ones[0]
     search = searches[finding.joint - 1]
     rival = _rival(search, finding)
-    experiment = get_effect(finding.effect).experiment if finding.effect not in ("disturbance", "unknown") else ""
+    experiment = (
+        get_effect(finding.effect).experiment
+        if finding.effect not in ("disturbance", "unknown")
+        else ""
+    )
     names = ", ".join(finding.indistinguishable)
     if rival is None:
         return Next(
@@ -115,16 +125,21 @@ def propose(
     best = _best_motion(train[0], given, search, rival, finding.joint, seed)
     if best is None:
         return Next(
-            f"No motion within the reach of these recordings separates {finding.effect} from {names}: there they are the same torque.",
+            f"No motion within the reach of these recordings separates {finding.effect} from"
+            f" {names}: there they are the same torque.",
             None,
             (finding.effect, *finding.indistinguishable),
         )
     name, motion, gain = best
-    q = np.tile(np.array([np.mean(train[0].position[:, j]) for j in range(given.joints)]), (len(motion), 1))
+    q = np.tile(
+        np.array([np.mean(train[0].position[:, j]) for j in range(given.joints)]), (len(motion), 1)
+    )
     q[:, finding.joint - 1] = motion
     text = (
-        f"To tell {finding.effect} from {names} at joint {finding.joint}, record {name} ({SECONDS:.0f} s, {motion.min():.3g} … {motion.max():.3g} {'m' if given.joint_kind(finding.joint) == 'linear' else 'rad'}):"
-        f" if {finding.effect} is true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood less likely."
+        f"To tell {finding.effect} from {names} at joint {finding.joint}, record {name}"
+        f" ({SECONDS:.0f} s, {motion.min():.3g} … {motion.max():.3g}"
+        f" {'m' if given.joint_kind(finding.joint) == 'linear' else 'rad'}): if {finding.effect} is"
+        f" true, {rival.effect} will be {gain / 2:.0f} units of log-likelihood less likely."
     )
     return Next(text, (q, train[0].sample_time), (finding.effect, rival.effect))
 
@@ -135,13 +150,17 @@ def _without_rival(
     joint = next((d.joint for d in decisions if d.kind == "unexplained"), 0)
     if joint and not findings:
         return Next(
-            f"Record joint {joint} again through the same states in another order and at other speeds: what repeats with the state is physics.",
+            f"Record joint {joint} again through the same states in another order and at other"
+            " speeds: what repeats with the state is physics.",
             None,
         )
-    weak = [f for f in findings if f.confidence < 0.8 and f.effect not in ("disturbance", "unknown")]
+    weak = [
+        f for f in findings if f.confidence < 0.8 and f.effect not in ("disturbance", "unknown")
+    ]
     if weak:
         return Next(
-            f"To confirm {weak[0].effect} at joint {weak[0].joint}: {get_effect(weak[0].effect).experiment}",
+            f"To confirm {weak[0].effect} at joint {weak[0].joint}:"
+            f" {get_effect(weak[0].effect).experiment}",
             None,
         )
     return None
@@ -178,7 +197,11 @@ def _best_motion(
             kd=1.4 * inertia * speed / gain,
             inertia=inertia,
             resolution=resolution,
-            temperature=float(record.columns["temperature"][-1]) if "temperature" in record.columns else ROOM,
+            temperature=(
+                float(record.columns["temperature"][-1])
+                if "temperature" in record.columns
+                else ROOM
+            ),
         )
         if not np.isfinite(loop.position).all() or np.ptp(loop.position) <= 8 * resolution:
             continue
@@ -189,9 +212,17 @@ def _best_motion(
 
 
 def _separation(
-    signals: Signals, given: Model, truth: Model, rival: Rival, joint: int, position: Array, command: Array
+    signals: Signals,
+    given: Model,
+    truth: Model,
+    rival: Rival,
+    joint: int,
+    position: Array,
+    command: Array,
 ) -> float:
-    """How much less likely the refitted rival makes a recording that the truth has simulated (deviance)."""
+    """How much less likely the refitted rival makes a recording that the truth has simulated
+    (deviance).
+    """
     n = len(position)
     still = np.tile(signals.position.mean(axis=0), (n, 1))
     still[:, joint - 1] = position
@@ -213,7 +244,9 @@ def _separation(
     ) -> float:  # both are refitted: what only a longer fit would tell is no separation
         handles = joint_handles(data, model, joint)
         return deviance(
-            data, fit(data, model, handles, joints=(joint,), iterations=10, tolerance=1e-4).model, (joint,)
+            data,
+            fit(data, model, handles, joints=(joint,), iterations=10, tolerance=1e-4).model,
+            (joint,),
         )
 
     return unlikely(rival.scored.model) - unlikely(truth)

@@ -23,14 +23,17 @@ Array = npt.NDArray[np.float64]
 
 MIN_SAMPLES = 300
 TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
-# samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at least: the fastest observer has 10 Hz
+# samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at
+# least: the fastest observer has 10 Hz
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
 
 
 @dataclass(frozen=True)
 class Signals:
-    """One recording in joint coordinates: arrays (n, joints), SI; ``notes`` say what was done to the data."""
+    """One recording in joint coordinates: arrays (n, joints), SI; ``notes`` say what was done to
+    the data.
+    """
 
     name: str
     time: Array
@@ -42,7 +45,8 @@ class Signals:
     notes: tuple[str, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
     raw: Signals | None = None  # before averaging down, where that was done
-    least_noise: Array | None = None  # (joints,): what averaging leaves of the quantiser's noise, however still a joint stands
+    # (joints,): what averaging leaves of the quantiser's noise, however still a joint stands
+    least_noise: Array | None = None
 
     def part(self, start: int, stop: int, name: str) -> Signals:
         """Rows start … stop - 1 as a recording of their own."""
@@ -61,7 +65,9 @@ class Signals:
 
 @dataclass(frozen=True)
 class Parts:
-    """The three parts of the data: what models are fitted to, what choices are made by, and what neither has touched."""
+    """The three parts of the data: what models are fitted to, what choices are made by, and what
+    neither has touched.
+    """
 
     fit: Data
     choose: Data
@@ -95,7 +101,9 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     columns = model.columns or {"time": "t", "position": "q", "command": "u"}
     for key in ("position",):
         if key not in columns:
-            raise RecordingError(f"the model's [columns] lacks {key!r}: which column holds the position?")
+            raise RecordingError(
+                f"the model's [columns] lacks {key!r}: which column holds the position?"
+            )
     name, get, done = _getter(source)
     joints = model.joints
     get, repeated = _without_repeats(get, columns)
@@ -112,17 +120,25 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         if bad.any():
             row, column = (int(i[0]) for i in np.nonzero(bad))
             raise RecordingError(
-                f"{name}: {label} {_column_name(columns[label], column)!r} has {int(bad.sum())} values that are not finite numbers (first in row {row + 1}); expected none"
+                f"{name}: {label} {_column_name(columns[label], column)!r} has {int(bad.sum())}"
+                f" values that are not finite numbers (first in row {row + 1}); expected none"
             )
     if n < MIN_SAMPLES:
-        raise RecordingError(f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples")
+        raise RecordingError(
+            f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples"
+        )
     reference = (
         _matrix(name, "reference", get, columns["reference"], joints)
         if "reference" in columns and _has(get, columns["reference"])
         else None
     )
     time, sample_time, notes, grid = _clock(name, get, columns, model, n)
-    wanted = {role for effect in library().values() for role in effect.reads if role in columns and _has(get, columns[role])}
+    wanted = {
+        role
+        for effect in library().values()
+        for role in effect.reads
+        if role in columns and _has(get, columns[role])
+    }
     extra = {role: _optional(name, role, get, columns[role], n, joints) for role in sorted(wanted)}
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
@@ -145,14 +161,20 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
-    signals = Signals(name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra)
+    signals = Signals(
+        name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra
+    )
     return _decimate(signals)
 
 
-def with_same_columns(signals: Sequence[Signals], others: Sequence[Signals]) -> tuple[list[Signals], list[Signals]]:
+def with_same_columns(
+    signals: Sequence[Signals], others: Sequence[Signals]
+) -> tuple[list[Signals], list[Signals]]:
     """The recordings with those optional columns that all of them have."""
     all_of_them = (*signals, *others)
-    roles = {role for s in all_of_them for role in s.extra if all(role in x.extra for x in all_of_them)}
+    roles = {
+        role for s in all_of_them for role in s.extra if all(role in x.extra for x in all_of_them)
+    }
 
     def kept(s: Signals) -> Signals:
         return replace(s, extra={role: values for role, values in s.extra.items() if role in roles})
@@ -182,27 +204,39 @@ def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
         for role in effect.reads:
             lacking = [s.name for s in signals if role not in s.extra]
             if lacking:
-                where = f"{', '.join(lacking)}: no column" if role in model.columns else "the model's [columns] names no column"
+                where = (
+                    f"{', '.join(lacking)}: no column"
+                    if role in model.columns
+                    else "the model's [columns] names no column"
+                )
                 notes.append(f"{effect.name} was not considered: {where} of {role}")
     return notes
 
 
 def _optional(name: str, role: str, get: Any, spec: Any, n: int, joints: int) -> Array:
     """An optional column, one number for all joints or one each, (n, joints)."""
-    parts = [np.asarray(get(str(item)), float) for item in (spec if isinstance(spec, list) else [spec])]
+    parts = [
+        np.asarray(get(str(item)), float) for item in (spec if isinstance(spec, list) else [spec])
+    ]
     values = np.concatenate([part[:, None] if part.ndim == 1 else part for part in parts], axis=1)
     if values.shape[1] not in (1, joints) or len(values) != n:
-        raise RecordingError(f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints} columns")
+        raise RecordingError(
+            f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints}"
+            " columns"
+        )
     bad = ~np.isfinite(values)
     if bad.any():
         raise RecordingError(
-            f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers (first in row {int(np.argwhere(bad)[0, 0]) + 1}); expected none"
+            f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers"
+            f" (first in row {int(np.argwhere(bad)[0, 0]) + 1}); expected none"
         )
     return np.array(np.broadcast_to(values, (n, joints)))
 
 
 def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
-    """Its name, a function from a column's name to its numbers in SI, and what was done to get these."""
+    """Its name, a function from a column's name to its numbers in SI, and what was done to get
+    these.
+    """
     if isinstance(source, Recording):
         names = set(source.names)
 
@@ -223,7 +257,9 @@ def _getter(source: Any) -> tuple[str, Any, tuple[str, ...]]:
 
 
 def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
-    """A getter without the rows whose time and positions are those of the row before, and how many there are."""
+    """A getter without the rows whose time and positions are those of the row before, and how many
+    there are.
+    """
     if "time" not in columns or not _has(get, columns["time"]):
         return get, 0
     time = np.asarray(get(str(columns["time"])))
@@ -279,7 +315,8 @@ def _clock(
     if "time" not in columns or not _has(get, columns["time"]):
         if model.sample_time is None:
             raise RecordingError(
-                f"{name}: has no time column {columns.get('time', 't')!r} and the model no sample_time"
+                f"{name}: has no time column {columns.get('time', 't')!r} and the model no"
+                " sample_time"
             )
         return np.arange(n, dtype=np.float64) * model.sample_time, model.sample_time, notes, None
     time: Array = np.asarray(get(str(columns["time"])), dtype=np.float64)
@@ -291,16 +328,19 @@ def _clock(
     if (step <= 0).any():
         row = int(np.argmax(step <= 0)) + 2
         raise RecordingError(
-            f"{name}: time runs backwards or stands still at row {row}: are two runs glued together? Give them as two files"
+            f"{name}: time runs backwards or stands still at row {row}: are two runs glued"
+            " together? Give them as two files"
         )
     period = float(np.median(step))
     if period > 0.1:
         raise RecordingError(
-            f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is the time column {columns['time']!r} in seconds?"
+            f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is"
+            f" the time column {columns['time']!r} in seconds?"
         )
     if model.sample_time and abs(period / model.sample_time - 1) > 0.2:
         raise RecordingError(
-            f"{name}: samples are {period:.6g} s apart, the model says sample_time = {model.sample_time:.6g} s: check the unit of the time column"
+            f"{name}: samples are {period:.6g} s apart, the model says sample_time ="
+            f" {model.sample_time:.6g} s: check the unit of the time column"
         )
     if (
         model.sample_time
@@ -314,19 +354,29 @@ def _clock(
     if float(np.max(step)) > max(50 * period, 0.1):
         k = int(np.argmax(step))
         raise RecordingError(
-            f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together? Give them as two files"
+            f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together?"
+            " Give them as two files"
         )
     spread = float(np.std(step)) / period
     notes.append(
-        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step {np.max(step) / period:.1f} samples); resampled uniformly"
+        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step"
+        f" {np.max(step) / period:.1f} samples); resampled uniformly"
     )
     return time, period, notes, np.arange(time[0], time[-1], period)
 
 
 def _resolution(
-    name: str, columns: Any, joint: int, position: Array, command: Array, model: Model, notes: list[str]
+    name: str,
+    columns: Any,
+    joint: int,
+    position: Array,
+    command: Array,
+    model: Model,
+    notes: list[str],
 ) -> float:
-    """Step of a position column: as the model says, checked against the lattice that its numbers lie on."""
+    """Step of a position column: as the model says, checked against the lattice that its numbers
+    lie on.
+    """
     stated = per_joint(model.sensor.resolution, joint + 1, 0.0)
     y = position[:, joint]
     found = find_resolution(y)
@@ -339,13 +389,15 @@ def _resolution(
         for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):
             if abs(found / stated / factor - 1) < 0.02:
                 raise RecordingError(
-                    f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the model's position_resolution of {stated:.6g}: the column is in {words}"
+                    f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the"
+                    f" model's position_resolution of {stated:.6g}: the column is in {words}"
                 )
     if any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
         return stated  # whole fractions of a count: interpolated or averaged by the drive
     if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
         raise RecordingError(
-            f"{where}: the command column has the sensor's resolution of {stated:.6g} and the position column has not: position and command are swapped"
+            f"{where}: the command column has the sensor's resolution of {stated:.6g} and the"
+            " position column has not: position and command are swapped"
         )
     notes.append(
         f"{where} does not lie on the model's position_resolution of {stated:.4g}; "
@@ -355,7 +407,9 @@ def _resolution(
 
 
 def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
-    """Whether differences are whole steps, as far as the numbers' own digits allow; ``least``: so many must show it."""
+    """Whether differences are whole steps, as far as the numbers' own digits allow; ``least``: so
+    many must show it.
+    """
     ratio = np.abs(np.diff(y)) / step
     ratio = ratio[(ratio > 0.02) & (ratio < 300)]
     if len(ratio) < 10 or len(ratio) < least:
@@ -364,9 +418,13 @@ def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
 
 
 def _lattice(values: Array, origin: Array, resolution: Array) -> Array:
-    """Interpolated positions put back on the sensor's counts: the quantiser's model holds for counts, not for means of them."""
+    """Interpolated positions put back on the sensor's counts: the quantiser's model holds for
+    counts, not for means of them.
+    """
     step = np.where(resolution > 0, resolution, 1.0)
-    counts: Array = np.where(resolution > 0, origin + step * np.round((values - origin) / step), values)
+    counts: Array = np.where(
+        resolution > 0, origin + step * np.round((values - origin) / step), values
+    )
     return counts
 
 
@@ -378,7 +436,8 @@ def _resample(grid: Array, time: Array, values: Array) -> Array:
 def _resample_held(grid: Array, time: Array, values: Array) -> Array:
     """The mean over each step of a uniform grid of what is held from row to row, (n, columns).
 
-    The command before an instant would come half a sample late, where stamps lie on both sides of the grid.
+    The command before an instant would come half a sample late, where stamps lie on both sides of
+    the grid.
     """
     period = float(grid[1] - grid[0])
     edges = np.append(grid, grid[-1] + period)
@@ -411,10 +470,14 @@ def _decimate(signals: Signals) -> Signals:
         return mean
 
     held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
-    # means of many counts within a sample are better than one of them; of a few, which at low speed are all the same, they hide the counts
+    # means of many counts within a sample are better than one of them; of a few, which at low speed
+    # are all the same, they hide the counts
     counts = (signals.resolution > 0) & (1 / signals.sample_time < 1.5 * TARGET_RATE)
     white = signals.resolution / np.sqrt(12 * (2 * half + 1))
-    note = f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to {1 / signals.sample_time / factor:.0f} Hz"
+    note = (
+        f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to"
+        f" {1 / signals.sample_time / factor:.0f} Hz"
+    )
     return replace(
         signals,
         time=signals.time[:n:factor],
@@ -440,16 +503,26 @@ def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], lis
     train, test, notes = [], [], []
     for s in signals:
         n = len(s.time)
-        cut = int(np.clip(np.searchsorted(_way(s), 2 / 3), min(MIN_SAMPLES, n // 2), n - min(MIN_SAMPLES, n // 3)))
+        cut = int(
+            np.clip(
+                np.searchsorted(_way(s), 2 / 3),
+                min(MIN_SAMPLES, n // 2),
+                n - min(MIN_SAMPLES, n // 3),
+            )
+        )
         from_time = f"{s.time[cut] - s.time[0]:.3g} s"
-        notes.append(f"{s.name}: no other recording given to judge on; held out from {from_time} on, the last third of its motion")
+        notes.append(
+            f"{s.name}: no other recording given to judge on; held out from {from_time} on, the"
+            " last third of its motion"
+        )
         train.append(s.part(0, cut, f"{s.name} (first part)"))
         test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
     return train, test, notes
 
 
 def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
-    """Recordings to choose by and recordings to test on: whole ones where there are several, else the halves of the one.
+    """Recordings to choose by and recordings to test on: whole ones where there are several, else
+    the halves of the one.
 
     Returns
     -------
@@ -461,15 +534,24 @@ def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[
     (s,) = held
     n = len(s.time)
     if n < 2 * MIN_SAMPLES:
-        note = f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the tested figures flatter"
+        note = (
+            f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the"
+            " tested figures flatter"
+        )
         return [s], [s], [note]
     way = _way(s)
     cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
-    return [s.part(0, cut, f"{s.name} (to choose by)")], [s.part(cut, n, f"{s.name} (to test on)")], []
+    return (
+        [s.part(0, cut, f"{s.name} (to choose by)")],
+        [s.part(cut, n, f"{s.name} (to test on)")],
+        [],
+    )
 
 
 def _way(s: Signals) -> Array:
-    """Share of the way that is behind at each row, (n,), the mean over the joints; what a sensor trembles is averaged out."""
+    """Share of the way that is behind at each row, (n,), the mean over the joints; what a sensor
+    trembles is averaged out.
+    """
     block = max(1, round(0.02 / s.sample_time))
     means = uniform_filter1d(s.position, block, axis=0, mode="nearest")[::block]
     way = np.cumsum(np.abs(np.diff(means, axis=0, prepend=means[:1])), axis=0)

@@ -1,4 +1,6 @@
-"""Writes the report folder: report.json, report.html, figures, model.toml and calibrated.toml, compensation.c, next_reference.mat."""
+"""Writes the report folder: report.json, report.html, figures, model.toml and calibrated.toml,
+compensation.c, next_reference.mat.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,8 @@ def _compensation(d: Diagnosis, folder: Path) -> None:
     found = {(f.effect, f.joint) for f in d.findings}
     terms = [t for t in d.improved.terms if (t.effect, t.joint) in found]
     (folder / "compensation.c").write_text(
-        compensation(terms, model=d.improved, sentences=[f.sentence for f in d.findings]), encoding="utf-8"
+        compensation(terms, model=d.improved, sentences=[f.sentence for f in d.findings]),
+        encoding="utf-8",
     )
 
 

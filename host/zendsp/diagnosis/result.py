@@ -22,7 +22,8 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Finding:
-    """One missing effect: where, how large, how sure, and what the recording cannot tell from it."""
+    """One missing effect: where, how large, how sure, and what the recording cannot tell from it.
+    """
 
     effect: str
     joint: int
@@ -32,14 +33,18 @@ class Finding:
     indistinguishable: tuple[str, ...]
     replaces: tuple[str, ...]
     sentence: str
-    numbers: Mapping[str, Any] = field(default_factory=dict)  # from_joint and law of a coupling; intervals of a disturbance
+    # from_joint and law of a coupling; intervals of a disturbance
+    numbers: Mapping[str, Any] = field(default_factory=dict)
     mechanism: str = ""
-    laws: Mapping[str, float] = field(default_factory=dict)  # probabilities, given that the mechanism acts
+    # probabilities, given that the mechanism acts
+    laws: Mapping[str, float] = field(default_factory=dict)
 
 
     def as_dict(self) -> dict[str, Any]:
         """For the report."""
-        numbers = {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()}
+        numbers = {
+            n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in self.parameters.items()
+        }
         return {
             "effect": self.effect,
             "joint": self.joint,
@@ -62,7 +67,9 @@ def _rounded(value: float) -> float:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A hypothesis that was fitted and lost: ``score`` is its log-likelihood against the winner's (negative: worse)."""
+    """A hypothesis that was fitted and lost: ``score`` is its log-likelihood against the winner's
+    (negative: worse).
+    """
 
     effect: str
     joint: int
@@ -85,7 +92,9 @@ class FitTable:
 
 @dataclass(frozen=True)
 class Left:
-    """Torque that nothing named explains at a joint, as a part of the RMS torque, with its 95 % interval."""
+    """Torque that nothing named explains at a joint, as a part of the RMS torque, with its 95 %
+    interval.
+    """
 
     joint: int
     share: float
@@ -94,7 +103,9 @@ class Left:
 
 @dataclass(frozen=True)
 class Detectable:
-    """The smallest size of an effect at a joint that the recordings would have shown, with 90 % probability."""
+    """The smallest size of an effect at a joint that the recordings would have shown, with 90 %
+    probability.
+    """
 
     joint: int
     mechanism: str
@@ -106,7 +117,9 @@ class Detectable:
 
 @dataclass(frozen=True)
 class Next:
-    """The next recording: what to do and why, and the reference (rad or m over s) that separates what is open."""
+    """The next recording: what to do and why, and the reference (rad or m over s) that separates
+    what is open.
+    """
 
     sentence: str
     reference: Any = None  # (time, position, per joint) or None
@@ -133,8 +146,10 @@ class Diagnosis:
     calibrated: Model
     improved: Model
     unexplained: str = ""
-    missing: dict[int, list[Missing]] = field(default_factory=dict)  # torque that the calibrated model lacks
-    remaining: dict[int, list[Missing]] = field(default_factory=dict)  # and what the improved one lacks
+    # torque that the calibrated model lacks
+    missing: dict[int, list[Missing]] = field(default_factory=dict)
+    # and what the improved one lacks
+    remaining: dict[int, list[Missing]] = field(default_factory=dict)
     refinements: tuple[Finding, ...] = ()  # what improves the fit and is not claimed
     discrepancy: tuple[Left, ...] = ()
     detectable: tuple[Detectable, ...] = ()
@@ -149,11 +164,21 @@ class Diagnosis:
             "findings": [f.as_dict() for f in self.findings],
             "refinements": [f.as_dict() for f in self.refinements],
             "discrepancy": [
-                {"joint": d.joint, "share": _rounded(d.share), "interval": [_rounded(x) for x in d.interval]}
+                {
+                    "joint": d.joint,
+                    "share": _rounded(d.share),
+                    "interval": [_rounded(x) for x in d.interval],
+                }
                 for d in self.discrepancy
             ],
             "detectable": [
-                {"joint": d.joint, "mechanism": d.mechanism, "effect": d.effect, "size": _rounded(d.size), "unit": d.unit}
+                {
+                    "joint": d.joint,
+                    "mechanism": d.mechanism,
+                    "effect": d.effect,
+                    "size": _rounded(d.size),
+                    "unit": d.unit,
+                }
                 for d in self.detectable
             ],
             "where": {
@@ -181,12 +206,16 @@ class Diagnosis:
                 {"effect": r.effect, "joint": r.joint, "why": r.why, "score": round(r.score, 1)}
                 for r in self.rejected
             ],
-            "next_recording": None
-            if self.next_recording is None
-            else {
-                "sentence": self.next_recording.sentence,
-                "reference": "next_reference.mat" if self.next_recording.reference is not None else None,
-            },
+            "next_recording": (
+                None
+                if self.next_recording is None
+                else {
+                    "sentence": self.next_recording.sentence,
+                    "reference": (
+                        "next_reference.mat" if self.next_recording.reference is not None else None
+                    ),
+                }
+            ),
             "unexplained": self.unexplained,
             "notes": list(self.notes),
             "seconds": round(self.seconds, 3),
@@ -200,6 +229,7 @@ class Diagnosis:
             lines.append(f"  {self.unexplained}")
         h = self.test or self.heldout
         lines.append(
-            f"  untouched: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"
+            f"  untouched: given {h.given:.3g}, calibrated {h.calibrated:.3g}, improved"
+            f" {h.improved:.3g} {self.unit} (noise floor {self.noise_floor:.3g})"
         )
         return "\n".join(lines)

@@ -1,7 +1,8 @@
 """Likelihood of a fitted hypothesis, with the process noise chosen by the data.
 
-A hypothesis that leaves physics out needs strong process noise, that is a fast observer, to follow the recording; the right one
-predicts with a slow observer. The likelihood of the innovations, maximised over the observer's bandwidth, sees both.
+A hypothesis that leaves physics out needs strong process noise, that is a fast observer, to follow
+the recording; the right one predicts with a slow observer. The likelihood of the innovations,
+maximised over the observer's bandwidth, sees both.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from zendsp.physics.model import Model
 
 Array = npt.NDArray[np.float64]
 
-SLOWEST, FASTEST = 4.0, 64.0  # rad/s: 10 Hz; a faster observer believes noise and structural vibration
+# rad/s: 10 Hz; a faster observer believes noise and structural vibration
+SLOWEST, FASTEST = 4.0, 64.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,9 @@ def informative(data: Data, joint: int) -> int:
 
 
 def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
-    """-2 log-likelihood with the noise scale profiled per joint; infinite where the prediction ran away."""
+    """-2 log-likelihood with the noise scale profiled per joint; infinite where the prediction ran
+    away.
+    """
     total = 0.0
     for j in joints:
         r = residual(data, model, (j,))
@@ -96,7 +100,9 @@ def fastest(data: Data) -> float:
 def tune_bandwidth(
     data: Data, model: Model, joints: Sequence[int], *, down_only: bool = False
 ) -> tuple[Data, float]:
-    """Bandwidth of each joint's observer that maximises the likelihood of a model, by doubling and halving."""
+    """Bandwidth of each joint's observer that maximises the likelihood of a model, by doubling and
+    halving.
+    """
     for j in joints:
         best = deviance(data, model, (j,))
         for factor in (0.5,) if down_only else (0.5, 2.0):
@@ -158,6 +164,13 @@ def fit_scored(
 def rescored(scored: Scored, data: Data, *, jobs: int = 2, iterations: int = 6) -> Scored:
     """The same hypothesis refitted with the observers of other data."""
     result = fit(
-        data, scored.model, scored.fit.handles, joints=scored.joints, iterations=iterations, jobs=jobs
+        data,
+        scored.model,
+        scored.fit.handles,
+        joints=scored.joints,
+        iterations=iterations,
+        jobs=jobs,
     )
-    return replace(scored, fit=result, data=data, deviance=deviance(data, result.model, scored.joints))
+    return replace(
+        scored, fit=result, data=data, deviance=deviance(data, result.model, scored.joints)
+    )

@@ -1,7 +1,8 @@
 """Every effect of the library, tried to first order for the price of one least squares.
 
-The torque of an effect along the measured motion, passed through the observer's error dynamics, is what the effect would leave in
-the innovations. What the calibrated parameters can imitate is projected out first: the baseline of every claim is the refitted model.
+The torque of an effect along the measured motion, passed through the observer's error dynamics, is
+what the effect would leave in the innovations. What the calibrated parameters can imitate is
+projected out first: the baseline of every claim is the refitted model.
 """
 
 from __future__ import annotations
@@ -17,13 +18,22 @@ import numpy.typing as npt
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Along, Parameter
 from zendsp.physics.fit import Data, Fit, Handle
-from zendsp.physics.joint import JointRecord, along, effective_inertia, facts, response, sensed, trace
+from zendsp.physics.joint import (
+    JointRecord,
+    along,
+    effective_inertia,
+    facts,
+    response,
+    sensed,
+    trace,
+)
 from zendsp.physics.model import Model, Quantity, Term
 
 Array = npt.NDArray[np.float64]
 
 TOGETHER = 8  # grid points whose columns are computed at once
-ADDED = ("torque", "viscous", "dry", "sensor")  # where an effect acts whose torque is the same beside others
+# where an effect acts whose torque is the same beside others
+ADDED = ("torque", "viscous", "dry", "sensor")
 SCALES = ("scale", "dry_scale")
 FIRST_ORDER = 0.05  # s: a shift in time is told to first order; no fit begins beyond
 
@@ -55,12 +65,16 @@ def make_term(effect: Effect, joint: int, values: dict[str, float]) -> Term:
 
 
 def _phase_of(effect: Effect) -> str:
-    """Name of the parameter that is a phase of a sine with a linear amplitude, empty where there is none."""
+    """Name of the parameter that is a phase of a sine with a linear amplitude, empty where there is
+    none.
+    """
     return next((n for n in effect.names if n in ("phase", "angle")), "") if effect.linear else ""
 
 
 def _neutral_of(effect: Effect, point: dict[str, float]) -> bool:
-    """Whether an effect is a spring whose neutral point is not in the grid: with it, a constant torque."""
+    """Whether an effect is a spring whose neutral point is not in the grid: with it, a constant
+    torque.
+    """
     return "neutral" in effect.names and "neutral" not in point
 
 
@@ -74,7 +88,9 @@ def _unit_values(effect: Effect, values: dict[str, float], linear: str) -> dict[
 
 
 def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str, float]]:
-    """Nonlinear parameter values to screen for one effect, phases left out (they are screened as sine and cosine)."""
+    """Nonlinear parameter values to screen for one effect, phases left out (they are screened as
+    sine and cosine).
+    """
     known = facts(record, model)
     axes: dict[str, list[float]] = {}
     for name, axis in effect.grid.items():
@@ -98,14 +114,19 @@ class Screen:
         self.bandwidth = data.bandwidth[joint - 1]
         rows = self._rows(data, joint, joints_fitted)
         self.r = fit.residual[: sum(r.n * len(joints_fitted) for r in self.records)][rows]
-        jac = fit.jacobian[: len(fit.residual)][: sum(r.n * len(joints_fitted) for r in self.records)][rows]
-        # the sensor's zero is held within a count by its prior: it must not absorb what only a larger shift could
+        jac = fit.jacobian[: len(fit.residual)][
+            : sum(r.n * len(joints_fitted) for r in self.records)
+        ][rows]
+        # the sensor's zero is held within a count by its prior: it must not absorb what only a
+        # larger shift could
         jac = jac[:, [h.place != "offset" for h in fit.handles]]
         norms = np.linalg.norm(jac, axis=0)
         jac = jac[:, norms > 0] / norms[norms > 0]
         self.q = np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(self.r), 0))
         self.left = self.r - self.q @ (self.q.T @ self.r)
-        self.base = [trace(rec, self.model, self.model.at(joint), self._floor(rec)) for rec in self.records]
+        self.base = [
+            trace(rec, self.model, self.model.at(joint), self._floor(rec)) for rec in self.records
+        ]
         self.motions = [along(rec, self.model) for rec in self.records]
         self.cost = float(self.left @ self.left)
         self.scaled = any(get_effect(t.effect).site in SCALES for t in self.model.at(joint))
@@ -117,10 +138,13 @@ class Screen:
 
     @staticmethod
     def _floor(record: JointRecord) -> float:
-        return max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed)
+        return max(
+            3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed
+        )
 
     def series(self, columns: Sequence[tuple[Term, ...]], *, alone: bool = False) -> Array:
-        """Weighted responses to the torques of some added terms, a row a column, (columns, n of all recordings).
+        """Weighted responses to the torques of some added terms, a row a column, (columns, n of all
+        recordings).
 
         ``alone``: as if the model had no other terms, for one that would replace some of them.
         """
@@ -131,21 +155,31 @@ class Screen:
             parts.append(self._respond(rec, torques, on_sensor=on_sensor))
         return np.concatenate(parts, axis=1)
 
-    def _torque(self, rec: JointRecord, base: Array, motion: Along, terms: tuple[Term, ...], alone: bool) -> Array:
-        """What some added terms resist along the measured motion, (n,); of what acts on the sensor, what it shifts."""
+    def _torque(
+        self, rec: JointRecord, base: Array, motion: Along, terms: tuple[Term, ...], alone: bool
+    ) -> Array:
+        """What some added terms resist along the measured motion, (n,); of what acts on the sensor,
+        what it shifts.
+        """
         effect = get_effect(terms[0].effect)
         if effect.column is not None:
-            return np.asarray(effect.column(motion, {n: q.value for n, q in terms[0].parameters.items()}))
+            return np.asarray(
+                effect.column(motion, {n: q.value for n, q in terms[0].parameters.items()})
+            )
         if effect.at_sensor:
             return -sensed(rec, self.model, terms)
         if alone or (not self.scaled and effect.site in ADDED):
             return trace(rec, self.model, terms, self._floor(rec))
-        return np.asarray(trace(rec, self.model, (*self.model.at(self.joint), *terms), self._floor(rec)) - base)
+        return np.asarray(
+            trace(rec, self.model, (*self.model.at(self.joint), *terms), self._floor(rec)) - base
+        )
 
     def _respond(self, rec: JointRecord, columns: Array, *, on_sensor: bool = False) -> Array:
         inertia = effective_inertia(rec, self.model)
         b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
-        return response(rec, self.bandwidth, inertia, np.full(rec.n, b), columns, on_sensor=on_sensor)
+        return response(
+            rec, self.bandwidth, inertia, np.full(rec.n, b), columns, on_sensor=on_sensor
+        )
 
     def group(self, columns: Array) -> tuple[float, Array]:
         """Decrease of the cost by some columns, a row each, and their coefficients."""
@@ -158,9 +192,14 @@ class Screen:
         return float(-2 * theta @ moment - theta @ gram @ theta), theta / norm
 
     def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
-        """Each effect of the library (or only the named ones) at its best grid point, best first."""
+        """Each effect of the library (or only the named ones) at its best grid point, best first.
+        """
         present = {t.effect for t in self.model.at(self.joint)}
-        effects = [e for e in library().values() if self._applies(e, present) and (not only or e.name in only)]
+        effects = [
+            e
+            for e in library().values()
+            if self._applies(e, present) and (not only or e.name in only)
+        ]
         with ThreadPoolExecutor(jobs) as pool:
             found = pool.map(self._best, effects)
             return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
@@ -176,21 +215,32 @@ class Screen:
         return is_supported(effect, present) and usable(effect, self.records)
 
     def _best(self, effect: Effect) -> list[Candidate]:
-        """An effect at its best grid point; one for each choice of the numbers that no fit moves (a coupling's law)."""
+        """An effect at its best grid point; one for each choice of the numbers that no fit moves (a
+        coupling's law).
+        """
         chosen = [p.name for p in effect.parameters if not p.fitted]
         points: dict[tuple[float | None, ...], list[dict[str, float]]] = {}
         for point in grid_of(effect, self.records[0], self.model):
             points.setdefault(tuple(point.get(name) for name in chosen), []).append(point)
-        best = (max(self._at(effect, group), key=lambda found: found[0]) for group in points.values())
+        best = (
+            max(self._at(effect, group), key=lambda found: found[0]) for group in points.values()
+        )
         return [self._candidate(effect, *found) for found in best]
 
-    def _at(self, effect: Effect, points: Sequence[dict[str, float]]) -> Iterator[tuple[float, dict[str, float]]]:
+    def _at(
+        self, effect: Effect, points: Sequence[dict[str, float]]
+    ) -> Iterator[tuple[float, dict[str, float]]]:
         """At each grid point, the decrease of the cost and all values."""
-        wanted = [[(make_term(effect, self.joint, values),) for values in self._directions(effect, point)] for point in points]
+        wanted = [
+            [(make_term(effect, self.joint, values),) for values in self._directions(effect, point)]
+            for point in points
+        ]
         each = len(wanted[0])
         for begin in range(0, len(points), TOGETHER):
             some = slice(begin, begin + TOGETHER)
-            rows = self.series(list(itertools.chain.from_iterable(wanted[some])), alone=bool(effect.replaces))
+            rows = self.series(
+                list(itertools.chain.from_iterable(wanted[some])), alone=bool(effect.replaces)
+            )
             for k, point in enumerate(points[some]):
                 yield self._judge(effect, point, rows[k * each : (k + 1) * each])
 
@@ -198,19 +248,31 @@ class Screen:
         """The values whose torques, together, are all that the effect can be at a grid point."""
         if _neutral_of(effect, point):
             s = facts(self.records[0])
-            return [{**point, effect.linear[0]: 1.0, "neutral": s.centre + way * s.scale.position} for way in (0.0, 0.5)]
+            return [
+                {**point, effect.linear[0]: 1.0, "neutral": s.centre + way * s.scale.position}
+                for way in (0.0, 0.5)
+            ]
         phase = _phase_of(effect)
         if phase:
             second = -np.pi / 2 if phase == "angle" else np.pi / 2
             return [{**point, effect.linear[0]: 1.0, phase: angle} for angle in (0.0, second)]
         return [_unit_values(effect, point, name) for name in effect.linear] or [point]
 
-    def _judge(self, effect: Effect, point: dict[str, float], columns: Array) -> tuple[float, dict[str, float]]:
+    def _judge(
+        self, effect: Effect, point: dict[str, float], columns: Array
+    ) -> tuple[float, dict[str, float]]:
         gain, theta = self.group(columns)
         if _neutral_of(effect, point):
             s = facts(self.records[0])
-            k = max(float(theta[0] + theta[1]), 1e-3 * s.scale.of(effect.parameter(effect.linear[0]).size))
-            return gain, {**point, effect.linear[0]: k, "neutral": s.centre + 0.5 * s.scale.position * float(theta[1]) / k}
+            k = max(
+                float(theta[0] + theta[1]),
+                1e-3 * s.scale.of(effect.parameter(effect.linear[0]).size),
+            )
+            return gain, {
+                **point,
+                effect.linear[0]: k,
+                "neutral": s.centre + 0.5 * s.scale.position * float(theta[1]) / k,
+            }
         phase = _phase_of(effect)
         if phase:
             angle = float(np.arctan2(theta[1], theta[0])) * (-1 if phase == "angle" else 1)
@@ -224,7 +286,10 @@ class Screen:
             values = {n: _first_order(v, effect.parameter(n)) for n, v in values.items()}
         if all(values[n] >= effect.parameter(n).lower for n in effect.linear):
             return gain, values
-        return 0.0, {n: max(v, self._least(effect, n)) if n in effect.linear else v for n, v in values.items()}
+        return 0.0, {
+            n: max(v, self._least(effect, n)) if n in effect.linear else v
+            for n, v in values.items()
+        }
 
     def _least(self, effect: Effect, name: str) -> float:
         """A number so small that it hardly acts."""
@@ -241,14 +306,18 @@ class Screen:
 
     def _candidate(self, effect: Effect, gain: float, values: dict[str, float]) -> Candidate:
         replaces = tuple(t.effect for t in self.model.at(self.joint) if t.effect in effect.replaces)
-        return Candidate(effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain)
+        return Candidate(
+            effect.name, self.joint, (make_term(effect, self.joint, values),), replaces, gain
+        )
 
 
 def with_candidate(model: Model, candidate: Candidate) -> Model:
     """The model with the candidate's terms added and what they replace removed."""
     model = candidate.beneath or model
     kept = tuple(
-        t for t in model.terms if not (t.joint == candidate.joint and t.effect in candidate.replaces)
+        t
+        for t in model.terms
+        if not (t.joint == candidate.joint and t.effect in candidate.replaces)
     )
     return replace(model, terms=(*kept, *candidate.terms))
 

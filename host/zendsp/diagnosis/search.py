@@ -1,8 +1,9 @@
 """The search: one joint, the calibrated model, and the hypotheses that explain what it leaves.
 
-Each round screens the library, fits the promising hypotheses with all calibrated parameters free, and keeps the most likely. Rounds
-follow until nothing passes; alternatives to the first step guard against one effect standing in for two; then every found
-term and every term of the given model has to justify itself.
+Each round screens the library, fits the promising hypotheses with all calibrated parameters free,
+and keeps the most likely. Rounds follow until nothing passes; alternatives to the first step guard
+against one effect standing in for two; then every found term and every term of the given model has
+to justify itself.
 """
 
 from __future__ import annotations
@@ -43,12 +44,17 @@ RUNNERS = 4  # hypotheses that are held against the held-out recordings in each 
 FINALISTS = 4
 GLANCE = 4  # hypotheses of a round that is only looked at
 COMMON = ("viscous", "coulomb")
-QUICK = 1e-4  # relative gain of a step below which a first look ends: in a narrow valley the first step gains little, and 1 % is a deviance of 200
+# relative gain of a step below which a first look ends: in a narrow valley the first step gains
+# little, and 1 % is a deviance of 200
+QUICK = 1e-4
 SETTLED = 16.0  # rad/s: an observer this slow follows little of what is missing
 WHITE = 1.2  # slow variation of the innovations, over that of white noise
 WAIT = 40.0  # deviance beyond its price below which a step is not worth a look
-WORTH = 10 * WAIT  # of a step that may wait for another, and of a gap whose narrow optimum is searched
-LOOK_AHEAD = 0.1  # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for behind a first
+# of a step that may wait for another, and of a gap whose narrow optimum is searched
+WORTH = 10 * WAIT
+# gain a sample, a tenth of the innovations' energy, below which no second effect is looked for
+# behind a first
+LOOK_AHEAD = 0.1
 
 
 def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
@@ -57,7 +63,9 @@ def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scor
 
 
 class Searcher:
-    """Searches one joint; ``accept`` decides whether a step counts (held-out evidence is its business)."""
+    """Searches one joint; ``accept`` decides whether a step counts (held-out evidence is its
+    business).
+    """
 
     def __init__(
         self,
@@ -69,12 +77,19 @@ class Searcher:
         given: Model | None = None,
     ) -> None:
         self.given = given
-        self.data, self.joint, self.accept, self.jobs, self.progress = data, joint, accept, jobs, progress
+        self.data, self.joint, self.accept, self.jobs, self.progress = (
+            data,
+            joint,
+            accept,
+            jobs,
+            progress,
+        )
         self.n = informative(data, joint)
         self._rounds: dict[int, tuple[Scored, list[Rival]]] = {}
 
     def search(self, base: Scored) -> JointSearch:
-        """Explain what a calibrated model leaves: the likeliest chain of effects, unless one effect alone does as well.
+        """Explain what a calibrated model leaves: the likeliest chain of effects, unless one effect
+        alone does as well.
 
         Parameters
         ----------
@@ -88,17 +103,25 @@ class Searcher:
         found = self._chain(base)
         if len(found.steps) < 2:
             return found
-        chain = found.steps[-1].chosen.scored.deviance + sum(step.chosen.price for step in found.steps)
+        chain = found.steps[-1].chosen.scored.deviance + sum(
+            step.chosen.price for step in found.steps
+        )
         alone = min(self.round(base), key=lambda r: r.value)
-        if alone is found.steps[0].chosen or not alone.value < chain or not self.accept(base, alone):
+        if (
+            alone is found.steps[0].chosen
+            or not alone.value < chain
+            or not self.accept(base, alone)
+        ):
             return found
         return self._chain(base, alone)
 
     def _chain(self, base: Scored, begin: Rival | None = None, most: int = 6) -> JointSearch:
-        """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where given.
+        """Add effects to a calibrated model until nothing passes, the first of them ``begin`` where
+        given.
 
-        A step that is likely but does not hold on the held-out recordings may stand on the shoulders of an effect still hidden: it waits
-        for the next one, and both are judged together.
+        A step that is likely but does not hold on the held-out recordings may stand on the
+        shoulders of an effect still hidden: it waits for the next one, and both are judged
+        together.
         """
         found = JointSearch(self.joint, base)
         current = base
@@ -119,7 +142,9 @@ class Searcher:
                     rivals = self._best_first(current, rivals)
             since = waiting[0].before if waiting else current
             paid = sum(step.chosen.price for step in waiting)
-            passing = (r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price)))
+            passing = (
+                r for r in rivals[:RUNNERS] if self.accept(since, replace(r, price=paid + r.price))
+            )
             holds = next(passing, None)
             chosen = self._in_gap(current, holds or rivals[0])
             rivals = [chosen, *[r for r in rivals if r.effect != chosen.effect]]
@@ -140,15 +165,26 @@ class Searcher:
         return found
 
     def _in_gap(self, current: Scored, chosen: Rival) -> Rival:
-        """A step beside a gap found before, with the gap found again: its optimum is so narrow that the step moved it out of reach."""
-        if chosen.effect == "backlash" or not any(t.effect == "backlash" for t in chosen.scored.model.at(self.joint)):
+        """A step beside a gap found before, with the gap found again: its optimum is so narrow that
+        the step moved it out of reach.
+        """
+        if chosen.effect == "backlash" or not any(
+            t.effect == "backlash" for t in chosen.scored.model.at(self.joint)
+        ):
             return chosen
-        return replace(chosen, scored=refine(chosen.scored, self.joint, current.deviance, WORTH, self.jobs))
+        return replace(
+            chosen, scored=refine(chosen.scored, self.joint, current.deviance, WORTH, self.jobs)
+        )
 
     def _best_first(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
-        """Where two effects act, the first of the best pair need not be the best single: try the runners-up as first steps too."""
+        """Where two effects act, the first of the best pair need not be the best single: try the
+        runners-up as first steps too.
+        """
         gain = current.deviance - rivals[0].value
-        if is_white(rivals[0].scored, self.joint) or _gain(current, rivals[0]) < LOOK_AHEAD * self.n:
+        if (
+            is_white(rivals[0].scored, self.joint)
+            or _gain(current, rivals[0]) < LOOK_AHEAD * self.n
+        ):
             return rivals
         second = self.round(rivals[0].scored)
         if not second or rivals[0].scored.deviance - second[0].value < WAIT:
@@ -167,21 +203,34 @@ class Searcher:
         return [best, *[r for r in rivals if r is not best]]
 
     def _glance(self, current: Scored, seen: frozenset[str]) -> float:
-        """About the least deviance with its price that one more effect would leave: the most promising ones, fitted shortly.
+        """About the least deviance with its price that one more effect would leave: the most
+        promising ones, fitted shortly.
 
-        Of the effects with states of their own only those in ``seen``, which did well elsewhere in this search.
+        Of the effects with states of their own only those in ``seen``, which did well elsewhere in
+        this search.
         """
         listed = [
-            starts_of(c, current.data) for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
+            starts_of(c, current.data)
+            for _, c in screened(current.data, current.model, self.joint, jobs=self.jobs)[:GLANCE]
         ]
         hidden = frozenset(e for e in seen if get_effect(e).scan)
-        listed += simulated(current.data, current.model, self.joint, hidden, self.jobs, self.given) if hidden else []
+        listed += (
+            simulated(current.data, current.model, self.joint, hidden, self.jobs, self.given)
+            if hidden
+            else []
+        )
         with ThreadPoolExecutor(self.jobs) as pool:
-            quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
+            quick = [
+                r
+                for r in pool.map(lambda group: self._quick(current, group), listed)
+                if r is not None
+            ]
         return min((r.value for r in quick), default=math.inf)
 
     def round(self, current: Scored) -> list[Rival]:
-        """Fit the promising hypotheses on top of a model, the most likely first; one entry an effect."""
+        """Fit the promising hypotheses on top of a model, the most likely first; one entry an
+        effect.
+        """
         if id(current) not in self._rounds:
             self._rounds[id(current)] = (current, self._round(current))
         return self._rounds[id(current)][1]
@@ -198,13 +247,22 @@ class Searcher:
             first = {c.effect for group in listed for c in group}
             listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
         # what takes longest comes first, so that no thread is left with it at the end
-        listed = [*simulated(current.data, current.model, self.joint, only, self.jobs, self.given), *listed]
+        listed = [
+            *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),
+            *listed,
+        ]
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
         with ThreadPoolExecutor(self.jobs) as pool:
-            quick = [r for r in pool.map(lambda group: self._quick(current, group), listed) if r is not None]
+            quick = [
+                r
+                for r in pool.map(lambda group: self._quick(current, group), listed)
+                if r is not None
+            ]
             quick.sort(key=lambda r: r.value)
             reach = 0.5 * (current.deviance - quick[0].value) if quick else 0.0
-            finalists = [r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]]
+            finalists = [
+                r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]
+            ]
             worth = math.inf if only else WORTH  # a stand-in need not be at its best
             full = list(pool.map(lambda r: self._full(current, r, worth), finalists))
         rivals = [
@@ -226,8 +284,9 @@ class Searcher:
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Order hypotheses by what they gain.
 
-        Where even the best of them needs a fast observer, much is still missing, and a fast observer forgives what acts slowly: the
-        order is then that of the gains under an observer four times slower.
+        Where even the best of them needs a fast observer, much is still missing, and a fast
+        observer forgives what acts slowly: the order is then that of the gains under an observer
+        four times slower.
         """
         ranked = [replace(r, rank=current.deviance - r.value) for r in rivals]
         if len(ranked) < 2 or ranked[0].scored.data.bandwidth[self.joint - 1] <= UNSETTLED:
@@ -278,7 +337,16 @@ class Searcher:
             model = with_candidate(current.model, candidate)
             handles = joint_handles(data, model, self.joint)
             rounds = 3 if len(group) > 1 else 6
-            result = fit(coarse(data), model, handles, joints=(self.joint,), iterations=rounds, tolerance=QUICK, jobs=1, brief=True)
+            result = fit(
+                coarse(data),
+                model,
+                handles,
+                joints=(self.joint,),
+                iterations=rounds,
+                tolerance=QUICK,
+                jobs=1,
+                brief=True,
+            )
             value = deviance(current.data, result.model, (self.joint,))
             rival = self._rival(candidate, Scored(result, current.data, value, (self.joint,)))
             if best is None or rival.value < best.value:
@@ -316,7 +384,11 @@ class Searcher:
     def _full(self, current: Scored, rival: Rival, worth: float) -> Rival:
         jobs = self.jobs  # the longest of them ends alone
         scored = fit_scored(
-            rival.scored.data, rival.scored.model, rival.scored.fit.handles, (self.joint,), jobs=jobs
+            rival.scored.data,
+            rival.scored.model,
+            rival.scored.fit.handles,
+            (self.joint,),
+            jobs=jobs,
         )
         options = [scored] if scored.deviance <= rival.scored.deviance else [rival.scored]
         if rival.effect == "backlash":
@@ -326,21 +398,30 @@ class Searcher:
                 other = with_numbers(rival.scored.model, term.effect, self.joint, {"exponent": 2.0})
                 options.append(
                     fit_scored(
-                        rival.scored.data, other, rival.scored.fit.handles, (self.joint,), jobs=jobs, rounds=2
+                        rival.scored.data,
+                        other,
+                        rival.scored.fit.handles,
+                        (self.joint,),
+                        jobs=jobs,
+                        rounds=2,
                     )
                 )
         return replace(rival, scored=min(options, key=lambda s: s.deviance))
 
 
 def is_white(scored: Scored, joint: int) -> bool:
-    """Whether a slow observer's innovations leave nothing to explain: no more slow variation than white noise, and no block that stands out."""
+    """Whether a slow observer's innovations leave nothing to explain: no more slow variation than
+    white noise, and no block that stands out.
+    """
     bandwidth = scored.data.bandwidth[joint - 1]
     if bandwidth > SETTLED:
         return False
     means, total, count = [], 0.0, 0
     for rec in scored.data.records:
         record = rec[joint - 1]
-        r = run(record, scored.model, bandwidth, inner=scored.data.inner).innovations[record.counted]
+        r = run(record, scored.model, bandwidth, inner=scored.data.inner).innovations[
+            record.counted
+        ]
         if len(r) < 0.5 * record.n:
             return False  # slow quantised motion: too few code changes for a test of whiteness
         size = max(10, round(0.1 / record.sample_time))
@@ -353,13 +434,17 @@ def is_white(scored: Scored, joint: int) -> bool:
 
 
 def _gain(before: Scored, rival: Rival) -> float:
-    """Gain of a hypothesis under its own observer or under the slower one of ``Searcher.order``, whichever is larger."""
+    """Gain of a hypothesis under its own observer or under the slower one of ``Searcher.order``,
+    whichever is larger.
+    """
     own = before.deviance - rival.value
     return max(own, rival.rank) if math.isfinite(rival.rank) else own
 
 
 def _freedom(rival: Rival) -> float:
-    """Fitted parameters, with one more for a hidden state, and for another joint that was chosen among several."""
+    """Fitted parameters, with one more for a hidden state, and for another joint that was chosen
+    among several.
+    """
     count = 0.0
     for term in rival.terms:
         effect = get_effect(term.effect)
@@ -369,7 +454,9 @@ def _freedom(rival: Rival) -> float:
 
 
 def _simplest_sufficient(rivals: list[Rival], before: Scored) -> list[Rival]:
-    """Of the hypotheses that bring nearly all of the best gain, the simplest first: what it leaves, a later step can add."""
+    """Of the hypotheses that bring nearly all of the best gain, the simplest first: what it leaves,
+    a later step can add.
+    """
     gain = rivals[0].rank
     enough = [r for r in rivals if r.rank >= SUFFICIENT * gain and before.deviance - r.value > WAIT]
     first = min(enough or rivals[:1], key=lambda r: (_freedom(r), -r.rank))
@@ -379,5 +466,6 @@ def _simplest_sufficient(rivals: list[Rival], before: Scored) -> list[Rival]:
 def _general(rival: Rival, other: Rival) -> bool:
     """Whether one of two hypotheses contains the other as a special case."""
     return (
-        other.effect in get_effect(rival.effect).replaces or rival.effect in get_effect(other.effect).replaces
+        other.effect in get_effect(rival.effect).replaces
+        or rival.effect in get_effect(other.effect).replaces
     )

@@ -1,7 +1,8 @@
 """Physics that a free parameter of the mechanism has absorbed: a payload, a wrong gain.
 
-Calibration moves inertia and gravity freely. A few percent are the tolerance of any given figure; a shift far beyond is a finding. A
-gain error scales inertia, gravity and friction alike, exactly: where all of them have moved by one factor, it is named with them.
+Calibration moves inertia and gravity freely. A few percent are the tolerance of any given figure; a
+shift far beyond is a finding. A gain error scales inertia, gravity and friction alike, exactly:
+where all of them have moved by one factor, it is named with them.
 """
 
 from __future__ import annotations
@@ -36,14 +37,17 @@ def shifted(
     test : Data
         Held-out recordings: the shift has to pay there too.
     found : collection of str
-        Effects already found at the joint; an effect that carries inertia itself explains the shift.
+        Effects already found at the joint; an effect that carries inertia itself explains the
+        shift.
 
     Returns
     -------
     list of (float, Finding)
     """
     joint = search.joint
-    sprung = any(effect in library() and get_effect(effect).family == "transmission" for effect in found)
+    sprung = any(
+        effect in library() and get_effect(effect).family == "transmission" for effect in found
+    )
     if given.kind not in ("rotary", "linear") or sprung or "torque_gain" in found:
         return []
     moves = {}
@@ -71,7 +75,10 @@ def shifted(
     if others and any(abs(m[1]) > FAR for m in others):
         same.append("gravity")
     values = {"amount": Estimate(amount, std, unit)}
-    text = f"Calibration moves the {main} of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} {unit}), far beyond the tolerance of a given figure: a payload, or a wrong figure."
+    text = (
+        f"Calibration moves the {main} of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g}"
+        f" {unit}), far beyond the tolerance of a given figure: a payload, or a wrong figure."
+    )
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
@@ -85,7 +92,9 @@ def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
     held = tuple(replace(q, free=False) for q in items)
     model = replace(final.model, mechanism={**final.model.mechanism, key: held})
     handles = tuple(
-        h for h in joint_handles(final.data, model, joint) if not (h.place == "mechanism" and h.key == key)
+        h
+        for h in joint_handles(final.data, model, joint)
+        if not (h.place == "mechanism" and h.key == key)
     )
     fixed = fit_scored(final.data, model, handles, (joint,), rounds=3)
     if fixed.deviance - final.deviance < 100.0:
@@ -104,5 +113,9 @@ def _gravity_only(
         "torque": Estimate(abs(amount), std, given.torque_unit(joint)),
         "angle": Estimate(0.0 if amount > 0 else math.pi, 0.0, "rad"),
     }
-    text = f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure: an unbalance, or a wrong figure."
+    text = (
+        f"Calibration moves the gravity torque of joint {joint} by {100 * ratio:+.0f} %"
+        f" ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure:"
+        " an unbalance, or a wrong figure."
+    )
     return [(z, Finding("gravity", joint, values, 0.7, 0.0, ("stiffness",), (), text))]

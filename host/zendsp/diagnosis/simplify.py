@@ -1,4 +1,6 @@
-"""What a search found, in its simplest words: special cases by their own names, and nothing that the recording does not need."""
+"""What a search found, in its simplest words: special cases by their own names, and nothing that
+the recording does not need.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,26 @@ from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.model import Model, Term
 
-PLAIN = 0.1  # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not fitted away any more
-SYMMETRIC = {"coulomb_asymmetry": ("coulomb", "level"), "viscous_asymmetry": ("viscous", "coefficient")}
+# deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
+# fitted away any more
+PLAIN = 0.1
+SYMMETRIC = {
+    "coulomb_asymmetry": ("coulomb", "level"),
+    "viscous_asymmetry": ("viscous", "coefficient"),
+}
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
 
 
 def _refitted(data: Data, model: Model, joint: int, jobs: int, rounds: int) -> Scored:
-    return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs, rounds=rounds)
+    return fit_scored(
+        data, model, joint_handles(data, model, joint), (joint,), jobs=jobs, rounds=rounds
+    )
 
 
 def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
-    """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither, they stand for themselves."""
+    """Asymmetric Coulomb friction is Coulomb friction and an offset: where the model had neither,
+    they stand for themselves.
+    """
     had = {t.effect for t in found.base.model.at(found.joint)}
     term = next((t for t in current.model.at(found.joint) if t.effect == "coulomb_asymmetry"), None)
     if (
@@ -44,14 +55,19 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
 
 
 def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
-    """The same model refitted at ever smaller steps, until halving them moves its numbers less than the recording leaves open.
+    """The same model refitted at ever smaller steps, until halving them moves its numbers less than
+    the recording leaves open.
 
     Otherwise an effect may be found that is only what the integration gets wrong.
     """
     for _ in range(HALVINGS):
         error = step_error(best.data, best.fit, (joint,))
         ours = [h.place == "term" for h in best.fit.handles]
-        if not any(abs(e) > SIGNIFICANT * s for e, s, own in zip(error, best.fit.std, ours, strict=True) if own):
+        if not any(
+            abs(e) > SIGNIFICANT * s
+            for e, s, own in zip(error, best.fit.std, ours, strict=True)
+            if own
+        ):
             break
         data = replace(best.data, inner=2 * best.data.inner)
         best = fit_scored(data, best.model, best.fit.handles, (joint,), jobs=jobs, rounds=1)
@@ -59,7 +75,9 @@ def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
 
 
 def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
-    """Hysteresis that slides after a small part of the travel is Coulomb friction with a soft onset: name it so where that explains as much."""
+    """Hysteresis that slides after a small part of the travel is Coulomb friction with a soft
+    onset: name it so where that explains as much.
+    """
     term = next((t for t in best.model.at(joint) if t.effect == "hysteresis"), None)
     record = best.data.records[0][joint - 1]
     if term is None or term.value("force") > 0.02 * term.value("stiffness") * record.scale.position:
@@ -78,7 +96,9 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
 
 
 def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored:
-    """An asymmetry that was found whose two directions are as good as equal is the symmetric effect in whose place it stands."""
+    """An asymmetry that was found whose two directions are as good as equal is the symmetric effect
+    in whose place it stands.
+    """
     for name, (plain, number) in SYMMETRIC.items():
         term = next((t for t in best.model.at(found.joint) if t.effect == name), None)
         if term is None or name in {t.effect for t in found.base.model.at(found.joint)}:
@@ -93,7 +113,9 @@ def _as_symmetric(found: JointSearch, best: Scored, n: int, jobs: int) -> Scored
 
 
 def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
-    """More inertia and a weaker actuator together are a payload, which adds inertia and gravity: name it so where that explains as much."""
+    """More inertia and a weaker actuator together are a payload, which adds inertia and gravity:
+    name it so where that explains as much.
+    """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
     gravity = best.model.mechanism.get("gravity", ())
@@ -101,15 +123,19 @@ def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
         return best
     weight = max(abs(q.value) for q in gravity) * max(abs(new["torque_gain"].value("ratio")), 0.01)
     load = make_term(get_effect("gravity"), found.joint, {"torque": weight, "angle": 0.0})
-    model = best.model.with_terms((*(t for t in best.model.terms if t is not new["torque_gain"]), load))
+    model = best.model.with_terms(
+        (*(t for t in best.model.terms if t is not new["torque_gain"]), load)
+    )
     other = _refitted(best.data, model, found.joint, jobs, 2)
     return other if other.deviance < best.deviance + 10.0 else best
 
 
 def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
-    """A hardening spring and a constant torque together imitate a linear spring off its neutral point: name it so where that explains as much.
+    """A hardening spring and a constant torque together imitate a linear spring off its neutral
+    point: name it so where that explains as much.
 
-    On a pendulum the weight that is calibrated takes the linear part, k q = k sin q + k q³ / 6 + …: it is given back.
+    On a pendulum the weight that is calibrated takes the linear part, k q = k sin q + k q³ / 6 + …:
+    it is given back.
     """
     had = {t.effect for t in found.base.model.at(found.joint)}
     new = {t.effect: t for t in best.model.at(found.joint) if t.effect not in had}
@@ -127,8 +153,14 @@ def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
     if any(q.free and q.value for q in weight):
         slope = 6 * hard.value("coefficient")
         mechanism["gravity"] = tuple(replace(q, value=q.value - slope) for q in weight)
-    spring = make_term(get_effect("stiffness"), found.joint, {"coefficient": slope, "neutral": centre - push.value("level") / slope})
-    model = best.model.with_terms((*(t for t in best.model.terms if t is not hard and t is not push), spring))
+    spring = make_term(
+        get_effect("stiffness"),
+        found.joint,
+        {"coefficient": slope, "neutral": centre - push.value("level") / slope},
+    )
+    model = best.model.with_terms(
+        (*(t for t in best.model.terms if t is not hard and t is not push), spring)
+    )
     other = _refitted(best.data, replace(model, mechanism=mechanism), found.joint, jobs, 3)
     return other if other.deviance < best.deviance + 10.0 else best
 
@@ -145,7 +177,9 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
         for i, term in enumerate(best.model.terms):
             if term.joint != found.joint or _needed_by(best.model, term):
                 continue
-            model = best.model.with_terms(tuple(t for k, t in enumerate(best.model.terms) if k != i))
+            model = best.model.with_terms(
+                tuple(t for k, t in enumerate(best.model.terms) if k != i)
+            )
             if _hopeless(best, model, found.joint, jobs):
                 continue
             trial = _refitted(best.data, model, found.joint, jobs, 2)
@@ -162,12 +196,25 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
 
 
 def _hopeless(best: Scored, model: Model, joint: int, jobs: int) -> bool:
-    """Whether a model is so much less likely after a short fit that a long one would not make up for it."""
+    """Whether a model is so much less likely after a short fit that a long one would not make up
+    for it.
+    """
     handles = joint_handles(best.data, model, joint)
-    short = fit(best.data, model, handles, joints=(joint,), iterations=4, tolerance=1e-2, jobs=jobs, brief=True)
+    short = fit(
+        best.data,
+        model,
+        handles,
+        joints=(joint,),
+        iterations=4,
+        tolerance=1e-2,
+        jobs=jobs,
+        brief=True,
+    )
     value = tune_bandwidth(best.data, short.model, (joint,))[1]
     return value > best.deviance + PLAIN * informative(best.data, joint)
 
 
 def _needed_by(model: Model, term: Term) -> bool:
-    return any(term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term)
+    return any(
+        term.effect in get_effect(t.effect).needs for t in model.at(term.joint) if t is not term
+    )

@@ -1,4 +1,6 @@
-"""A user's own simulator (``kind = "python"``): finding it, calling it, and putting effects on its input."""
+"""A user's own simulator (``kind = "python"``): finding it, calling it, and putting effects on its
+input.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +32,15 @@ def on_timing() -> list[Effect]:
 
 
 def on_input(effect: Effect) -> bool:
-    """Whether an effect can act on a simulator's input or output: not one with states of its own, inside the simulator."""
+    """Whether an effect can act on a simulator's input or output: not one with states of its own,
+    inside the simulator.
+    """
     return effect.site not in ("setup", "body") or effect.retime is not None or bool(effect.same_as)
 
 
 def load_entry(model: Model) -> Function:
-    """The function that ``entry = "module:function"`` names; the module may stand beside the model file.
+    """The function that ``entry = "module:function"`` names; the module may stand beside the model
+    file.
 
     Raises
     ------
@@ -48,7 +53,9 @@ def load_entry(model: Model) -> Function:
     beside = model.folder / (module_name.replace(".", "/") + ".py")
     try:
         if beside.exists():
-            spec = importlib.util.spec_from_file_location(f"zendsp_simulator_{module_name.replace('.', '_')}", beside)
+            spec = importlib.util.spec_from_file_location(
+                f"zendsp_simulator_{module_name.replace('.', '_')}", beside
+            )
             assert spec is not None and spec.loader is not None
             module = importlib.util.module_from_spec(spec)
             sys.modules[spec.name] = module
@@ -56,10 +63,16 @@ def load_entry(model: Model) -> Function:
         else:
             module = importlib.import_module(module_name)
     except Exception as error:
-        raise ModelError(f"[mechanism] entry = {model.entry!r}: module {module_name!r} cannot be imported ({type(error).__name__}: {error}); it is looked for beside the model file and on the Python path") from error
+        raise ModelError(
+            f"[mechanism] entry = {model.entry!r}: module {module_name!r} cannot be imported"
+            f" ({type(error).__name__}: {error}); it is looked for beside the model file and on the"
+            " Python path"
+        ) from error
     function = getattr(module, name, None)
     if not callable(function):
-        raise ModelError(f"[mechanism] entry = {model.entry!r}: module {module_name!r} has no function {name!r}")
+        raise ModelError(
+            f"[mechanism] entry = {model.entry!r}: module {module_name!r} has no function {name!r}"
+        )
     return function  # type: ignore[no-any-return]
 
 
@@ -67,7 +80,8 @@ def load_entry(model: Model) -> Function:
 class Bench:
     """One recording with its smoothed motion, and the simulator that is to reproduce it.
 
-    ``size``: rows of a window; each is given to the simulator as a recording of its own. 0: the whole recording at once.
+    ``size``: rows of a window; each is given to the simulator as a recording of its own. 0: the
+    whole recording at once.
     """
 
     signals: Signals
@@ -82,7 +96,8 @@ class Bench:
         return len(self.signals.time)
 
     def simulate(self, model: Model) -> Array:
-        """Position that the simulator gives with a model's parameters and effects, (n, joints), rad or m.
+        """Position that the simulator gives with a model's parameters and effects, (n, joints), rad
+        or m.
 
         Raises
         ------
@@ -90,9 +105,15 @@ class Bench:
             Where the user's function fails or returns something else.
         """
         command = self._command(model)
-        parameters = {k: items[0].value if len(items) == 1 else [q.value for q in items] for k, items in model.mechanism.items()}
+        parameters = {
+            k: items[0].value if len(items) == 1 else [q.value for q in items]
+            for k, items in model.mechanism.items()
+        }
         step = self.size or self.n
-        parts = [self._piece(command, slice(a, min(a + step, self.n)), parameters, model.entry) for a in range(0, self.n, step)]
+        parts = [
+            self._piece(command, slice(a, min(a + step, self.n)), parameters, model.entry)
+            for a in range(0, self.n, step)
+        ]
         self.calls += 1
         return self._sensor(np.concatenate(parts), model)
 
@@ -117,14 +138,21 @@ class Bench:
         try:
             out = np.asarray(self.function(recording, parameters), float)
         except Exception as error:
-            raise ModelError(f"the simulator {entry!r} failed on {s.name}: {type(error).__name__}: {error}") from error
+            raise ModelError(
+                f"the simulator {entry!r} failed on {s.name}: {type(error).__name__}: {error}"
+            ) from error
         out = out[:, None] if out.ndim == 1 else out
         if out.shape != position.shape:
-            raise ModelError(f"the simulator {entry!r} returned shape {out.shape} for {s.name}; expected {position.shape}: a position for every row")
+            raise ModelError(
+                f"the simulator {entry!r} returned shape {out.shape} for {s.name}; expected"
+                f" {position.shape}: a position for every row"
+            )
         return out
 
     def error(self, model: Model) -> Array:
-        """Measured minus simulated position, (n, joints); of windows without what an error of their first position and velocity explains."""
+        """Measured minus simulated position, (n, joints); of windows without what an error of their
+        first position and velocity explains.
+        """
         e = self.signals.position - self.simulate(model)
         if not self.size:
             return e
@@ -133,7 +161,9 @@ class Bench:
             part = e[a : a + self.size]
             x = np.linspace(-1.0, 1.0, len(part))[:, None] if len(part) > 1 else np.zeros((1, 1))
             level = part.mean(axis=0)
-            out[a : a + self.size] = part - level - x * ((x * part).sum(axis=0) / max(float((x * x).sum()), 1e-300))
+            out[a : a + self.size] = (
+                part - level - x * ((x * part).sum(axis=0) / max(float((x * x).sum()), 1e-300))
+            )
         return out
 
     def _command(self, model: Model) -> Array:
@@ -142,7 +172,10 @@ class Bench:
             gain = per_joint(model.actuator.gain, i + 1, 1.0)
             effects = [(t, get_effect(t.effect)) for t in model.at(i + 1)]
             terms = tuple(t for t, effect in effects if effect.site not in ("setup", "sensor"))
-            floor = max(2.0 * float(np.sqrt(np.median(record.motion.variances[1]))), 0.01 * record.scale.speed)
+            floor = max(
+                2.0 * float(np.sqrt(np.median(record.motion.variances[1]))),
+                0.01 * record.scale.speed,
+            )
             torque = trace(record, model, terms, floor) if terms else np.zeros(record.n)
             motion, command = along(record, model), record.command
             for term, effect in effects:
@@ -163,13 +196,17 @@ class Bench:
 
 
 def bench(signals: Signals, model: Model, function: Function) -> Bench:
-    """Smooth the motion of a recording (effects are evaluated along it) and tie it to the simulator."""
+    """Smooth the motion of a recording (effects are evaluated along it) and tie it to the
+    simulator.
+    """
     count = signals.position.shape[1]
     measurements, motions = [], []
     for i in range(count):
         y = np.ascontiguousarray(signals.position[:, i])
         resolution = float(signals.resolution[i])
-        measurements.append(measure(y, signals.sample_time, resolution, noise_beside_quantisation(y, resolution)))
+        measurements.append(
+            measure(y, signals.sample_time, resolution, noise_beside_quantisation(y, resolution))
+        )
         motions.append(smooth(measurements[i], signals.sample_time, np.zeros(len(y))))
     others = np.ascontiguousarray(np.stack([m.states for m in motions]))
     records = []
@@ -179,7 +216,9 @@ def bench(signals: Signals, model: Model, function: Function) -> Bench:
         effort = float(np.sqrt(np.mean((gain * signals.command[:, i]) ** 2)))
         rms = float(np.sqrt(np.mean(qdd**2)))
         known = next((model.mechanism[k] for k in ("inertia", "mass") if k in model.mechanism), ())
-        inertia = (known[min(i, len(known) - 1)].value if known else effort / max(rms, 1e-12)) or 1.0
+        inertia = (
+            known[min(i, len(known) - 1)].value if known else effort / max(rms, 1e-12)
+        ) or 1.0
         scale = Scale(
             torque=effort or abs(inertia) * rms,
             speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),

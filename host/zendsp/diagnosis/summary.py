@@ -21,7 +21,10 @@ def headline(d: Diagnosis) -> str:
     if d.verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
     if d.verdict == "unexplained":
-        return "Unexplained: something is missing that no known effect describes; no physics is claimed."
+        return (
+            "Unexplained: something is missing that no known effect describes; no physics is"
+            " claimed."
+        )
     joints: dict[int, list[str]] = {}
     for f in d.findings:
         word = f"{WORDS.get(f.mechanism, f.effect)} ({f.effect})"
@@ -42,25 +45,39 @@ def summary(d: Diagnosis) -> str:
     if d.findings or d.unexplained:
         lines.append("")
     lines.append(
-        f"position error within 0.25 s ({d.unit}, RMS)   given      calibrated  improved   noise floor"
+        f"position error within 0.25 s ({d.unit}, RMS)   given      calibrated  improved   noise"
+        " floor"
     )
-    for name, table in (("  recordings of the fit", d.estimation), ("  untouched recordings", d.test or d.heldout)):
+    for name, table in (
+        ("  recordings of the fit", d.estimation),
+        ("  untouched recordings", d.test or d.heldout),
+    ):
         lines.append(
-            f"{name:<44} {table.given:<10.3g} {table.calibrated:<11.3g} {table.improved:<10.3g} {d.noise_floor:.3g}"
+            f"{name:<44} {table.given:<10.3g} {table.calibrated:<11.3g} {table.improved:<10.3g}"
+            f" {d.noise_floor:.3g}"
         )
     for r in d.regions[:2]:
         lines.append(
-            f"mismatch: joint {r.joint}, {r.variable} {r.interval[0]:.3g} … {r.interval[1]:.3g}: {100 * r.share:.0f} % of it in {100 * r.time_share:.0f} % of the time"
+            f"mismatch: joint {r.joint}, {r.variable} {r.interval[0]:.3g} … {r.interval[1]:.3g}:"
+            f" {100 * r.share:.0f} % of it in {100 * r.time_share:.0f} % of the time"
         )
     if d.refinements:
-        lines.append("refinements: " + ", ".join(f"{f.effect} (joint {f.joint})" for f in d.refinements[:6]))
+        lines.append(
+            "refinements: " + ", ".join(f"{f.effect} (joint {f.joint})" for f in d.refinements[:6])
+        )
     for x in d.discrepancy[:7]:
         if d.verdict != "complete" or x.interval[1] < 1.0:
             high = f"{100 * min(x.interval[1], 9.99):.2g}"
-            lines.append(f"nothing named explains: joint {x.joint}, {100 * x.share:.2g} % of its torque (at most {high} %)")
+            lines.append(
+                f"nothing named explains: joint {x.joint}, {100 * x.share:.2g} % of its torque (at"
+                f" most {high} %)"
+            )
     if d.verdict == "complete" and d.detectable:
         small = sorted(d.detectable, key=lambda x: -x.share)[:3]
-        lines.append("it would have shown: " + ", ".join(f"{x.effect} of {x.size:.2g} {x.unit} (joint {x.joint})" for x in small))
+        lines.append(
+            "it would have shown: "
+            + ", ".join(f"{x.effect} of {x.size:.2g} {x.unit} (joint {x.joint})" for x in small)
+        )
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
     if d.notes:

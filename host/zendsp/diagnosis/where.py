@@ -1,7 +1,8 @@
-"""Where the mismatch lives: in time, and in the space of velocity, position, acceleration and command.
+"""Where the mismatch lives: in time, and in the space of velocity, position, acceleration and
+command.
 
-The torque that a model lacks is what corrects an observer that keeps the model on the motion (discrepancy.py); its energy above
-that of the sensor's noise is the mismatch.
+The torque that a model lacks is what corrects an observer that keeps the model on the motion
+(discrepancy.py); its energy above that of the sensor's noise is the mismatch.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ VARIABLES = ("velocity", "position", "acceleration", "command")
 
 @dataclass(frozen=True)
 class Region:
-    """An interval of one variable at one joint that holds ``share`` of the mismatch in ``time_share`` of the time."""
+    """An interval of one variable at one joint that holds ``share`` of the mismatch in
+    ``time_share`` of the time.
+    """
 
     joint: int
     variable: str
@@ -34,7 +37,9 @@ class Region:
 
 @dataclass(frozen=True)
 class Missing:
-    """The torque that a model lacks along a recording, (n,), N m or N, and the standard deviation of the estimate."""
+    """The torque that a model lacks along a recording, (n,), N m or N, and the standard deviation
+    of the estimate.
+    """
 
     time: Array
     torque: Array
@@ -43,7 +48,9 @@ class Missing:
 
 
 def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
-    """Torque that a model lacks at one joint, along each recording: how an observer that keeps it on the motion corrects it."""
+    """Torque that a model lacks at one joint, along each recording: how an observer that keeps it
+    on the motion corrects it.
+    """
     found = lacking(data, model, joint, BANDS[0])
     out = []
     for torque, rec in zip(found, data.records, strict=True):
@@ -53,7 +60,9 @@ def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
         time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
         std = np.full(record.n, np.sqrt(noise(record, model, BANDS[0])))
         variables = {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
-        out.append(Missing(time[use], torque[use], std[use], {n: v[use] for n, v in variables.items()}))
+        out.append(
+            Missing(time[use], torque[use], std[use], {n: v[use] for n, v in variables.items()})
+        )
     return out
 
 
@@ -64,7 +73,9 @@ def energy(missing: Missing) -> Array:
 
 
 def regions(missing: Missing, joint: int) -> list[Region]:
-    """For each variable, the interval in which the mismatch is most concentrated, most telling first."""
+    """For each variable, the interval in which the mismatch is most concentrated, most telling
+    first.
+    """
     e = energy(missing)
     total = float(e.sum())
     if total <= 0:
@@ -102,7 +113,8 @@ def regions(missing: Missing, joint: int) -> list[Region]:
 
 
 def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float]]:
-    """Time intervals where the mismatch concentrates: (start s, end s, share), largest share first."""
+    """Time intervals where the mismatch concentrates: (start s, end s, share), largest share first.
+    """
     e = energy(missing)
     total = float(e.sum())
     if total <= 0 or len(e) < 20:
@@ -119,8 +131,11 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
         else:
             spans.append((a, b))
     out = [
-        (float(missing.time[a]), float(missing.time[min(b, len(e)) - 1]), float(e[a:b].sum()) / total)
+        (
+            float(missing.time[a]),
+            float(missing.time[min(b, len(e)) - 1]),
+            float(e[a:b].sum()) / total,
+        )
         for a, b in spans
     ]
     return sorted(out, key=lambda s: -s[2])[:most]
-

@@ -1,7 +1,9 @@
-"""The fit that a person can read: position error of short free simulations, given, calibrated and improved.
+"""The fit that a person can read: position error of short free simulations, given, calibrated and
+improved.
 
-Each window restarts from the smoothed motion; what its unknown initial position and velocity explain (a straight line) is removed, for
-all models alike. A perfect model leaves the sensor's own noise: the noise floor.
+Each window restarts from the smoothed motion; what its unknown initial position and velocity
+explain (a straight line) is removed, for all models alike. A perfect model leaves the sensor's own
+noise: the noise floor.
 """
 
 from __future__ import annotations
@@ -50,7 +52,9 @@ def model_error(data: Data, model: Model) -> float:
 
 
 def noise_floor(data: Data, joint: int = 0) -> float:
-    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS); of one joint, or of all (0)."""
+    """What the sensor alone leaves in such windows: quantisation and noise, rad or m (RMS); of one
+    joint, or of all (0).
+    """
     squares, count = 0.0, 0
     for rec in data.records:
         for record in rec[joint - 1 : joint] if joint else rec:
@@ -59,7 +63,9 @@ def noise_floor(data: Data, joint: int = 0) -> float:
             left = 1.0 - 2.0 / size
             if m.resolution > 0:
                 squares += (
-                    record.n * left * _quantisation(record.position, record.motion.states[0], size) ** 2
+                    record.n
+                    * left
+                    * _quantisation(record.position, record.motion.states[0], size) ** 2
                 )
             else:
                 squares += record.n * left * m.noise**2

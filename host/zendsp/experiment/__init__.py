@@ -1,8 +1,19 @@
-"""Identification experiments over the link: they move a machine, keep every recording, fit, draw, and write a result."""
+"""Identification experiments over the link: they move a machine, keep every recording, fit, draw,
+and write a result.
+"""
 
 from zendsp.experiment.into import fit_model, put_into
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.registry import EXPERIMENTS, Experiment, run_experiment
 from zendsp.experiment.result import Estimate, Result
 
-__all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Lab", "Result", "fit_model", "put_into", "run_experiment"]
+__all__ = [
+    "EXPERIMENTS",
+    "Estimate",
+    "Experiment",
+    "Lab",
+    "Result",
+    "fit_model",
+    "put_into",
+    "run_experiment",
+]

@@ -13,8 +13,12 @@ INK, GREY = "#1a1a1a", "#8a8a8a"
 BLUE, RED, GREEN, AMBER, VIOLET = "#1f5fa8", "#c23b22", "#2f7d4f", "#c98a1b", "#6b4fa0"
 
 
-def make_figure(rows: int, columns: int, width: float = 9.0, height: float = 3.2, **options: Any) -> tuple[Figure, Any]:
-    """A figure of ``rows`` by ``columns`` panels, each ``height`` inches high; panels as a 2-D array."""
+def make_figure(
+    rows: int, columns: int, width: float = 9.0, height: float = 3.2, **options: Any
+) -> tuple[Figure, Any]:
+    """A figure of ``rows`` by ``columns`` panels, each ``height`` inches high; panels as a 2-D
+    array.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height * rows), layout="constrained")

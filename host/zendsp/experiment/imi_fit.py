@@ -1,4 +1,6 @@
-"""The friction of the planar arm as one curve: two polynomials of speed, joined, through what three experiments measured."""
+"""The friction of the planar arm as one curve: two polynomials of speed, joined, through what three
+experiments measured.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ SLOWEST = 0.03  # rad/s: below it the smoothing mixes both directions
 
 @dataclass(frozen=True)
 class Curve:
-    """Friction of one joint: level_pos, level_neg, then slope, curve, cubic and high_curve of the friction block, split, residual."""
+    """Friction of one joint: level_pos, level_neg, then slope, curve, cubic and high_curve of the
+    friction block, split, residual.
+    """
 
     coefficients: Array
     std: Array
@@ -46,16 +50,26 @@ class Curve:
 
 
 def _basis(speed: Array, split: float) -> Array:
-    """Columns: level of each direction, slope, curve, cubic, high curve; value and slope are continuous at the split."""
+    """Columns: level of each direction, slope, curve, cubic, high curve; value and slope are
+    continuous at the split.
+    """
     v = np.abs(speed)
     w = np.maximum(v - split, 0.0)
     low = np.minimum(v, split)
-    columns = [speed >= 0, speed < 0, v, low**2 + 2 * split * w, low**3 / split + 3 * split * w, w**2]
+    columns = [
+        speed >= 0,
+        speed < 0,
+        v,
+        low**2 + 2 * split * w,
+        low**3 / split + 3 * split * w,
+        w**2,
+    ]
     return np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
 
 
 def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
-    """Least squares of the joined polynomials; the split is the one of ``SPLITS`` that leaves least.
+    """Least squares of the joined polynomials; the split is the one of ``SPLITS`` that leaves
+    least.
 
     Parameters
     ----------
@@ -77,7 +91,12 @@ def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
         residual = b - A @ solution
         rms = float(np.sqrt(np.average(residual**2, weights=weight)))
         # neighbouring points share their smoothing (41 samples): so many fewer are independent
-        variance = rms**2 * np.linalg.pinv((A * weight[:, None]).T @ A) * weight.sum() / (max(1.0, len(b) / 41))
+        variance = (
+            rms**2
+            * np.linalg.pinv((A * weight[:, None]).T @ A)
+            * weight.sum()
+            / (max(1.0, len(b) / 41))
+        )
         if best is None or rms < best.rms:
             best = Curve(solution, np.sqrt(np.diag(variance)), float(split), rms)
     assert best is not None
@@ -85,11 +104,15 @@ def fit_curve(speed: Array, friction: Array, weight: Array) -> Curve:
 
 
 def fit(lab: Lab) -> Result:
-    """One friction curve for each joint from the static, low-speed and viscous experiments; those not yet made are made first."""
+    """One friction curve for each joint from the static, low-speed and viscous experiments; those
+    not yet made are made first.
+    """
     static = needed(lab, "imi-static", imi_friction.static)
     viscous = needed(lab, "imi-viscous", imi_friction.viscous)
     low = needed(lab, "imi-low-speed", imi_friction.low_speed)
-    result = Result("imi-fit", "Friction curve of the planar arm", imi_friction.MACHINE, target=low.target)
+    result = Result(
+        "imi-fit", "Friction curve of the planar arm", imi_friction.MACHINE, target=low.target
+    )
     folder = lab.folder / result.name
     folder.mkdir(parents=True, exist_ok=True)
     curves = {}
@@ -97,15 +120,27 @@ def fit(lab: Lab) -> Result:
         with np.load(lab.folder / "imi-low-speed" / f"curve{joint}.npz") as stored:
             v, f = stored["speed"], stored["friction"]
             # at the peaks the acceleration jumps, which the smoothing smears: they are left out
-            sliding = (np.abs(v) > SLOWEST) & (np.abs(v) < 0.95 * np.abs(v).max()) & stored["slowing"]
-        fast = np.array([(p["speed rad/s"], p["friction N m"]) for p in viscous.tables["points"] if p["joint"] == joint])
+            sliding = (
+                (np.abs(v) > SLOWEST) & (np.abs(v) < 0.95 * np.abs(v).max()) & stored["slowing"]
+            )
+        fast = np.array(
+            [
+                (p["speed rad/s"], p["friction N m"])
+                for p in viscous.tables["points"]
+                if p["joint"] == joint
+            ]
+        )
         speed, friction = np.r_[v[sliding], fast[:, 0]], np.r_[f[sliding], fast[:, 1]]
-        weight = np.r_[np.full(sliding.sum(), 1.0), np.full(len(fast), sliding.sum() / len(fast) / 3.0)]
+        weight = np.r_[
+            np.full(sliding.sum(), 1.0), np.full(len(fast), sliding.sum() / len(fast) / 3.0)
+        ]
         curve = fit_curve(speed, friction, weight)
         curves[joint] = curve
         _report(result, joint, curve, static)
     result.figure = _draw(curves, static, viscous, lab, folder)
-    result.recordings = [f"../{r.name}/{name}" for r in (static, low, viscous) for name in r.recordings]
+    result.recordings = [
+        f"../{r.name}/{name}" for r in (static, low, viscous) for name in r.recordings
+    ]
     return result
 
 
@@ -117,17 +152,43 @@ def _report(result: Result, joint: int, curve: Curve, static: Result) -> None:
         result.values[f"joint{joint}_{name}"] = Estimate(float(value), float(std), unit)
     result.values[f"joint{joint}_split"] = Estimate(curve.split, 0.0, "rad/s")
     result.values[f"joint{joint}_rms"] = Estimate(curve.rms, 0.0, "N m")
-    result.tables.setdefault("program", []).append({
-        "joint": joint, "low": [round(x, 6) for x in curve.low()], "high": [round(x, 6) for x in curve.high()], "split": curve.split,
-    })  # fmt: skip
+    result.tables.setdefault("program", []).append(
+        {
+            "joint": joint,
+            "low": [round(x, 6) for x in curve.low()],
+            "high": [round(x, 6) for x in curve.high()],
+            "split": curve.split,
+        }
+    )
     base = float(min(p[0], p[1]))
     result.effects += [
-        {"kind": "friction_block", "joint": joint, "level": {"value": base, "std": float(curve.std[0]), "unit": "N m"},
-         "slope": float(p[2]), "curve": float(p[3]), "cubic": float(p[4]), "split": curve.split, "high_curve": float(p[5])},
-        {"kind": "coulomb_asymmetry", "joint": joint, "level_pos": float(p[0] - base), "level_neg": float(p[1] - base)},
-        {"kind": "presliding", "joint": joint, "stiffness": static.values[f"stiffness{joint}"].value,
-         "damping": float(2 * 0.3 * np.sqrt(static.values[f"stiffness{joint}"].value * {1: 3.957, 2: 0.196}[joint]))},
-    ]  # fmt: skip
+        {
+            "kind": "friction_block",
+            "joint": joint,
+            "level": {"value": base, "std": float(curve.std[0]), "unit": "N m"},
+            "slope": float(p[2]),
+            "curve": float(p[3]),
+            "cubic": float(p[4]),
+            "split": curve.split,
+            "high_curve": float(p[5]),
+        },
+        {
+            "kind": "coulomb_asymmetry",
+            "joint": joint,
+            "level_pos": float(p[0] - base),
+            "level_neg": float(p[1] - base),
+        },
+        {
+            "kind": "presliding",
+            "joint": joint,
+            "stiffness": static.values[f"stiffness{joint}"].value,
+            "damping": float(
+                2
+                * 0.3
+                * np.sqrt(static.values[f"stiffness{joint}"].value * {1: 3.957, 2: 0.196}[joint])
+            ),
+        },
+    ]
 
 
 def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, folder: Path) -> str:
@@ -136,22 +197,72 @@ def _draw(curves: dict[int, Curve], static: Result, viscous: Result, lab: Lab, f
         curve = curves[joint]
         with np.load(lab.folder / "imi-low-speed" / f"curve{joint}.npz") as stored:
             v, f, slowing = stored["speed"], stored["friction"], stored["slowing"]
-        fast = np.array([(p["speed rad/s"], p["friction N m"]) for p in viscous.tables["points"] if p["joint"] == joint])
+        fast = np.array(
+            [
+                (p["speed rad/s"], p["friction N m"])
+                for p in viscous.tables["points"]
+                if p["joint"] == joint
+            ]
+        )
         for axis, limit, words in ((row[0], 5.6, "all speeds"), (row[1], 0.6, "low speeds")):
-            axis.plot(v[~slowing], f[~slowing], ".", color="#a9bfd9", markersize=1.2, label="triangles, gaining speed: bristles bend")
-            axis.plot(v[slowing], f[slowing], ".", color=BLUE, markersize=1.2, label="triangles, losing speed")
-            axis.plot(fast[:, 0], fast[:, 1], "o", color=AMBER, markersize=4.5, label="constant torque, open loop")
+            axis.plot(
+                v[~slowing],
+                f[~slowing],
+                ".",
+                color="#a9bfd9",
+                markersize=1.2,
+                label="triangles, gaining speed: bristles bend",
+            )
+            axis.plot(
+                v[slowing],
+                f[slowing],
+                ".",
+                color=BLUE,
+                markersize=1.2,
+                label="triangles, losing speed",
+            )
+            axis.plot(
+                fast[:, 0],
+                fast[:, 1],
+                "o",
+                color=AMBER,
+                markersize=4.5,
+                label="constant torque, open loop",
+            )
             for word, sign in (("ccw", 1), ("cw", -1)):
                 level = static.values[f"breakaway{joint}_{word}"].value * sign
-                axis.plot([0.0], [level], "D", color=GREY, markersize=5, label="breakaway" if sign > 0 else None)
+                axis.plot(
+                    [0.0],
+                    [level],
+                    "D",
+                    color=GREY,
+                    markersize=5,
+                    label="breakaway" if sign > 0 else None,
+                )
                 x = sign * np.linspace(0.0, limit, 500)
-                axis.plot(x, sign * curve.size(x), color=RED, linewidth=1.3, label="two polynomials, joined" if sign > 0 else None)
+                axis.plot(
+                    x,
+                    sign * curve.size(x),
+                    color=RED,
+                    linewidth=1.3,
+                    label="two polynomials, joined" if sign > 0 else None,
+                )
                 axis.axvline(sign * curve.split, color=GREY, linewidth=0.6, linestyle=":")
             axis.set_xlim(-limit, limit)
             inside = np.abs(v) < limit
-            top = 1.15 * max(np.abs(f[inside]).max(), np.abs(curve.size(np.array([min(limit, 5.2)])))[0])
+            top = 1.15 * max(
+                np.abs(f[inside]).max(), np.abs(curve.size(np.array([min(limit, 5.2)])))[0]
+            )
             axis.set_ylim(-top, top)
             label(axis, "speed (rad/s)", "friction torque (N m)", f"joint {joint}, {words}")
     handles, words = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.5)
+    figure.legend(
+        handles,
+        words,
+        loc="outside lower center",
+        ncols=3,
+        fontsize=8,
+        frameon=False,
+        markerscale=1.5,
+    )
     return save(figure, folder / "fit.png")

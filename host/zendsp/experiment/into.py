@@ -13,11 +13,21 @@ from zendsp.physics import load_model, model_text, parse_model
 from zendsp.physics.model import Model, Quantity
 from zendsp.reference import load_machine
 
-FRICTION = ("coulomb", "coulomb_asymmetry", "viscous", "viscous_asymmetry", "stribeck", "quadratic_drag", "friction_block", "presliding")
+FRICTION = (
+    "coulomb",
+    "coulomb_asymmetry",
+    "viscous",
+    "viscous_asymmetry",
+    "stribeck",
+    "quadratic_drag",
+    "friction_block",
+    "presliding",
+)
 
 
 def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
-    """Which of these experiments find something that this model file holds; asked before a machine moves.
+    """Which of these experiments find something that this model file holds; asked before a machine
+    moves.
 
     Parameters
     ----------
@@ -48,18 +58,24 @@ def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
         _require_joints(holding[0].machine, model, path)
     if known and not fitting:
         do = ", ".join(e.name for e in EXPERIMENTS.values() if e.models)
-        raise ModelError(f"{', '.join(e.name for e in known)} finds nothing that a model file holds; {do} do")
+        raise ModelError(
+            f"{', '.join(e.name for e in known)} finds nothing that a model file holds; {do} do"
+        )
     return fitting
 
 
 def _require_joints(machine: str, model: Model, path: str | Path) -> None:
     joints = load_machine(machine).joints
     if joints != model.joints:
-        raise ModelError(f"{path} has {model.joints} joints and {machine}, which was measured, {joints}: give a model of that machine")
+        raise ModelError(
+            f"{path} has {model.joints} joints and {machine}, which was measured, {joints}: give a"
+            " model of that machine"
+        )
 
 
 def put_into(result: Result, path: str | Path) -> list[str]:
-    """Replace the friction of the joints that were measured, and the mechanism's parameters, by the result; the file is rewritten.
+    """Replace the friction of the joints that were measured, and the mechanism's parameters, by the
+    result; the file is rewritten.
 
     Parameters
     ----------
@@ -75,16 +91,35 @@ def put_into(result: Result, path: str | Path) -> list[str]:
     Raises
     ------
     ModelError
-        The result has nothing for a model, or the model is of another machine; the file stays as it was.
+        The result has nothing for a model, or the model is of another machine; the file stays as it
+        was.
     """
     if not result.effects and not result.mechanism:
-        raise ModelError(f"{result.name} finds nothing that a model file holds: there is nothing to put into {path}")
+        raise ModelError(
+            f"{result.name} finds nothing that a model file holds: there is nothing to put into"
+            f" {path}"
+        )
     model = load_model(path)
     _require_joints(result.machine, model, path)
-    found = parse_model({"name": "found", "mechanism": _shell(result), "effect": result.effects, "columns": {"position": [f"q{j}" for j in range(8)]}}, result.name)
+    found = parse_model(
+        {
+            "name": "found",
+            "mechanism": _shell(result),
+            "effect": result.effects,
+            "columns": {"position": [f"q{j}" for j in range(8)]},
+        },
+        result.name,
+    )
     joints = sorted({term.joint for term in found.terms})
     kept = tuple(t for t in model.terms if t.joint not in joints or t.effect not in FRICTION)
-    changes = [f"friction of joint {', '.join(map(str, joints))} replaced ({len(model.terms) - len(kept)} terms by {len(found.terms)})"] if joints else []
+    changes = (
+        [
+            f"friction of joint {', '.join(map(str, joints))} replaced"
+            f" ({len(model.terms) - len(kept)} terms by {len(found.terms)})"
+        ]
+        if joints
+        else []
+    )
     mechanism = dict(model.mechanism)
     for name, estimate in result.mechanism.items():
         before = mechanism.get(name)

@@ -1,4 +1,6 @@
-"""Where experiments are made: a target, local or remote; a folder that keeps every recording; and a way to say what is going on."""
+"""Where experiments are made: a target, local or remote; a folder that keeps every recording; and a
+way to say what is going on.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ class Lab:
     folder : path
         Made where it does not exist.
     target : Target, optional
-        The machine, already connected. Default: a simulated one is started here for each experiment, on the fast clock.
+        The machine, already connected. Default: a simulated one is started here for each
+        experiment, on the fast clock.
     say : callable, optional
         Told what begins, a line at a time.
 
@@ -39,7 +42,9 @@ class Lab:
     True
     """
 
-    def __init__(self, folder: str | Path, target: Target | None = None, say: Say | None = None) -> None:
+    def __init__(
+        self, folder: str | Path, target: Target | None = None, say: Say | None = None
+    ) -> None:
         self.folder = Path(folder)
         self.target = target
         self.say: Say = say or (lambda text: None)
@@ -55,7 +60,8 @@ class Lab:
         name : str
             Of the experiment: its folder.
         **options
-            Settings of a simulated machine that is started here; a target that is given must have them already.
+            Settings of a simulated machine that is started here; a target that is given must have
+            them already.
 
         Raises
         ------
@@ -66,12 +72,19 @@ class Lab:
         folder.mkdir(parents=True, exist_ok=True)
         if self.target is not None:
             if self.target.info.machine != machine:
-                raise Refused(f"experiment {name} is for the machine {machine}; the target {self.target.name} is {self.target.info.machine}")
+                raise Refused(
+                    f"experiment {name} is for the machine {machine}; the target {self.target.name}"
+                    f" is {self.target.info.machine}"
+                )
             yield from self._guard(Bench(self.target, folder, self.say))
             return
         from zendsp.link import local
 
-        arguments = [part for key, value in options.items() for part in ("--machine-option", f"{key}={value}")]
+        arguments = [
+            part
+            for key, value in options.items()
+            for part in ("--machine-option", f"{key}={value}")
+        ]
         target = local(machine, clock="fast", options=arguments)
         try:
             yield from self._guard(Bench(target, folder, self.say))
@@ -100,7 +113,11 @@ class Bench:
     def where(self) -> str:
         """Which target, which machine, which clock: for the result."""
         info = self.target.info
-        return f"{info.machine} ({'simulated' if info.clock == 'fast' else 'target ' + self.target.name}, {info.clock} clock)"
+        return (
+            f"{info.machine}"
+            f" ({'simulated' if info.clock == 'fast' else 'target ' + self.target.name},"
+            f" {info.clock} clock)"
+        )
 
     def record(
         self,
@@ -117,7 +134,8 @@ class Bench:
         command: str = "torque",
         **values: Any,
     ) -> Recording:
-        """Load a program afresh, set its parameters, run it, and keep the recording as ``name.npz``.
+        """Load a program afresh, set its parameters, run it, and keep the recording as
+        ``name.npz``.
 
         Parameters
         ----------
@@ -147,8 +165,9 @@ class Bench:
         Raises
         ------
         Refused
-            The machine takes another command; or a limit tripped; the message says which, and the recording is kept as ``name_ended.npz``. So is one that
-            Ctrl-C ends, or a program that crashes.
+            The machine takes another command; or a limit tripped; the message says which, and the
+            recording is kept as ``name_ended.npz``. So is one that Ctrl-C ends, or a program that
+            crashes.
         """
         self.say(name)
         target = self.target
@@ -167,7 +186,9 @@ class Bench:
         if seconds is None:
             raise ZendspError(f"recording {name}: give seconds, or a reference")
         try:
-            recording = target.acquire(channels, seconds=seconds, decimation=decimation, start=True, note=name)
+            recording = target.acquire(
+                channels, seconds=seconds, decimation=decimation, start=True, note=name
+            )
             trip = target.status().trip
             if trip is not None and trip.reason:
                 raise Refused(f"{name}: the machine stopped itself: {trip.text}")
@@ -183,17 +204,24 @@ class Bench:
         """The machine says what it is once a program is loaded."""
         has = self.target.machine().joints[0].command
         if has != command:
-            raise Refused(f"{name}: needs a machine whose command is a {command}, here it is a {has}: start the target with --machine-option drive={command}")
+            raise Refused(
+                f"{name}: needs a machine whose command is a {command}, here it is a {has}: start"
+                f" the target with --machine-option drive={command}"
+            )
 
     def _keep_part(self, name: str, why: str) -> None:
         """Keep what was recorded before a run ended early, if it had begun."""
         if self.target.status().tick > 0:
             self.target.acquire_stop()
-            self.target.acquire_load(f"{name}, ended early: {why}").save(self.folder / f"{name}_ended.npz")
+            self.target.acquire_load(f"{name}, ended early: {why}").save(
+                self.folder / f"{name}_ended.npz"
+            )
 
 
 def _stop(target: Target) -> None:
-    """STOP a machine that runs, and see that it has (it takes a sample; the deadline is for a busy computer)."""
+    """STOP a machine that runs, and see that it has (it takes a sample; the deadline is for a busy
+    computer).
+    """
     if target.status().state != "running":
         return
     target.stop()
@@ -204,7 +232,13 @@ def _stop(target: Target) -> None:
 
 def own_program(name: str) -> dict[str, str]:
     """Source of a program that belongs to this package."""
-    return {name: resources.files("zendsp.experiment").joinpath("programs", name).read_text(encoding="utf-8")}
+    return {
+        name: (
+            resources.files("zendsp.experiment")
+            .joinpath("programs", name)
+            .read_text(encoding="utf-8")
+        )
+    }
 
 
 def playing(recording: Recording, samples: int) -> slice:

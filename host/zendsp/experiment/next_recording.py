@@ -26,7 +26,8 @@ def run_next(
     progress: Callable[[str], None] = lambda _text: None,
     **options: Any,
 ) -> Diagnosis:
-    """Play the proposed reference on a target, keep the recording, and diagnose all recordings together.
+    """Play the proposed reference on a target, keep the recording, and diagnose all recordings
+    together.
 
     Parameters
     ----------
@@ -56,17 +57,31 @@ def run_next(
     """
     proposal = diagnosis.next_recording
     if proposal is None or proposal.reference is None:
-        why = "nothing is left open" if proposal is None else "no reference can be proposed for what is open"
+        why = (
+            "nothing is left open"
+            if proposal is None
+            else "no reference can be proposed for what is open"
+        )
         diagnosis.notes = (*diagnosis.notes, f"--run: {why}, so nothing was run on {target}")
         return diagnosis
     q, period = proposal.reference
     folder.mkdir(parents=True, exist_ok=True)
-    path = save_reference(Reference(q, period, kind="separating", unit=diagnosis.unit), folder / "next_reference.mat", check=False)
+    path = save_reference(
+        Reference(q, period, kind="separating", unit=diagnosis.unit),
+        folder / "next_reference.mat",
+        check=False,
+    )
     progress(f"running the separating experiment on {target}")
     with connect(target) as machine:
         made = run_reference(machine, load_reference(path), diagnosis.given, _like(recordings))
     saved = made.save(folder / FILE)
-    second = diagnose([*recordings, saved], diagnosis.given, list(heldout) if heldout else None, progress=progress, **options)
+    second = diagnose(
+        [*recordings, saved],
+        diagnosis.given,
+        list(heldout) if heldout else None,
+        progress=progress,
+        **options,
+    )
     second.notes = (*second.notes, f"with {saved.name}, recorded on {target}: {proposal.sentence}")
     return second
 

@@ -25,13 +25,26 @@ G = 9.81
 EARLY = 1.0  # s
 
 
-def electrical(lab: Lab, volts: tuple[float, ...] = (7.0, 8.5, 10.0, 12.0, 14.0, 16.0, -7.0, -9.0, -11.0, -13.0, -15.0)) -> Result:
-    """k_a and R_a: at steady speed v/i against qd/i is a straight line of slope k_a and intercept R_a."""
+def electrical(
+    lab: Lab,
+    volts: tuple[float, ...] = (7.0, 8.5, 10.0, 12.0, 14.0, 16.0, -7.0, -9.0, -11.0, -13.0, -15.0),
+) -> Result:
+    """k_a and R_a: at steady speed v/i against qd/i is a straight line of slope k_a and intercept
+    R_a.
+    """
     result = Result("pendulum-electrical", "Motor of the pendulum", MACHINE)
     points = []
     with lab.bench(MACHINE, result.name, drive="voltage", brake=0.0) as bench:
         for v in volts:
-            rec = bench.record(f"{v:+.1f}V", "pendulum_current.c", ["q", "i", "v"], seconds=4.0, command="voltage", voltage_mode=True, volts=v)
+            rec = bench.record(
+                f"{v:+.1f}V",
+                "pendulum_current.c",
+                ["q", "i", "v"],
+                seconds=4.0,
+                command="voltage",
+                voltage_mode=True,
+                volts=v,
+            )
             points.append(steady_means(rec))
         result.recordings, result.target = bench.recordings, bench.where
         speed, current, voltage = np.array(points).T
@@ -39,17 +52,29 @@ def electrical(lab: Lab, volts: tuple[float, ...] = (7.0, 8.5, 10.0, 12.0, 14.0,
         result.values["k_a"] = Estimate(float(slope), float(np.sqrt(covariance[0, 0])), "N m/A")
         result.values["R_a"] = Estimate(float(intercept), float(np.sqrt(covariance[1, 1])), "ohm")
         result.tables["points"] = [
-            {"voltage V": round(float(v), 2), "current A": round(float(i), 4), "speed rad/s": round(float(w), 3)} for w, i, v in points
+            {
+                "voltage V": round(float(v), 2),
+                "current A": round(float(i), 4),
+                "speed rad/s": round(float(w), 3),
+            }
+            for w, i, v in points
         ]
         result.warnings.append(
-            "The bar stays on the shaft (the paper takes the load off): its weight makes the current swing about its mean, which spreads it over many "
-            "steps of the 10-bit sensor, and the means over whole turns are used."
+            "The bar stays on the shaft (the paper takes the load off): its weight makes the"
+            " current swing about its mean, which spreads it over many steps of the 10-bit sensor,"
+            " and the means over whole turns are used."
         )
         figure, axes = make_figure(1, 1, width=6.0, height=3.6)
         x = speed / current
         axes[0, 0].plot(x, voltage / current, "o", color=BLUE, markersize=5, label="measured")
         ends = np.array([0.0, x.max() * 1.05])
-        axes[0, 0].plot(ends, intercept + slope * ends, color=RED, linewidth=1.0, label=f"k_a = {slope:.4f} N m/A, R_a = {intercept:.2f} ohm")
+        axes[0, 0].plot(
+            ends,
+            intercept + slope * ends,
+            color=RED,
+            linewidth=1.0,
+            label=f"k_a = {slope:.4f} N m/A, R_a = {intercept:.2f} ohm",
+        )
         label(axes[0, 0], "speed / current (rad/(s A))", "voltage / current (ohm)", legend=True)
         result.figure = save(figure, bench.folder / "electrical.png")
     return result
@@ -66,31 +91,62 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
     q, half = rec["q"], len(rec) // 2
     turns = int(abs(q[-1] - q[half]) / (2 * np.pi))
     if turns == 0:
-        raise RecordingError("the shaft does not turn at this voltage: raise it, or loosen the brake")
+        raise RecordingError(
+            "the shaft does not turn at this voltage: raise it, or loosen the brake"
+        )
     start = len(q) - 1 - int(np.argmax(np.abs(q[::-1] - q[-1]) >= 2 * np.pi * turns))
     rows = slice(start, len(q) - 1)
     seconds = (len(q) - 1 - start) * rec.sample_time
-    return float((q[-1] - q[start]) / seconds), float(rec["i"][rows].mean()), float(rec["v"][rows].mean())
+    return (
+        float((q[-1] - q[start]) / seconds),
+        float(rec["i"][rows].mean()),
+        float(rec["v"][rows].mean()),
+    )
 
 
 def pendulum_model(theta: Array, smooth: float = 0.0) -> Model:
-    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, the torque one sample late."""
+    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, the torque one sample late.
+    """
     effects: list[dict[str, Any]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
     if len(theta) > 3:
         effects.append({"kind": "viscous", "joint": 1, "coefficient": float(theta[3])})
-    return parse_model({
-        "name": "pendulum", "sample_time": 0.001, "effect": effects, "actuator": {"delay": 0.001, "limit": 0.8},
-        "mechanism": {"kind": "rotary", "parameters": {"inertia": float(theta[0]), "gravity": float(theta[1]) * G}},
-    })  # fmt: skip
+    return parse_model(
+        {
+            "name": "pendulum",
+            "sample_time": 0.001,
+            "effect": effects,
+            "actuator": {"delay": 0.001, "limit": 0.8},
+            "mechanism": {
+                "kind": "rotary",
+                "parameters": {"inertia": float(theta[0]), "gravity": float(theta[1]) * G},
+            },
+        }
+    )
 
 
 def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
-    """theta1 … theta3 from the paper's open-loop torque: the position simulated with them matches the one recorded."""
+    """theta1 … theta3 from the paper's open-loop torque: the position simulated with them matches
+    the one recorded.
+    """
     result = Result("pendulum-mechanical", "Inertia, gravity and friction of the pendulum", MACHINE)
     with lab.bench(MACHINE, result.name, brake=brake) as bench:
         recs = [
-            bench.record("law", "pendulum_torque.c", ["q", "tau"], seconds=seconds, go=1, duration=seconds),
-            bench.record("another_law", "pendulum_torque.c", ["q", "tau"], seconds=seconds, go=1, duration=seconds, level=0.34, a1=0.08, a2=-0.1, w1=19.0, w2=7.0),
+            bench.record(
+                "law", "pendulum_torque.c", ["q", "tau"], seconds=seconds, go=1, duration=seconds
+            ),
+            bench.record(
+                "another_law",
+                "pendulum_torque.c",
+                ["q", "tau"],
+                seconds=seconds,
+                go=1,
+                duration=seconds,
+                level=0.34,
+                a1=0.08,
+                a2=-0.1,
+                w1=19.0,
+                w2=7.0,
+            ),
         ]
         result.recordings, result.target = bench.recordings, bench.where
         train, test = recs
@@ -102,26 +158,65 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
             for name, value, s in zip(names, theta, std, strict=True):
                 result.values[f"{name}{tail}"] = Estimate(float(value), float(s), UNITS[name])
         for word, theta in (("paper", paper[0]), ("viscous", extended[0])):
-            for rec, where in ((early, "fitted"), (_first(test, EARLY), "held_out")) if word == "paper" else ((train, "fitted"), (test, "held_out")):
+            for rec, where in (
+                ((early, "fitted"), (_first(test, EARLY), "held_out"))
+                if word == "paper"
+                else ((train, "fitted"), (test, "held_out"))
+            ):
                 miss = simulated(theta, rec) - rec["q"]
-                result.values[f"rms_{where}_{word}"] = Estimate(float(np.sqrt(np.mean(miss**2))), 0.0, "rad")
+                result.values[f"rms_{where}_{word}"] = Estimate(
+                    float(np.sqrt(np.mean(miss**2))), 0.0, "rad"
+                )
         result.warnings.append(
-            f"The paper's model has no viscous friction, and this machine has: under its torque the shaft spins, and three parameters can match the "
-            f"position for about the first second only ({EARLY:g} s are fitted, from the four-parameter result); with the viscous term all {seconds:g} s are matched."
+            "The paper's model has no viscous friction, and this machine has: under its torque the"
+            " shaft spins, and three parameters can match the position for about the first second"
+            f" only ({EARLY:g} s are fitted, from the four-parameter result); with the viscous term"
+            f" all {seconds:g} s are matched."
         )
         t = result.values
-        result.mechanism = {"inertia": t["theta1"], "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m")}
+        result.mechanism = {
+            "inertia": t["theta1"],
+            "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
+        }
         result.effects = [
-            {"kind": "coulomb", "joint": 1, "level": {"value": t["theta3"].value, "std": t["theta3"].std, "unit": "N m"}},
-            {"kind": "viscous", "joint": 1, "coefficient": {"value": t["viscous"].value, "std": t["viscous"].std, "unit": "N m s/rad"}},
+            {
+                "kind": "coulomb",
+                "joint": 1,
+                "level": {"value": t["theta3"].value, "std": t["theta3"].std, "unit": "N m"},
+            },
+            {
+                "kind": "viscous",
+                "joint": 1,
+                "coefficient": {
+                    "value": t["viscous"].value,
+                    "std": t["viscous"].std,
+                    "unit": "N m s/rad",
+                },
+            },
         ]
         figure, axes = make_figure(2, 2, height=2.6, sharex=True)
-        for column, (rec, words) in enumerate(((train, "the paper's torque: fitted"), (test, "another torque: held out"))):
+        for column, (rec, words) in enumerate(
+            ((train, "the paper's torque: fitted"), (test, "another torque: held out"))
+        ):
             top, bottom = axes[0, column], axes[1, column]
             top.plot(rec.t, rec["q"], color=BLUE, linewidth=2.0, label="machine")
             three = simulated(paper[0], rec)
-            top.plot(rec.t, np.where(np.abs(three - rec["q"]) < 60, three, np.nan), "--", color=RED, linewidth=1.0, label="three parameters, as the paper")
-            top.plot(rec.t, simulated(extended[0], rec), "--", color=GREEN, linewidth=1.0, label="and viscous friction")
+            top.plot(
+                rec.t,
+                np.where(np.abs(three - rec["q"]) < 60, three, np.nan),
+                "--",
+                color=RED,
+                linewidth=1.0,
+                label="three parameters, as the paper",
+            )
+            top.plot(
+                rec.t,
+                simulated(extended[0], rec),
+                "--",
+                color=GREEN,
+                linewidth=1.0,
+                label="and viscous friction",
+            )
             bottom.plot(rec.t, rec["q"] - three, color=RED, linewidth=1.0)
             bottom.plot(rec.t, rec["q"] - simulated(extended[0], rec), color=GREEN, linewidth=1.0)
             bottom.set_ylim(-1.5, 1.5)
@@ -133,13 +228,17 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
 
 def _first(rec: Recording, seconds: float) -> Recording:
     rows = round(seconds / rec.sample_time)
-    return Recording.from_columns({"q": rec["q"][:rows], "tau": rec["tau"][:rows]}, sample_time=rec.sample_time)
+    return Recording.from_columns(
+        {"q": rec["q"][:rows], "tau": rec["tau"][:rows]}, sample_time=rec.sample_time
+    )
 
 
 def simulated(theta: Array, rec: Recording) -> Array:
     """Position under the recorded torque, rad."""
     out = np.full(len(rec), 1e3)
-    q = simulate_loop(pendulum_model(theta), command=rec["tau"], controller={}, position=rec["q"][0], inner=2)["plant_q"]
+    q = simulate_loop(
+        pendulum_model(theta), command=rec["tau"], controller={}, position=rec["q"][0], inner=2
+    )["plant_q"]
     out[: len(q)] = q
     return out
 
@@ -147,7 +246,8 @@ def simulated(theta: Array, rec: Recording) -> Array:
 def fit_parameters(rec: Recording, start: Array) -> tuple[Array, Array, float]:
     """Parameters, standard deviations and rms error, by least squares on the position.
 
-    From far off the whole recording misleads: the fit begins with its first half second and lengthens it.
+    From far off the whole recording misleads: the fit begins with its first half second and
+    lengthens it.
     """
     from scipy.optimize import least_squares
 
@@ -160,7 +260,15 @@ def fit_parameters(rec: Recording, start: Array) -> tuple[Array, Array, float]:
         def miss(x: Array, piece: Recording = short) -> Array:
             return np.clip(simulated(np.exp(x), piece) - piece["q"], -50.0, 50.0)
 
-        found = least_squares(miss, log, x_scale=0.3, loss="soft_l1", f_scale=0.5, diff_step=np.full(len(log), 1e-4), bounds=(np.log(1e-6), np.log(10.0)))
+        found = least_squares(
+            miss,
+            log,
+            x_scale=0.3,
+            loss="soft_l1",
+            f_scale=0.5,
+            diff_step=np.full(len(log), 1e-4),
+            bounds=(np.log(1e-6), np.log(10.0)),
+        )
         log = found.x
     r = simulated(np.exp(log), rec) - rec["q"]
     jac = np.asarray(found.jac)

@@ -1,4 +1,6 @@
-"""The pendulum paper's comparison: an optimal swing with friction in its model, open and closed loop, and friction at the feedback level."""
+"""The pendulum paper's comparison: an optimal swing with friction in its model, open and closed
+loop, and friction at the feedback level.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ CHANNELS = ("play_time", "q", "qd", "tau", "r")
 
 
 def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0.08) -> Result:
-    """Swing to upright at least energy: planned with the measured friction and replayed, or planned without and compensated."""
+    """Swing to upright at least energy: planned with the measured friction and replayed, or planned
+    without and compensated.
+    """
     measured = needed(lab, "pendulum-mechanical", mechanical)
     result = Result("pendulum-swing", "Optimal swing of the pendulum, three ways", MACHINE)
     machine = measured_machine(measured)
@@ -35,13 +39,47 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
     recs: dict[str, Recording] = {}
     with lab.bench(MACHINE, result.name, brake=brake) as bench:
         options: dict[str, Any] = {"before": 0.0, "after": AFTER}
-        recs["open loop"] = bench.record("open_loop", "pendulum_track.c", CHANNELS, reference=with_friction, kp=0.0, kv=0.0, **options)
-        recs["closed loop"] = bench.record("closed_loop", "pendulum_track.c", CHANNELS, reference=with_friction, kp=1.2, kv=0.005, **options)
-        recs["feedback level"] = bench.record("feedback_level", "pendulum_compensation.c", CHANNELS, reference=without, fc=fc, kp=1.2, kv=0.005, **options)
+        recs["open loop"] = bench.record(
+            "open_loop",
+            "pendulum_track.c",
+            CHANNELS,
+            reference=with_friction,
+            kp=0.0,
+            kv=0.0,
+            **options,
+        )
+        recs["closed loop"] = bench.record(
+            "closed_loop",
+            "pendulum_track.c",
+            CHANNELS,
+            reference=with_friction,
+            kp=1.2,
+            kv=0.005,
+            **options,
+        )
+        recs["feedback level"] = bench.record(
+            "feedback_level",
+            "pendulum_compensation.c",
+            CHANNELS,
+            reference=without,
+            fc=fc,
+            kp=1.2,
+            kv=0.005,
+            **options,
+        )
         result.recordings, result.target = bench.recordings, bench.where
         for name, rec in recs.items():
             _measure(result, name, rec, without if name == "feedback level" else with_friction)
-        result.tables["runs"] = [{"run": name, **{key: str(result.values[f"{name.replace(' ', '_')}_{key}"]) for key in ("final_error", "path_rms", "torque_activity")}} for name in RUNS]
+        result.tables["runs"] = [
+            {
+                "run": name,
+                **{
+                    key: str(result.values[f"{name.replace(' ', '_')}_{key}"])
+                    for key in ("final_error", "path_rms", "torque_activity")
+                },
+            }
+            for name in RUNS
+        ]
         result.figure = save(_draw(recs, with_friction, without), bench.folder / "swing.png")
     return result
 
@@ -49,7 +87,9 @@ def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0
 def measured_machine(measured: Result) -> Machine:
     """The nominal pendulum with the parameters that the experiment found."""
     nominal = load_machine(MACHINE)
-    found = {name: measured.values[name].value for name in ("theta1", "theta2", "theta3", "viscous")}
+    found = {
+        name: measured.values[name].value for name in ("theta1", "theta2", "theta3", "viscous")
+    }
     return replace(nominal, parameters={**nominal.parameters, **found})
 
 
@@ -64,22 +104,44 @@ def _measure(result: Result, name: str, rec: Recording, reference: Reference) ->
     n = min(reference.samples, len(q))
     key = name.replace(" ", "_")
     result.values[f"{key}_final_error"] = Estimate(float(abs(q[-1] - GOAL)), 0.0, "rad")
-    result.values[f"{key}_path_rms"] = Estimate(float(np.sqrt(np.mean((q[:n] - reference.q[:n, 0]) ** 2))), 0.0, "rad")
+    result.values[f"{key}_path_rms"] = Estimate(
+        float(np.sqrt(np.mean((q[:n] - reference.q[:n, 0]) ** 2))), 0.0, "rad"
+    )
     # oscillation of the command: mean |change of torque| a second, the plan's own taken off
     own = float(np.abs(np.diff(reference.tau[:, 0])).sum()) if reference.tau is not None else 0.0
-    result.values[f"{key}_torque_activity"] = Estimate(float(np.abs(np.diff(tau)).sum() - own), 0.0, "N m")
+    result.values[f"{key}_torque_activity"] = Estimate(
+        float(np.abs(np.diff(tau)).sum() - own), 0.0, "N m"
+    )
 
 
 def _draw(recs: dict[str, Recording], with_friction: Reference, without: Reference) -> Any:
     figure, axes = make_figure(2, 1, height=2.7, sharex=True)
     colours = dict(zip(RUNS, (BLUE, GREEN, RED), strict=True))
-    axes[0, 0].plot(with_friction.t, with_friction.q[:, 0], color="black", linestyle="--", linewidth=1.0, label="plan with friction")
-    axes[0, 0].plot(without.t, without.q[:, 0], color=GREY, linestyle="--", linewidth=1.0, label="plan without friction")
+    axes[0, 0].plot(
+        with_friction.t,
+        with_friction.q[:, 0],
+        color="black",
+        linestyle="--",
+        linewidth=1.0,
+        label="plan with friction",
+    )
+    axes[0, 0].plot(
+        without.t,
+        without.q[:, 0],
+        color=GREY,
+        linestyle="--",
+        linewidth=1.0,
+        label="plan without friction",
+    )
     axes[0, 0].axhline(GOAL, color=GREY, linewidth=0.6)
     for name, rec in recs.items():
         rows = _rows(rec, with_friction)
         t = rec.t[rows] - rec.t[rows.start]
-        words = {"open loop": "open loop", "closed loop": "closed loop, kp = 1.2, kv = 0.005", "feedback level": "friction compensated at the feedback level"}[name]
+        words = {
+            "open loop": "open loop",
+            "closed loop": "closed loop, kp = 1.2, kv = 0.005",
+            "feedback level": "friction compensated at the feedback level",
+        }[name]
         axes[0, 0].plot(t, rec["q"][rows], color=colours[name], linewidth=1.4, label=words)
         axes[1, 0].plot(t, rec["tau"][rows], color=colours[name], linewidth=1.0)
     label(axes[0, 0], "", "position (rad)", legend=True)

@@ -14,7 +14,9 @@ from zendsp.experiment.result import Result
 
 @dataclass(frozen=True)
 class Experiment:
-    """Name, machine, one line for people, where the function is, whether its result has something that a model file holds, and what it commands."""
+    """Name, machine, one line for people, where the function is, whether its result has something
+    that a model file holds, and what it commands.
+    """
 
     name: str
     machine: str
@@ -26,7 +28,9 @@ class Experiment:
     def run(self, lab: Lab) -> Result:
         """Make it: recordings, figure and ``result.toml`` go to the lab's folder."""
         module, name = self.function.split(":")
-        make: Callable[[Lab], Result] = getattr(importlib.import_module(f"zendsp.experiment.{module}"), name)
+        make: Callable[[Lab], Result] = getattr(
+            importlib.import_module(f"zendsp.experiment.{module}"), name
+        )
         began = time.monotonic()
         result = make(lab)
         lab.say(f"{self.name}: done in {time.monotonic() - began:.1f} s")
@@ -37,16 +41,70 @@ class Experiment:
 EXPERIMENTS = {
     e.name: e
     for e in (
-        Experiment("imi-static", "imi_planar", "Static friction: torque steps both ways from several positions.", "imi_friction:static"),
-        Experiment("imi-viscous", "imi_planar", "Friction at high speed: constant torque, open loop.", "imi_friction:viscous"),
-        Experiment("imi-low-speed", "imi_planar", "Friction at low speed: triangular velocity under PD, averaged.", "imi_friction:low_speed"),
-        Experiment("imi-fit", "imi_planar", "One friction curve of two polynomials through the three.", "imi_fit:fit", models=True),
-        Experiment("imi-circle", "imi_planar", "Circle under inverse dynamics, compensated or not, machine and simulation.", "imi_circle:circle"),
-        Experiment("pendulum-electrical", "pendulum", "k_a and R_a of the motor by the straight line.", "pendulum_motor:electrical", command="voltage"),
-        Experiment("pendulum-mechanical", "pendulum", "Inertia, gravity and friction from the open-loop torque law.", "pendulum_motor:mechanical", models=True),
-        Experiment("pendulum-swing", "pendulum", "Optimal swing open and closed loop, and friction at the feedback level.", "pendulum_swing:swing"),
-        Experiment("wam-friction", "wam7", "Friction maps of seven joints with confidence intervals.", "wam_friction:friction", models=True),
-        Experiment("wam-tracking", "wam7", "Joint error of machine and simulation, each joint alone and all together.", "wam_tracking:tracking"),
+        Experiment(
+            "imi-static",
+            "imi_planar",
+            "Static friction: torque steps both ways from several positions.",
+            "imi_friction:static",
+        ),
+        Experiment(
+            "imi-viscous",
+            "imi_planar",
+            "Friction at high speed: constant torque, open loop.",
+            "imi_friction:viscous",
+        ),
+        Experiment(
+            "imi-low-speed",
+            "imi_planar",
+            "Friction at low speed: triangular velocity under PD, averaged.",
+            "imi_friction:low_speed",
+        ),
+        Experiment(
+            "imi-fit",
+            "imi_planar",
+            "One friction curve of two polynomials through the three.",
+            "imi_fit:fit",
+            models=True,
+        ),
+        Experiment(
+            "imi-circle",
+            "imi_planar",
+            "Circle under inverse dynamics, compensated or not, machine and simulation.",
+            "imi_circle:circle",
+        ),
+        Experiment(
+            "pendulum-electrical",
+            "pendulum",
+            "k_a and R_a of the motor by the straight line.",
+            "pendulum_motor:electrical",
+            command="voltage",
+        ),
+        Experiment(
+            "pendulum-mechanical",
+            "pendulum",
+            "Inertia, gravity and friction from the open-loop torque law.",
+            "pendulum_motor:mechanical",
+            models=True,
+        ),
+        Experiment(
+            "pendulum-swing",
+            "pendulum",
+            "Optimal swing open and closed loop, and friction at the feedback level.",
+            "pendulum_swing:swing",
+        ),
+        Experiment(
+            "wam-friction",
+            "wam7",
+            "Friction maps of seven joints with confidence intervals.",
+            "wam_friction:friction",
+            models=True,
+        ),
+        Experiment(
+            "wam-tracking",
+            "wam7",
+            "Joint error of machine and simulation, each joint alone and all together.",
+            "wam_tracking:tracking",
+        ),
     )
 }
 

@@ -1,4 +1,6 @@
-"""What an experiment found: values with their uncertainty, terms for a model file, tables, warnings, recordings and a figure."""
+"""What an experiment found: values with their uncertainty, terms for a model file, tables,
+warnings, recordings and a figure.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,11 @@ class Result:
 
     def text(self) -> str:
         """The result as TOML."""
-        data: dict[str, Any] = {key: getattr(self, key) for key in ("name", "title", "machine", "target", "figure") if getattr(self, key)}
+        data: dict[str, Any] = {
+            key: getattr(self, key)
+            for key in ("name", "title", "machine", "target", "figure")
+            if getattr(self, key)
+        }
         for key in ("findings", "warnings", "recordings"):
             if getattr(self, key):
                 data[key] = getattr(self, key)
@@ -106,7 +112,11 @@ class Result:
 
 
 def _table(e: Estimate) -> dict[str, Any]:
-    return {"value": float(e.value), **({"std": float(e.std)} if e.std > 0 else {}), **({"unit": e.unit} if e.unit else {})}
+    return {
+        "value": float(e.value),
+        **({"std": float(e.std)} if e.std > 0 else {}),
+        **({"unit": e.unit} if e.unit else {}),
+    }
 
 
 def _estimate(data: Mapping[str, Any]) -> Estimate:

@@ -1,4 +1,6 @@
-"""Plays a proposed reference on a target and records it under the names that a model gives to its columns."""
+"""Plays a proposed reference on a target and records it under the names that a model gives to its
+columns.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,14 @@ REST_S = 0.3  # after the last row
 START_S = 1.0  # for the tables to arrive at a program that runs
 
 
-def run_reference(target: Target, reference: Reference, model: Model, like: Recording | None = None) -> Recording:
+def run_reference(
+    target: Target, reference: Reference, model: Model, like: Recording | None = None
+) -> Recording:
     """Play a reference on a target and record what the model's ``[columns]`` name.
 
-    The target's program must follow the table ``ref`` (pd.c, or any program with motion.h). Where it has none loaded, the program and the
-    parameters of an earlier recording are used. A program that runs goes on running; one that stood is paused afterwards.
+    The target's program must follow the table ``ref`` (pd.c, or any program with motion.h). Where
+    it has none loaded, the program and the parameters of an earlier recording are used. A program
+    that runs goes on running; one that stood is paused afterwards.
 
     Parameters
     ----------
@@ -61,10 +66,14 @@ def run_reference(target: Target, reference: Reference, model: Model, like: Reco
             if status.state == "running":  # a fast clock does not wait for tables
                 target.pause()
             _send(target, reference, names)
-            recording = target.acquire(_channels(model, names), seconds, start=True, note="separating experiment")
+            recording = target.acquire(
+                _channels(model, names), seconds, start=True, note="separating experiment"
+            )
     trip = target.status().trip
     if trip is not None and trip.reason:
-        raise Refused(f"the separating experiment ended early: {trip.text}. What came before is not used")
+        raise Refused(
+            f"the separating experiment ended early: {trip.text}. What came before is not used"
+        )
     return recording
 
 
@@ -73,13 +82,21 @@ def _ready(target: Target, model: Model, like: Recording | None) -> None:
     if target.status().state in ("empty", "crashed") and like is not None and like.sources:
         target.download(dict(like.sources), like.flags)
         declared = target.variables()
-        target.update(None, **{n: v for n, v in like.parameters.items() if n in declared and declared[n].kind == "parameter"})
+        target.update(
+            None,
+            **{
+                n: v
+                for n, v in like.parameters.items()
+                if n in declared and declared[n].kind == "parameter"
+            },
+        )
     loaded = target.variables() if target.status().state not in ("empty", "crashed") else {}
     table = loaded.get("ref")
     if table is None or table.kind != "table" or table.columns != model.joints:
         raise Refused(
-            f"target {target.name} has no program that follows a table 'ref' of {model.joints} columns: load the one that made the recordings, "
-            f"for example 'zendsp run pd.c -t {target.name}'"
+            f"target {target.name} has no program that follows a table 'ref' of {model.joints}"
+            " columns: load the one that made the recordings, for example 'zendsp run pd.c -t"
+            f" {target.name}'"
         )
 
 
@@ -90,11 +107,15 @@ def _check(target: Target, reference: Reference) -> None:
         low, high = float(reference.q[:, j].min()), float(reference.q[:, j].max())
         if low < limits.position_min[j] or high > limits.position_max[j]:
             raise Refused(
-                f"the reference takes joint {j + 1} to {low:.4g} … {high:.4g}; the target allows {limits.position_min[j]:.4g} … {limits.position_max[j]:.4g}"
+                f"the reference takes joint {j + 1} to {low:.4g} … {high:.4g}; the target allows"
+                f" {limits.position_min[j]:.4g} … {limits.position_max[j]:.4g}"
             )
         fastest = float(np.abs(reference.qd[:, j]).max())
         if fastest > limits.speed_max[j]:
-            raise Refused(f"the reference moves joint {j + 1} at {fastest:.4g} /s; the target allows {limits.speed_max[j]:.4g}")
+            raise Refused(
+                f"the reference moves joint {j + 1} at {fastest:.4g} /s; the target allows"
+                f" {limits.speed_max[j]:.4g}"
+            )
 
 
 @contextlib.contextmanager
@@ -117,11 +138,15 @@ def _send(target: Target, reference: Reference, names: Any) -> None:
 
 
 def _channels(model: Model, names: Any) -> Sequence[str]:
-    """Columns of the model as channels; time comes with every recording, and the reference only where the program tells it."""
+    """Columns of the model as channels; time comes with every recording, and the reference only
+    where the program tells it.
+    """
     channels: list[str] = []
     for role in ("position", "command", "reference"):
         column = model.columns.get(role)
-        wanted = [] if column is None else list(column) if isinstance(column, list) else [str(column)]
+        wanted = (
+            [] if column is None else list(column) if isinstance(column, list) else [str(column)]
+        )
         if role != "reference" or all(name.partition("[")[0] in names for name in wanted):
             channels += wanted
     return channels

@@ -1,4 +1,6 @@
-"""Friction maps of the WAM: constant-speed moves of each joint both ways, torque and speed averaged, least squares for each direction."""
+"""Friction maps of the WAM: constant-speed moves of each joint both ways, torque and speed
+averaged, least squares for each direction.
+"""
 
 from __future__ import annotations
 
@@ -19,25 +21,42 @@ MACHINE = "wam7"
 JOINTS = 7
 SPEEDS = (0.08, 0.12, 0.2, 0.3, 0.45, 0.7, 1.0)  # rad/s
 NARROW = (0.02, 0.03, 0.045)  # rad/s: what a table comes to when only such speeds are used …
-NARROW_JOINTS = (2, 4)  # … shown on two of the joints for which the paper prints negative viscous friction
+# … shown on two of the joints for which the paper prints negative viscous friction
+NARROW_JOINTS = (2, 4)
 POSE = (0.0, 0.4, 0.0, 1.5, -1.5, 0.0, 0.0)  # rad, where the other joints stay
 TRAVEL = 0.6  # rad
 DECIMATION = 4
 CHANNELS = ("play_time", "q", "tau", "g")
-PAPER = {  # Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
-    1: (4.4748, 4.3609, 1.3348, 0.8266), 2: (2.6385, 3.5643, 3.5572, -2.3951), 3: (1.7399, 2.3529, 0.3944, 1.2075), 4: (1.5414, 0.7342, -2.7045, -1.0969),
-    5: (0.2798, 0.1172, -0.1972, 1.467), 6: (0.4834, 0.4417, 0.8291, 0.1836), 7: (0.0538, 0.1370, 1.0689, 0.7954),
-}  # fmt: skip
+# Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
+PAPER = {
+    1: (4.4748, 4.3609, 1.3348, 0.8266),
+    2: (2.6385, 3.5643, 3.5572, -2.3951),
+    3: (1.7399, 2.3529, 0.3944, 1.2075),
+    4: (1.5414, 0.7342, -2.7045, -1.0969),
+    5: (0.2798, 0.1172, -0.1972, 1.467),
+    6: (0.4834, 0.4417, 0.8291, 0.1836),
+    7: (0.0538, 0.1370, 1.0689, 0.7954),
+}
 
 
-def friction(lab: Lab, speeds: tuple[float, ...] = SPEEDS, joints: tuple[int, ...] = tuple(range(1, JOINTS + 1))) -> Result:
-    """Coulomb and viscous friction of every joint and direction, with confidence intervals, beside the paper's table."""
+def friction(
+    lab: Lab,
+    speeds: tuple[float, ...] = SPEEDS,
+    joints: tuple[int, ...] = tuple(range(1, JOINTS + 1)),
+) -> Result:
+    """Coulomb and viscous friction of every joint and direction, with confidence intervals, beside
+    the paper's table.
+    """
     result = Result("wam-friction", "Friction maps of the WAM", MACHINE)
     maps: dict[int, Array] = {}
     with lab.bench(MACHINE, result.name) as bench:
         for joint in joints:
             maps[joint] = _map(bench, joint, speeds, TRAVEL, f"joint{joint}")
-        narrow = {joint: _map(bench, joint, NARROW, 0.15, f"joint{joint}_narrow") for joint in NARROW_JOINTS if joint in joints}
+        narrow = {
+            joint: _map(bench, joint, NARROW, 0.15, f"joint{joint}_narrow")
+            for joint in NARROW_JOINTS
+            if joint in joints
+        }
         result.recordings, result.target = bench.recordings, bench.where
         for joint, points in maps.items():
             _fit_joint(result, joint, points)
@@ -49,7 +68,9 @@ def friction(lab: Lab, speeds: tuple[float, ...] = SPEEDS, joints: tuple[int, ..
 
 def _map(bench: Bench, joint: int, speeds: tuple[float, ...], travel: float, name: str) -> Array:
     reference = _moves(joint, speeds, travel)
-    rec = bench.record(name, "wam_pd_gravity.c", CHANNELS, reference=reference, before=3.0, decimation=DECIMATION)
+    rec = bench.record(
+        name, "wam_pd_gravity.c", CHANNELS, reference=reference, before=3.0, decimation=DECIMATION
+    )
     return constant_speed_points(rec, reference, joint)
 
 
@@ -57,19 +78,28 @@ def _moves(joint: int, speeds: tuple[float, ...], travel: float) -> Reference:
     machine = load_machine(MACHINE)
     start = np.array(POSE)
     middle = start[joint - 1]
-    start[joint - 1] = np.clip(middle - travel / 2, machine.limits.position_min[joint - 1] + 0.1, machine.limits.position_max[joint - 1] - 0.1 - travel)
-    return make_trapezoid(machine, joint=joint, start=start, travel=travel, speeds=speeds, acceleration=4.0, hold=0.3)
+    start[joint - 1] = np.clip(
+        middle - travel / 2,
+        machine.limits.position_min[joint - 1] + 0.1,
+        machine.limits.position_max[joint - 1] - 0.1 - travel,
+    )
+    return make_trapezoid(
+        machine, joint=joint, start=start, travel=travel, speeds=speeds, acceleration=4.0, hold=0.3
+    )
 
 
 def constant_speed_points(rec: Recording, reference: Reference, joint: int) -> Array:
-    """Mean speed, mean friction torque, its standard error, for each constant-speed part: rows of three.
+    """Mean speed, mean friction torque, its standard error, for each constant-speed part: rows of
+    three.
 
     The first 30 % of each part are left out: the controller settles there.
     """
     rows = playing(rec, reference.samples // rec.decimation)
     q, tau, g = (rec[name][rows][:, joint - 1] for name in ("q", "tau", "g"))
     wanted = reference.qd[:: rec.decimation, joint - 1][: len(q)]
-    steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < 1e-6) & (np.abs(wanted) > 1e-3)
+    steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < 1e-6) & (
+        np.abs(wanted) > 1e-3
+    )
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     points = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
@@ -85,7 +115,9 @@ def constant_speed_points(rec: Recording, reference: Reference, joint: int) -> A
 
 
 def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:
-    """|torque| = level + viscous |speed|: both, their 95 % half widths, and the correlation between them."""
+    """|torque| = level + viscous |speed|: both, their 95 % half widths, and the correlation between
+    them.
+    """
     from scipy.special import stdtrit  # scipy.stats would take a second to import
 
     A = np.stack([np.ones(len(speed)), np.abs(speed)], axis=1)
@@ -109,30 +141,56 @@ def _fit_joint(result: Result, joint: int, points: Array) -> None:
         found[word] = (level, viscous, dl, dv)
         end = "pos" if direction > 0 else "neg"
         result.values[f"coulomb{joint}_{end}"] = Estimate(float(level), float(dl / 1.96), "N m")
-        result.values[f"viscous{joint}_{end}"] = Estimate(float(viscous), float(dv / 1.96), "N m s/rad")
-        row |= {f"Coulomb {word}": f"{level:.3f} ± {dl:.3f}", f"paper C{word}": PAPER[joint][paper[0]],
-                f"viscous {word}": f"{viscous:.3f} ± {dv:.3f}", f"paper v{word}": PAPER[joint][paper[1]]}  # fmt: skip
+        result.values[f"viscous{joint}_{end}"] = Estimate(
+            float(viscous), float(dv / 1.96), "N m s/rad"
+        )
+        row |= {
+            f"Coulomb {word}": f"{level:.3f} ± {dl:.3f}",
+            f"paper C{word}": PAPER[joint][paper[0]],
+            f"viscous {word}": f"{viscous:.3f} ± {dv:.3f}",
+            f"paper v{word}": PAPER[joint][paper[1]],
+        }
         if cannot_separate(viscous, dv):
             result.warnings.append(_warning(joint, word, chosen, viscous, dv, correlation))
     result.tables.setdefault("friction", []).append(row)
     result.effects += [
-        {"kind": "coulomb_asymmetry", "joint": joint, "level_pos": {"value": float(found["+"][0]), "std": float(found["+"][2] / 1.96)},
-         "level_neg": {"value": float(found["-"][0]), "std": float(found["-"][2] / 1.96)}},
-        {"kind": "viscous_asymmetry", "joint": joint, "coefficient_pos": {"value": max(0.0, float(found["+"][1])), "std": float(found["+"][3] / 1.96)},
-         "coefficient_neg": {"value": max(0.0, float(found["-"][1])), "std": float(found["-"][3] / 1.96)}},
-    ]  # fmt: skip
+        {
+            "kind": "coulomb_asymmetry",
+            "joint": joint,
+            "level_pos": {"value": float(found["+"][0]), "std": float(found["+"][2] / 1.96)},
+            "level_neg": {"value": float(found["-"][0]), "std": float(found["-"][2] / 1.96)},
+        },
+        {
+            "kind": "viscous_asymmetry",
+            "joint": joint,
+            "coefficient_pos": {
+                "value": max(0.0, float(found["+"][1])),
+                "std": float(found["+"][3] / 1.96),
+            },
+            "coefficient_neg": {
+                "value": max(0.0, float(found["-"][1])),
+                "std": float(found["-"][3] / 1.96),
+            },
+        },
+    ]
 
 
 def cannot_separate(viscous: float, half_width: float) -> bool:
-    """Whether a viscous coefficient is negative, or its 95 % interval reaches zero: the speeds tell it from Coulomb friction no more."""
+    """Whether a viscous coefficient is negative, or its 95 % interval reaches zero: the speeds tell
+    it from Coulomb friction no more.
+    """
     return bool(viscous - half_width <= 0.0)
 
 
-def _warning(joint: int, word: str, points: Array, viscous: float, half: float, correlation: float) -> str:
+def _warning(
+    joint: int, word: str, points: Array, viscous: float, half: float, correlation: float
+) -> str:
     speeds = np.abs(points[:, 0])
     return (
-        f"Joint {joint}, direction {word}: speeds of {speeds.min():.2g} to {speeds.max():.2g} rad/s give a viscous coefficient of {viscous:.3g} ± {half:.2g} N m s/rad, "
-        f"which is no physical constant: they cannot separate it from Coulomb friction (correlation {correlation:.3f}). Use speeds over a decade."
+        f"Joint {joint}, direction {word}: speeds of {speeds.min():.2g} to {speeds.max():.2g} rad/s"
+        f" give a viscous coefficient of {viscous:.3g} ± {half:.2g} N m s/rad, which is no physical"
+        f" constant: they cannot separate it from Coulomb friction (correlation {correlation:.3f})."
+        " Use speeds over a decade."
     )
 
 
@@ -141,7 +199,10 @@ def _fit_narrow(result: Result, joint: int, points: Array) -> None:
     for word, direction, end in (("+", 1, "pos"), ("-", -1, "neg")):
         chosen = points[np.sign(points[:, 0]) == direction]
         (_, viscous), (_, half), correlation = line_fit(chosen[:, 0], chosen[:, 1])
-        row |= {f"viscous {word}, {NARROW[0]:g} … {NARROW[-1]:g} rad/s": f"{viscous:.2f} ± {half:.2f}", f"viscous {word}, all speeds": str(result.values[f"viscous{joint}_{end}"])}
+        row |= {
+            f"viscous {word}, {NARROW[0]:g} … {NARROW[-1]:g} rad/s": f"{viscous:.2f} ± {half:.2f}",
+            f"viscous {word}, all speeds": str(result.values[f"viscous{joint}_{end}"]),
+        }
         if cannot_separate(viscous, half):
             result.warnings.append(_warning(joint, word, chosen, viscous, half, correlation))
     result.tables.setdefault("narrow range", []).append(row)
@@ -154,16 +215,41 @@ def _draw(maps: dict[int, Array], result: Result) -> Any:
             axis.set_axis_off()
             continue
         points = maps[joint]
-        axis.errorbar(points[:, 0], points[:, 1], yerr=2 * points[:, 2], fmt="o", color=BLUE, markersize=3.5, linewidth=0.8, label="measured")
+        axis.errorbar(
+            points[:, 0],
+            points[:, 1],
+            yerr=2 * points[:, 2],
+            fmt="o",
+            color=BLUE,
+            markersize=3.5,
+            linewidth=0.8,
+            label="measured",
+        )
         for end, sign, k in (("pos", 1, 0), ("neg", -1, 1)):
             x = sign * np.array([0.0, np.abs(points[:, 0]).max()])
-            level, slope = result.values[f"coulomb{joint}_{end}"].value, result.values[f"viscous{joint}_{end}"].value
-            axis.plot(x, sign * (level + slope * np.abs(x)), color=RED, linewidth=1.0, label="fit" if sign > 0 else None)
+            level, slope = (
+                result.values[f"coulomb{joint}_{end}"].value,
+                result.values[f"viscous{joint}_{end}"].value,
+            )
+            axis.plot(
+                x,
+                sign * (level + slope * np.abs(x)),
+                color=RED,
+                linewidth=1.0,
+                label="fit" if sign > 0 else None,
+            )
             paper = PAPER[joint]
-            axis.plot(x, sign * (paper[k] + paper[k + 2] * np.abs(x)), color=GREY, linewidth=0.9, linestyle="--", label="paper's table" if sign > 0 else None)
+            axis.plot(
+                x,
+                sign * (paper[k] + paper[k + 2] * np.abs(x)),
+                color=GREY,
+                linewidth=0.9,
+                linestyle="--",
+                label="paper's table" if sign > 0 else None,
+            )
         label(axis, "speed (rad/s)", "friction (N m)", f"joint {joint}")
     handles, words = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, words, loc="lower right", bbox_to_anchor=(0.98, 0.16), fontsize=10, frameon=False)
+    figure.legend(
+        handles, words, loc="lower right", bbox_to_anchor=(0.98, 0.16), fontsize=10, frameon=False
+    )
     return figure
-
-

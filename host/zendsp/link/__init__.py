@@ -10,6 +10,16 @@ from zendsp.link.salvage import Salvage, find_salvage
 from zendsp.link.target import Target
 
 __all__ = [
-    "Found", "LiveView", "ParameterSet", "Rehearsal", "Salvage", "Target", "Trigger", "connect", "discover", "find_salvage", "local",
+    "Found",
+    "LiveView",
+    "ParameterSet",
+    "Rehearsal",
+    "Salvage",
+    "Target",
+    "Trigger",
+    "connect",
+    "discover",
+    "find_salvage",
+    "local",
     "rehearse",
-]  # fmt: skip
+]

@@ -60,8 +60,9 @@ class Acquisition(ParameterSets, Transfers):
         trigger : Trigger, optional
             Wait for ``source`` to cross ``level``; ``pre_s`` seconds before it are kept.
         start : bool
-            Also start the (loaded or paused) program together with the recording and pause it afterwards: the first row is
-            the first sample, and on the fast clock the result is the same each time.
+            Also start the (loaded or paused) program together with the recording and pause it
+            afterwards: the first row is the first sample, and on the fast clock the result is the
+            same each time.
         take : bool
             Also when another host is recording.
         note : str
@@ -69,7 +70,8 @@ class Acquisition(ParameterSets, Transfers):
         progress : callable, optional
             Called with the fraction done.
         timeout : float, s, optional
-            Of real time, for the data to be complete. Default: none with a trigger, else twice the time plus 10 s.
+            Of real time, for the data to be complete. Default: none with a trigger, else twice the
+            time plus 10 s.
         patience : float, s
             For a broken link to come back; the transfer resumes where it stopped.
 
@@ -81,22 +83,28 @@ class Acquisition(ParameterSets, Transfers):
         Raises
         ------
         AcquisitionError
-            No such channel, or more rows than the target can keep (on the real clock and without a trigger these are fetched
-            while they are recorded, so that only the host's memory counts).
+            No such channel, or more rows than the target can keep (on the real clock and without a
+            trigger these are fetched while they are recorded, so that only the host's memory
+            counts).
         Refused
             The program does not run, or another host is recording.
         RunnerDied
-            The program crashed meanwhile; :meth:`acquire_load` brings home what was recorded until then.
+            The program crashed meanwhile; :meth:`acquire_load` brings home what was recorded until
+            then.
         """
         status: m.Status = self.request("status")
         if status.state != ProgramState.RUNNING and not start:
             raise Refused(
-                f"nothing to record: the program is {status.state}; start it first, or give start=True"
+                f"nothing to record: the program is {status.state}; start it first, or give"
+                " start=True"
             )
-        ring_s = self._configure_shot(channels, seconds, decimation, trigger, take, status.clock == "real")
+        ring_s = self._configure_shot(
+            channels, seconds, decimation, trigger, take, status.clock == "real"
+        )
         self.request("acquire_start")
         if start:
-            # The row of the last wanted sample is written in that sample: so many ticks and not one more.
+            # The row of the last wanted sample is written in that sample: so many ticks and not one
+            # more.
             self.request("start", ticks=max(1, round(seconds * status.rate_hz)))
         if timeout is None and trigger is None:
             timeout = 2.0 * seconds + 10.0
@@ -114,12 +122,15 @@ class Acquisition(ParameterSets, Transfers):
         take: bool,
         may_follow: bool,
     ) -> float:
-        """Configure a shot, or a ring as long as the target has memory for; returns the seconds that are held."""
+        """Configure a shot, or a ring as long as the target has memory for; returns the seconds
+        that are held.
+        """
         try:
             self.acquire_configure(channels, seconds, decimation, trigger, take=take)
             return seconds
         except TooLarge as error:
-            # Only a loop that keeps to real time can be followed; and a trigger needs the whole shot in one piece.
+            # Only a loop that keeps to real time can be followed; and a trigger needs the whole
+            # shot in one piece.
             if trigger is not None or not may_follow:
                 raise
             held = seconds / 2.0
@@ -140,7 +151,9 @@ class Acquisition(ParameterSets, Transfers):
         patience: float,
         progress: Callable[[float], None] | None,
     ) -> Recording:
-        """Bring rows home while they are recorded, for shots that do not fit into the target's memory."""
+        """Bring rows home while they are recorded, for shots that do not fit into the target's
+        memory.
+        """
         deadline = None if timeout is None else time.monotonic() + timeout
         status: m.AcquireStatus = self.insist("acquire_status", patience)
         data: FloatArray = np.full((wanted, len(status.channels)), np.nan)
@@ -158,12 +171,18 @@ class Acquisition(ParameterSets, Transfers):
                     )
                     have += count
                 except AcquisitionError:
-                    continue  # the oldest of them were overwritten on the way: look again where the ring begins
+                    # the oldest of them were overwritten on the way: look again where the ring
+                    # begins
+                    continue
                 if progress is not None:
                     progress(have / wanted)
                 continue
-            if status.state != RecorderState.RUNNING or (deadline is not None and time.monotonic() > deadline):
-                raise AcquisitionError(f"the recording ended after {have} of {wanted} rows ({status.state})")
+            if status.state != RecorderState.RUNNING or (
+                deadline is not None and time.monotonic() > deadline
+            ):
+                raise AcquisitionError(
+                    f"the recording ended after {have} of {wanted} rows ({status.state})"
+                )
             time.sleep(POLL_S)
         self.request("acquire_stop")
         status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
@@ -234,7 +253,10 @@ class Acquisition(ParameterSets, Transfers):
         return result
 
     def acquire_load(
-        self, note: str = "", progress: Callable[[float], None] | None = None, patience: float = PATIENCE_S
+        self,
+        note: str = "",
+        progress: Callable[[float], None] | None = None,
+        patience: float = PATIENCE_S,
     ) -> Recording:
         """Bring home what the recorder holds, also after a crash of the program.
 
@@ -275,7 +297,8 @@ class Acquisition(ParameterSets, Transfers):
         progress: Callable[[float], None] | None = None,
         patience: float = PATIENCE_S,
     ) -> Recording:
-        """Wait until the recorder has all it wants and load it; a continuous ring is stopped as it is.
+        """Wait until the recorder has all it wants and load it; a continuous ring is stopped as it
+        is.
 
         Parameters
         ----------
@@ -303,10 +326,14 @@ class Acquisition(ParameterSets, Transfers):
         return self.acquire_load(note, None, patience)
 
     def _end_ring(self, patience: float) -> None:
-        """Stop a ring and wait until the loop has seen it: what is loaded then no longer changes."""
+        """Stop a ring and wait until the loop has seen it: what is loaded then no longer changes.
+        """
         self.acquire_stop()
         deadline = time.monotonic() + END_S
-        while self.insist("acquire_status", patience).state == RecorderState.RUNNING and time.monotonic() < deadline:
+        while (
+            self.insist("acquire_status", patience).state == RecorderState.RUNNING
+            and time.monotonic() < deadline
+        ):
             time.sleep(POLL_S)
 
     def _wait_done(
@@ -324,16 +351,22 @@ class Acquisition(ParameterSets, Transfers):
                 raise _loadable(RunnerDied(overall.crash))
             if status.state in ENDED:
                 return status  # ended before it was full, by a host
-            if overall.state != ProgramState.RUNNING and self.insist("acquire_status", patience).state not in ENDED:
+            if (
+                overall.state != ProgramState.RUNNING
+                and self.insist("acquire_status", patience).state not in ENDED
+            ):
                 self.request("acquire_stop")
                 raise _loadable(Incomplete(
                     f"the program was {overall.state} before the recording was complete "
                     f"({status.count} of {status.wanted} rows)"
                 ))  # fmt: skip
             if deadline is not None and time.monotonic() > deadline:
-                raise _loadable(Incomplete(
-                    f"the recording is not complete after {timeout:g} s ({status.count} of {status.wanted} rows, {status.state})"
-                ))  # fmt: skip
+                raise _loadable(
+                    Incomplete(
+                        f"the recording is not complete after {timeout:g} s ({status.count} of"
+                        f" {status.wanted} rows, {status.state})"
+                    )
+                )
             time.sleep(POLL_S)
 
 

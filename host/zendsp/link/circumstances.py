@@ -21,7 +21,12 @@ from zendsp_protocol.version import PROTOCOL
 
 
 def describe(
-    target: ParameterSets, status: m.AcquireStatus, first: int, data: FloatArray, note: str, patience: float
+    target: ParameterSets,
+    status: m.AcquireStatus,
+    first: int,
+    data: FloatArray,
+    note: str,
+    patience: float,
 ) -> Recording:
     """Make the recording of rows that were loaded.
 
@@ -60,7 +65,9 @@ def describe(
         decimation=status.decimation,
         trigger_row=status.trigger_row - first if status.trigger_row >= 0 else -1,
         lost=status.lost,
-        timing={name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()},
+        timing={
+            name: plain(value) for name, value in msgspec.structs.asdict(overall.timing).items()
+        },
         log=tuple(_change(change) for change in changes if change.tick <= last),
         parameters=parameters_at(last, read, changes),
         sources=dict(program.sources),
@@ -113,11 +120,16 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
     --------
     >>> [(c.name, c.width) for c in join_channels(["q[0]", "q[1]", "u", "e[0]"], ["rad", "rad", "V", "rad"])]
     [('q', 2), ('u', 1), ('e[0]', 1)]
-    """
+    """  # noqa: E501
     channels: list[Channel] = []
     for name, unit in zip(columns, units, strict=True):
         element = split_element(name)
-        if element and element[1] > 0 and channels and channels[-1] == Channel(element[0], unit, element[1]):
+        if (
+            element
+            and element[1] > 0
+            and channels
+            and channels[-1] == Channel(element[0], unit, element[1])
+        ):
             channels[-1] = Channel(element[0], unit, element[1] + 1)
         elif element and element[1] == 0:
             channels.append(Channel(element[0], unit, 1))
@@ -125,7 +137,9 @@ def join_channels(columns: Sequence[str], units: Sequence[str]) -> tuple[Channel
             channels.append(Channel(name, unit))
     vectors = {c.name for c in channels if c.width > 1}
     alone = {e[0] for name in columns if (e := split_element(name)) and e[1] == 0} - vectors
-    return tuple(Channel(f"{c.name}[0]", c.unit) if c.name in alone and c.width == 1 else c for c in channels)
+    return tuple(
+        Channel(f"{c.name}[0]", c.unit) if c.name in alone and c.width == 1 else c for c in channels
+    )
 
 
 def _extra(overall: m.Status) -> dict[str, Any]:
@@ -134,7 +148,12 @@ def _extra(overall: m.Status) -> dict[str, Any]:
 
 def _change(change: m.Change) -> ParameterChange:
     return ParameterChange(
-        change.tick, change.host_time, change.name, plain(change.old), plain(change.new), change.author
+        change.tick,
+        change.host_time,
+        change.name,
+        plain(change.old),
+        plain(change.new),
+        change.author,
     )
 
 

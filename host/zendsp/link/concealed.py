@@ -19,7 +19,8 @@ class Truth:
     Attributes
     ----------
     effects : tuple of mapping
-        Each with "effect", "joint" (1-based) and "parameters" {name: {"value", "unit"}}, as a report's findings.
+        Each with "effect", "joint" (1-based) and "parameters" {name: {"value", "unit"}}, as a
+        report's findings.
     source : str
         "seed:17", the name of a file, or "none".
     friction : str
@@ -63,9 +64,14 @@ class Concealment(Requests):
 
         if hashlib.sha256(answer.record.encode()).hexdigest() != answer.sha256:
             raise LinkError(
-                f"the target revealed a record that does not fit its seal {answer.sha256[:12]}…: do not trust it, start the target again"
+                f"the target revealed a record that does not fit its seal {answer.sha256[:12]}…: do"
+                " not trust it, start the target again"
             )
         record = json.loads(answer.record)
         return Truth(
-            tuple(record["effects"]), record["source"], record["friction"], answer.sha256, answer.tick
+            tuple(record["effects"]),
+            record["source"],
+            record["friction"],
+            answer.sha256,
+            answer.tick,
         )

@@ -42,8 +42,8 @@ def connect(
     name : str
         Name of the target; may be left out where only one runs on this machine.
     connect : str or sequence of str, optional
-        Zenoh endpoints, for example ``"tls/robot.lab:7447"``. Default: ``$ZENDSP_CONNECT``, else the entry that a target
-        on this machine leaves in the user's runtime directory.
+        Zenoh endpoints, for example ``"tls/robot.lab:7447"``. Default: ``$ZENDSP_CONNECT``, else
+        the entry that a target on this machine leaves in the user's runtime directory.
     credentials : Credentials, optional
         Default: from the environment (``ZENDSP_TLS_CA``, ``ZENDSP_USER``, …).
     timeout : float, s
@@ -78,17 +78,26 @@ def connect(
 def locate(
     name: str, connect: str | Sequence[str] | None = None
 ) -> tuple[str, list[str], Credentials | None]:
-    """Find name and endpoints of the target meant, and what lets its own user in where it runs here."""
+    """Find name and endpoints of the target meant, and what lets its own user in where it runs
+    here.
+    """
     entries = {entry.name: entry for entry in local_entries()}
     endpoints = remote_endpoints(connect)
     if not name and endpoints:
         from zendsp.link.find import discover
 
-        names = [found.name for found in discover("*", endpoints) if found.endpoints[0] in endpoints]
+        names = [
+            found.name for found in discover("*", endpoints) if found.endpoints[0] in endpoints
+        ]
         if not names:
-            raise LinkError(f"no target answers at {', '.join(endpoints)}: is it running, and may this host reach it?")
+            raise LinkError(
+                f"no target answers at {', '.join(endpoints)}: is it running, and may this host"
+                " reach it?"
+            )
         if len(names) > 1:
-            raise LinkError(f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}")
+            raise LinkError(
+                f"name the target: at {', '.join(endpoints)} there are {', '.join(names)}"
+            )
         return names[0], endpoints, None
     if endpoints:
         return name, endpoints, None
@@ -96,7 +105,8 @@ def locate(
     if not name:
         if not entries:
             raise LinkError(
-                "no target runs on this machine. Start one with 'zendsp target', or say where it is with connect= or ZENDSP_CONNECT"
+                "no target runs on this machine. Start one with 'zendsp target', or say where it is"
+                " with connect= or ZENDSP_CONNECT"
             )
         if len(entries) > 1:
             raise LinkError(f"name the target: on this machine there run {running}")
@@ -152,11 +162,26 @@ def local(
     """
     name = name or f"{Path(machine).stem}-{os.getpid()}-{time.monotonic_ns() % 100_000}"
     command = [
-        sys.executable, "-m", "zendsp_target", "--machine", machine, "--name", name, "--rate", repr(float(rate)),
-        "--clock", clock, "--parent", str(os.getpid()), "--json", *options,
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "zendsp_target",
+        "--machine",
+        machine,
+        "--name",
+        name,
+        "--rate",
+        repr(float(rate)),
+        "--clock",
+        clock,
+        "--parent",
+        str(os.getpid()),
+        "--json",
+        *options,
+    ]
     said = tempfile.TemporaryFile()
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said)
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said
+    )
     try:
         _wait_ready(process, said, timeout)
         name, endpoints, own = locate(name, [])
@@ -177,7 +202,9 @@ def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: floa
         process.terminate()
         said.seek(0)
         words = said.read().decode(errors="replace").strip()
-        why = words or (f"nothing was heard of it within {timeout:g} s" if not ready else "it said nothing")
+        why = words or (
+            f"nothing was heard of it within {timeout:g} s" if not ready else "it said nothing"
+        )
         raise LinkError(f"the target did not start: {why}") from None
 
 

@@ -12,7 +12,8 @@ class Drives(Requests):
     """Methods of a target that concern the machine."""
 
     def machine(self) -> m.MachineInfo:
-        """Joints with their units and scales, analog and digital inputs, whether it must be homed."""
+        """Joints with their units and scales, analog and digital inputs, whether it must be homed.
+        """
         result: m.MachineInfo = self.request("machine")
         return result
 
@@ -30,7 +31,8 @@ class Drives(Requests):
         command_max: Sequence[float] | None = None,
         torque_clamp: bool | None = None,
     ) -> int:
-        """Change limits, one entry per joint; what is None stays. Returns the sequence number of the change.
+        """Change limits, one entry per joint; what is None stays. Returns the sequence number of
+        the change.
 
         Parameters
         ----------
@@ -48,12 +50,16 @@ class Drives(Requests):
             "torque_max": torque_max,
             "command_max": command_max,
         }
-        given = {name: [float(x) for x in values] for name, values in lists.items() if values is not None}
+        given = {
+            name: [float(x) for x in values] for name, values in lists.items() if values is not None
+        }
         written: m.Written = self.request("set_limits", torque_clamp=torque_clamp, **given)  # type: ignore[arg-type]
         return written.sequence
 
     def set_drive(self, mode: str) -> None:
-        """Tell the drives ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"``: on at start, off at pause."""
+        """Tell the drives ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"``: on at start, off
+        at pause.
+        """
         self.request("set_drive", mode=mode)
 
     def home(self) -> None:
@@ -65,7 +71,9 @@ class Drives(Requests):
         self.request("set_ramp", seconds=float(seconds))
 
     def set_overrun(self, policy: str, limit: int = 10) -> None:
-        """Choose what an overrun does: ``"count"``, ``"skip"``, or ``"trip"`` after ``limit`` in a row."""
+        """Choose what an overrun does: ``"count"``, ``"skip"``, or ``"trip"`` after ``limit`` in a
+        row.
+        """
         self.request("set_overrun", policy=policy, limit=limit)
 
     def set_inputs(self, bits: int) -> None:

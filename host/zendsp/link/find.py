@@ -1,4 +1,6 @@
-"""Find targets: those of this machine through their registry entries, others through the endpoints one names."""
+"""Find targets: those of this machine through their registry entries, others through the endpoints
+one names.
+"""
 
 from __future__ import annotations
 
@@ -106,22 +108,33 @@ def discover(
 
 
 def reach(entry: registry.Entry) -> tuple[list[str], Credentials | None]:
-    """Where a target of this user listens for its own user, and what lets it in; None where it asks for what anyone needs."""
+    """Where a target of this user listens for its own user, and what lets it in; None where it asks
+    for what anyone needs.
+    """
     sockets = [endpoint for endpoint in entry.endpoints if endpoint.startswith("unixsock-stream/")]
     if sockets or entry.user:
-        return sockets or entry.endpoints, Credentials(user=entry.user, password=entry.password, own=True)
+        return sockets or entry.endpoints, Credentials(
+            user=entry.user, password=entry.password, own=True
+        )
     return entry.endpoints, None
 
 
-def _ask_all(places: Sequence[tuple[Sequence[str], Credentials | None]], timeout: float) -> list[list[Found]]:
-    """What answers at each place; all are asked at once, so that one that is silent delays nobody else."""
+def _ask_all(
+    places: Sequence[tuple[Sequence[str], Credentials | None]], timeout: float
+) -> list[list[Found]]:
+    """What answers at each place; all are asked at once, so that one that is silent delays nobody
+    else.
+    """
     answers: list[list[Found]] = [[] for _ in places]
 
     def ask(k: int) -> None:
         endpoints, credentials = places[k]
         answers[k] = _ask(endpoints, timeout, credentials)
 
-    threads = [threading.Thread(target=ask, args=(k,), name="looking", daemon=True) for k in range(1, len(places))]
+    threads = [
+        threading.Thread(target=ask, args=(k,), name="looking", daemon=True)
+        for k in range(1, len(places))
+    ]
     for thread in threads:
         thread.start()
     if places:
@@ -131,7 +144,9 @@ def _ask_all(places: Sequence[tuple[Sequence[str], Credentials | None]], timeout
     return answers
 
 
-def _ask(endpoints: Sequence[str], timeout: float, credentials: Credentials | None = None) -> list[Found]:
+def _ask(
+    endpoints: Sequence[str], timeout: float, credentials: Credentials | None = None
+) -> list[Found]:
     try:
         session = open_session(endpoints, credentials or Credentials.from_environment(), timeout)
     except LinkError:
@@ -150,7 +165,9 @@ def _ask(endpoints: Sequence[str], timeout: float, credentials: Credentials | No
             except VersionMismatch as error:
                 found.append(Found(name, tuple(endpoints), None, str(error)))
             except LinkError as error:
-                found.append(Found(name, tuple(endpoints), None, f"its description cannot be read: {error}"))
+                found.append(
+                    Found(name, tuple(endpoints), None, f"its description cannot be read: {error}")
+                )
     finally:
         session.close()  # type: ignore[no-untyped-call]
     return found

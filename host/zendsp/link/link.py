@@ -87,7 +87,9 @@ class Link:
             if not self._alive.wait(timeout):
                 raise LinkError(_not_there(self._session, target, endpoints))
             liveliness = self._session.liveliness()
-            self._token = liveliness.declare_token(keys.host(target, self.author)) if shown else None
+            self._token = (
+                liveliness.declare_token(keys.host(target, self.author)) if shown else None
+            )
             self._queriers = {lane: self._querier(lane) for lane in ("quick", "sync", "stop")}
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -109,7 +111,9 @@ class Link:
         return self._alive.wait(timeout)
 
     def on_return(self, callback: Callable[[], None]) -> None:
-        """Have ``callback`` called, in a thread of its own, whenever the target comes back after an outage."""
+        """Have ``callback`` called, in a thread of its own, whenever the target comes back after an
+        outage.
+        """
         self._returned.append(callback)
 
     def forget(self, callback: Callable[[], None]) -> None:
@@ -145,10 +149,16 @@ class Link:
             else:
                 reply = self._patient(row, payload, timeout or row.timeout)
         sample = reply.ok
-        return self._refused(reply, row) if sample is None else codec.decode_reply(sample.payload.to_bytes(), row.result)
+        return (
+            self._refused(reply, row)
+            if sample is None
+            else codec.decode_reply(sample.payload.to_bytes(), row.result)
+        )
 
     def _quick(self, row: Verb, querier: zenoh.Querier, payload: bytes) -> zenoh.Reply:
-        """Ask until an answer comes: a target that others flood with requests drops some of them, unanswered."""
+        """Ask until an answer comes: a target that others flood with requests drops some of them,
+        unanswered.
+        """
         limit = STOP_S if row.lane == "stop" else row.timeout
         begin = time.monotonic()
         while True:
@@ -159,8 +169,12 @@ class Link:
                     raise self.silence(row.name, limit) from error
                 time.sleep(AGAIN_S)
 
-    def _once(self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None) -> zenoh.Reply:
-        """Have a change carried out once: where the link breaks, the request is sent again, and the target knows it by its stamp."""
+    def _once(
+        self, row: Verb, querier: zenoh.Querier | None, payload: bytes, timeout: float | None
+    ) -> zenoh.Reply:
+        """Have a change carried out once: where the link breaks, the request is sent again, and the
+        target knows it by its stamp.
+        """
         number, instance = next(self._requests), self.instance
         first = stamp(self._name, number, instance, FIRST)
         deadline = time.monotonic() + (timeout or row.timeout)
@@ -171,20 +185,33 @@ class Link:
         except (zenoh.ZError, LinkError):
             pass  # its request or its reply is lost
         again = stamp(self._name, number, instance, AGAIN)
-        while not self.closed and (left := deadline - time.monotonic()) > 0 and self._comes_back(left):
-            # it may be that the news of a death, or of the lanes of one that is back, is a moment behind
+        while (
+            not self.closed and (left := deadline - time.monotonic()) > 0 and self._comes_back(left)
+        ):
+            # it may be that the news of a death, or of the lanes of one that is back, is a moment
+            # behind
             with contextlib.suppress(LinkError):
                 return self._patient(row, payload, max(left, STEP_S), again)
         if not self.closed and self._alive.is_set():
             with contextlib.suppress(LinkError):
-                return self._patient(row, payload, SETTLE_S, stamp(self._name, number, instance, SETTLE))
+                return self._patient(
+                    row, payload, SETTLE_S, stamp(self._name, number, instance, SETTLE)
+                )
         error = self.silence(row.name, timeout or row.timeout)
-        raise type(error)(f"{error}. Whether it was applied cannot be known from here: look at the target when it is back") from None
+        raise type(error)(
+            f"{error}. Whether it was applied cannot be known from here: look at the target when it"
+            " is back"
+        ) from None
 
     def stream(
-        self, verb: str, arguments: Any, on_part: Callable[[bytes, bytes], None], timeout: float | None = None
+        self,
+        verb: str,
+        arguments: Any,
+        on_part: Callable[[bytes, bytes], None],
+        timeout: float | None = None,
     ) -> None:
-        """Send a request that is answered in many parts, each with an attachment, and a last one without.
+        """Send a request that is answered in many parts, each with an attachment, and a last one
+        without.
 
         Parameters
         ----------
@@ -215,10 +242,12 @@ class Link:
             return LinkError(f"the connection to {self.target!r} is closed")
         if not self._alive.is_set() or not self._still_there():
             return LinkError(
-                f"target {self.target!r} at {where} is gone: {verb!r} was not answered. It ended, was killed or is cut off; "
-                "the connection comes back by itself if it does"
+                f"target {self.target!r} at {where} is gone: {verb!r} was not answered. It ended,"
+                " was killed or is cut off; the connection comes back by itself if it does"
             )
-        return NoAnswer(f"target {self.target!r} at {where} did not answer {verb!r} within {timeout:g} s")
+        return NoAnswer(
+            f"target {self.target!r} at {where} did not answer {verb!r} within {timeout:g} s"
+        )
 
     def close(self) -> None:
         """End the session; the target goes on."""
@@ -233,7 +262,8 @@ class Link:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def disown(self) -> None:
-        """After a fork, in the child: the session belongs to the parent, and its threads are not here.
+        """After a fork, in the child: the session belongs to the parent, and its threads are not
+        here.
 
         Even freeing it would wait for these threads for ever, so it is never freed.
         """
@@ -268,14 +298,21 @@ class Link:
             express=True,
         )
 
-    def _patient(self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None) -> zenoh.Reply:
+    def _patient(
+        self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None
+    ) -> zenoh.Reply:
         """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
         for reply in self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment):
             return reply
         raise self.silence(row.name, timeout)
 
     def _replies(
-        self, row: Verb, payload: bytes, timeout: float, priority: zenoh.Priority, attachment: bytes | None = None
+        self,
+        row: Verb,
+        payload: bytes,
+        timeout: float,
+        priority: zenoh.Priority,
+        attachment: bytes | None = None,
     ) -> Iterator[zenoh.Reply]:
         """Yield replies as they come, until the last, or until the target is gone."""
         giving_up = zenoh.CancellationToken()
@@ -286,7 +323,8 @@ class Link:
                 zenoh.handlers.FifoChannel(WAITING),
                 payload=payload,
                 attachment=attachment,
-                consolidation=zenoh.ConsolidationMode.NONE,  # otherwise parts on the same key would replace one another
+                # otherwise parts on the same key would replace one another
+                consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout,
                 priority=priority,
                 cancellation_token=giving_up,
@@ -303,12 +341,16 @@ class Link:
         raise NoAnswer(f"{row.name!r} was not answered by {self.target!r}: {text}")
 
     def _still_there(self) -> bool:
-        """Ask the link once more: the news of a death may be a moment behind the end of its last request."""
+        """Ask the link once more: the news of a death may be a moment behind the end of its last
+        request.
+        """
         self._lost.wait(STEP_S)
         return self._alive.is_set()
 
     def _comes_back(self, timeout: float) -> bool:
-        """Wait until the target is reachable; False also as soon as it is known that its process has ended."""
+        """Wait until the target is reachable; False also as soon as it is known that its process
+        has ended.
+        """
         from zendsp.link.find import local_entries
 
         deadline = time.monotonic() + timeout
@@ -320,9 +362,14 @@ class Link:
         return True
 
     def _meet(self) -> None:
-        """Learn which run of the target has come back; with a timeout, so that no querier is in use when the link is closed."""
+        """Learn which run of the target has come back; with a timeout, so that no querier is in use
+        when the link is closed.
+        """
         with contextlib.suppress(ZendspError):
-            self.instance = bytes.fromhex(self.request("info", {}, VERBS["info"].timeout).instance) or self.instance
+            self.instance = (
+                bytes.fromhex(self.request("info", {}, VERBS["info"].timeout).instance)
+                or self.instance
+            )
 
     def _liveliness(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
@@ -370,11 +417,12 @@ def _undeclare(querier: zenoh.Querier) -> None:
 
 
 def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
-    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for a little; return it.
+    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for
+    a little; return it.
 
-    Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it, and Rust takes
-    the whole process down for that ("FATAL: exception not rethrown"): so the links are closed first, which ends
-    what waits in Zenoh, and these threads are given the time to leave.
+    Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it,
+    and Rust takes the whole process down for that ("FATAL: exception not rethrown"): so the links
+    are closed first, which ends what waits in Zenoh, and these threads are given the time to leave.
     """
     thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
     _background.add(thread)
@@ -385,11 +433,13 @@ def background(name: str, work: Callable[..., object], *arguments: object) -> th
 class Listener:
     """Calls ``take`` with each sample of a subscriber, in a thread that no process ever waits for.
 
-    A Python callback of Zenoh's has a thread that Python joins before anything registered with ``atexit`` runs: a
-    script that does not close its session would never end.
+    A Python callback of Zenoh's has a thread that Python joins before anything registered with
+    ``atexit`` runs: a script that does not close its session would never end.
     """
 
-    def __init__(self, subscriber: zenoh.Subscriber[Any], take: Callable[[zenoh.Sample], None], name: str) -> None:
+    def __init__(
+        self, subscriber: zenoh.Subscriber[Any], take: Callable[[zenoh.Sample], None], name: str
+    ) -> None:
         self._subscriber = subscriber
         background(name, _pull, subscriber.handler, take)
 
@@ -410,7 +460,9 @@ def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:
             sys.excepthook(*sys.exc_info())
 
 
-def open_session(endpoints: Sequence[str], credentials: Credentials, timeout: float) -> zenoh.Session:
+def open_session(
+    endpoints: Sequence[str], credentials: Credentials, timeout: float
+) -> zenoh.Session:
     """Open a Zenoh session with at least one of ``endpoints``.
 
     Raises
@@ -423,13 +475,19 @@ def open_session(endpoints: Sequence[str], credentials: Credentials, timeout: fl
         session = zenoh.open(zenoh_config(endpoints, credentials, timeout))
     except zenoh.ZError as error:
         secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
-        doubt = ", or it refuses the certificate or password given" if secured or credentials.user else ""
+        doubt = (
+            ", or it refuses the certificate or password given"
+            if secured or credentials.user
+            else ""
+        )
         raise LinkError(
             f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
         ) from error
     if not session.info.peers_zid() and not session.info.routers_zid():
         session.close()  # type: ignore[no-untyped-call]
-        raise LinkError(f"nothing answers at {where}, or it refuses the certificate or password given")
+        raise LinkError(
+            f"nothing answers at {where}, or it refuses the certificate or password given"
+        )
     return session
 
 
@@ -444,13 +502,17 @@ def _not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) ->
 
 
 def _author(identity: str = "") -> str:
-    """Name this connection: user, machine, process, and a number from the second one on; fit for a key."""
+    """Name this connection: user, machine, process, and a number from the second one on; fit for a
+    key.
+    """
     try:
         user = identity or getpass.getuser()
     except (KeyError, OSError):  # a container without an entry for its user
         user = str(os.getuid())
     number = next(_numbers)
-    name = f"{user}@{platform.node() or 'host'}:{os.getpid()}" + (f".{number}" if number > 1 else "")
+    name = f"{user}@{platform.node() or 'host'}:{os.getpid()}" + (
+        f".{number}" if number > 1 else ""
+    )
     return re.sub(r"[^\w@:.-]", "_", name)
 
 

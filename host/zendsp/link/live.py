@@ -1,4 +1,6 @@
-"""Live views: the newest samples of chosen channels, as an iterator, a callback, or a snapshot to pull."""
+"""Live views: the newest samples of chosen channels, as an iterator, a callback, or a snapshot to
+pull.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +57,8 @@ class LiveBlock:
 class LiveView:
     """A subscription to the newest samples; close it, or use it in a ``with``.
 
-    Three ways to read it: iterate over blocks, give a callback, or pull :meth:`latest` and :meth:`window` whenever the
-    screen is drawn (the cheapest).
+    Three ways to read it: iterate over blocks, give a callback, or pull :meth:`latest` and
+    :meth:`window` whenever the screen is drawn (the cheapest).
     """
 
     def __init__(
@@ -95,7 +97,8 @@ class LiveView:
         self._rows_kept = max(1, round(self._history / opened.sample_time))
         self._rate = self._arguments["decimation"] / opened.sample_time
         self._stream = opened.stream
-        # A ring: a slow callback loses its own oldest rows (counted as lost), and never holds up the link.
+        # A ring: a slow callback loses its own oldest rows (counted as lost), and never holds up
+        # the link.
         ring: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(WAITING)
         subscriber = self._requests.link.session.declare_subscriber(opened.key, ring)
         self._subscriber = Listener(subscriber, self._take, "live")
@@ -164,10 +167,14 @@ class LiveView:
             if not self._kept:
                 return {}
             block = self._kept[-1]
-        return {"t": float(block.t[-1]), **dict(zip(self.columns, block.data[-1].tolist(), strict=True))}
+        return {
+            "t": float(block.t[-1]),
+            **dict(zip(self.columns, block.data[-1].tolist(), strict=True)),
+        }
 
     def window(self) -> tuple[FloatArray, FloatArray]:
-        """Return the last ``history`` s: times (N,) and data (N, columns); gaps are one row of NaN."""
+        """Return the last ``history`` s: times (N,) and data (N, columns); gaps are one row of NaN.
+        """
         with self._lock:
             blocks = list(self._kept)
         times: list[FloatArray] = []
@@ -225,11 +232,13 @@ class LiveViews(Requests):
         decimation : int
             Every how many samples a row is taken.
         interval : float, s
-            Between messages at the least: 1 ms for the least lag, 20 ms for a screen at a fraction of the cost.
+            Between messages at the least: 1 ms for the least lag, 20 ms for a screen at a fraction
+            of the cost.
         history : float, s
             Kept for :meth:`LiveView.window`.
         callback : callable, optional
-            Called with each :class:`LiveBlock` in a thread of the view's own; a slow one loses rows.
+            Called with each :class:`LiveBlock` in a thread of the view's own; a slow one loses
+            rows.
         """
         names = [channels] if isinstance(channels, str) else list(channels)
         arguments = {"channels": names, "decimation": decimation, "interval": interval}

@@ -54,9 +54,16 @@ class ParameterSet:
 
     def save(self, path: str | Path) -> Path:
         """Write the set as JSON that a person can read and edit."""
-        body = {"zendsp_parameters": FORM, "target": self.target, "program": self.program, "note": self.note}
+        body = {
+            "zendsp_parameters": FORM,
+            "target": self.target,
+            "program": self.program,
+            "note": self.note,
+        }
         path = Path(path)
-        path.write_text(json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n", encoding="utf-8")
+        path.write_text(
+            json.dumps(body | {"values": dict(self.values)}, indent=2) + "\n", encoding="utf-8"
+        )
         return path
 
     @classmethod
@@ -75,7 +82,10 @@ class ParameterSet:
                     f"{path}: is of layout {body['zendsp_parameters']}, this zendsp reads {FORM}"
                 )
             return cls(
-                dict(body["values"]), body.get("program", ""), body.get("target", ""), body.get("note", "")
+                dict(body["values"]),
+                body.get("program", ""),
+                body.get("target", ""),
+                body.get("note", ""),
             )
         except (OSError, ValueError, KeyError, TypeError) as error:
             if isinstance(error, VariableError):
@@ -129,7 +139,11 @@ class ParameterSets(Variables):
 
     def parameter_names(self) -> list[str]:
         """Names of all parameters of the running code; large arrays are data, not parameters."""
-        return [i.name for i in self.variables().values() if i.kind == "parameter" and i.length <= LARGEST]
+        return [
+            i.name
+            for i in self.variables().values()
+            if i.kind == "parameter" and i.length <= LARGEST
+        ]
 
 
 def _same(a: Any, b: Any) -> bool:

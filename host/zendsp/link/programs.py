@@ -26,7 +26,9 @@ WATCHED_S = 0.25  # of the target's time: a program that runs for so long has be
 def stopped(status: m.Status) -> str:
     """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
     if status.trip is None:
-        what = "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
+        what = (
+            "no program is loaded" if status.state == ProgramState.EMPTY else "the program crashed"
+        )
         return f"stopped: {what}, nothing moves"
     why = "" if status.trip.reason == "stop" else f" ({status.trip.text})"
     return f"stopped, at sample {status.trip.tick}{why}"
@@ -34,7 +36,14 @@ def stopped(status: m.Status) -> str:
 
 def stopped_at(sample: int) -> m.Status:
     """What is known once the loop has taken a STOP, where the target itself does not answer."""
-    trip = m.Trip(reason="stop", joint=0, tick=sample, value=0.0, limit=0.0, text=f"STOP was requested (sample {sample})")
+    trip = m.Trip(
+        reason="stop",
+        joint=0,
+        tick=sample,
+        value=0.0,
+        limit=0.0,
+        text=f"STOP was requested (sample {sample})",
+    )
     return m.Status(state=ProgramState.STOPPED, drive=DriveState.STOPPED, tick=sample, trip=trip)
 
 
@@ -50,7 +59,8 @@ class Programs(Requests):
         Parameters
         ----------
         source : path, or mapping of file name to text
-            A path brings the headers beside it that it includes. The bare name of an example of this package will do too.
+            A path brings the headers beside it that it includes. The bare name of an example of
+            this package will do too.
         flags : sequence of str
             Further flags for the compiler.
 
@@ -64,7 +74,8 @@ class Programs(Requests):
         CompileFailed
             With file, line and column of each message; the attribute ``result`` holds them.
         """
-        from zendsp_isr.sources import gather  # with all that compiles: most commands have nothing to compile
+        # with all that compiles: most commands have nothing to compile
+        from zendsp_isr.sources import gather
 
         result: m.CompileResult = self.request("compile", sources=gather(source), flags=list(flags))
         if not result.ok:
@@ -102,7 +113,8 @@ class Programs(Requests):
         return result
 
     def start(self, ticks: int | None = None) -> None:
-        """Start or continue the program; with ``ticks`` it pauses by itself after so many samples."""
+        """Start or continue the program; with ``ticks`` it pauses by itself after so many samples.
+        """
         self.request("start", ticks=ticks)
 
     def pause(self) -> None:
@@ -110,14 +122,16 @@ class Programs(Requests):
         self.request("pause")
 
     def stop(self) -> m.Status:
-        """STOP: outputs are safe from the next sample on, and stay so until acknowledged on the target.
+        """STOP: outputs are safe from the next sample on, and stay so until acknowledged on the
+        target.
 
         Returns
         -------
         Status
-            Once the loop itself says that it has stopped, with the sample in ``trip.tick``; at once where no program is
-            loaded or it has crashed: then nothing moves. Where the loop has stopped and the target's own process does not
-            answer, only ``state``, ``tick`` and ``trip`` are known.
+            Once the loop itself says that it has stopped, with the sample in ``trip.tick``; at once
+            where no program is loaded or it has crashed: then nothing moves. Where the loop has
+            stopped and the target's own process does not answer, only ``state``, ``tick`` and
+            ``trip`` are known.
 
         Raises
         ------
@@ -132,30 +146,43 @@ class Programs(Requests):
         try:
             self.request("stop")
             while True:
-                status = self.request("stopped")  # on the lane of STOP: others may flood that of `status`
-                if status.trip is not None or status.state in (ProgramState.EMPTY, ProgramState.CRASHED):
+                # on the lane of STOP: others may flood that of `status`
+                status = self.request("stopped")
+                if status.trip is not None or status.state in (
+                    ProgramState.EMPTY,
+                    ProgramState.CRASHED,
+                ):
                     return status  # type: ignore[no-any-return]
                 if time.monotonic() > begin + STOPPED_S:
-                    raise LinkError(f"asked, but the loop of {self.link.target!r} goes on or hangs: it is {status.state}")
+                    raise LinkError(
+                        f"asked, but the loop of {self.link.target!r} goes on or hangs: it is"
+                        f" {status.state}"
+                    )
                 time.sleep(0.002)
         except ZendspError as error:
             raise NotStopped(f"NOT STOPPED: use the machine's emergency stop ({error})") from error
 
     def stop_page(self) -> StopPage | None:
-        """The file through which :meth:`stop` goes first: only of a target of this user on this computer, None elsewhere."""
+        """The file through which :meth:`stop` goes first: only of a target of this user on this
+        computer, None elsewhere.
+        """
         instance = self.link.instance
         if instance != self._page_of:
             self._page, self._page_of = find(self.link.target, instance), instance
         return self._page
 
     def _stopped_at(self, sample: int) -> m.Status:
-        """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or the target may be stuck."""
+        """The status, with the STOP that the loop has taken: somebody may have acknowledged it, or
+        the target may be stuck.
+        """
         known = stopped_at(sample)
         try:
             status: m.Status = self.request("stopped")
         except LinkError:
             return known
-        return status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
+        return (
+            status if status.trip is not None else msgspec.structs.replace(status, trip=known.trip)
+        )
 
     def acknowledge(self) -> None:
         """Acknowledge a STOP or a trip; nothing moves before the next :meth:`start`."""
@@ -176,7 +203,8 @@ class Programs(Requests):
         return result
 
     def run_for(self, seconds: float, timeout: float | None = None) -> m.Status:
-        """Run for exactly ``seconds`` of the target's time, then pause; on the fast clock this is deterministic.
+        """Run for exactly ``seconds`` of the target's time, then pause; on the fast clock this is
+        deterministic.
 
         Parameters
         ----------
@@ -200,7 +228,8 @@ class Programs(Requests):
         return self.wait(timeout if timeout is not None else 2.0 * seconds + 10.0)
 
     def watch_start(self, seconds: float = WATCHED_S, timeout: float = 5.0) -> m.Status:
-        """Look at the first samples of a program that was started: one that trips or crashes does so there, mostly.
+        """Look at the first samples of a program that was started: one that trips or crashes does
+        so there, mostly.
 
         Parameters
         ----------
@@ -219,11 +248,17 @@ class Programs(Requests):
         while True:
             status = self.status()
             first = status.t if first is None else first
-            if status.state != ProgramState.RUNNING or status.t - first >= seconds or time.monotonic() > deadline:
+            if (
+                status.state != ProgramState.RUNNING
+                or status.t - first >= seconds
+                or time.monotonic() > deadline
+            ):
                 return status
             time.sleep(0.01)
 
-    def wait(self, timeout: float = 60.0, on_status: Callable[[m.Status], None] | None = None) -> m.Status:
+    def wait(
+        self, timeout: float = 60.0, on_status: Callable[[m.Status], None] | None = None
+    ) -> m.Status:
         """Wait until the program no longer runs (paused by itself, stopped, tripped or crashed).
 
         Parameters
@@ -252,20 +287,31 @@ class Programs(Requests):
                 return status
             if time.monotonic() > deadline:
                 raise LinkError(
-                    f"the program still runs after {timeout:g} s (tick {status.tick}); pause or stop it"
+                    f"the program still runs after {timeout:g} s (tick {status.tick}); pause or"
+                    " stop it"
                 )
             time.sleep(pause)
             pause = min(POLL_LAST_S, pause * 1.5)
 
 
 def trouble(status: m.Status) -> str:
-    """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do next; else ``""``."""
+    """Return one line on a program that crashed, or a STOP or trip that is latched, and what to do
+    next; else ``""``.
+    """
     if status.state == ProgramState.CRASHED:
-        return f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or download()"
+        return (
+            f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or"
+            " download()"
+        )
     if status.trip is not None:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
-        cause = (status.trip.text or status.trip.reason).removesuffix("; outputs are safe until acknowledged")
-        return f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then start again"
+        cause = (status.trip.text or status.trip.reason).removesuffix(
+            "; outputs are safe until acknowledged"
+        )
+        return (
+            f"{what}: {cause}; outputs are safe; 'zendsp drive acknowledge' or acknowledge(), then"
+            " start again"
+        )
     return ""
 
 

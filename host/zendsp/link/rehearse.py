@@ -28,7 +28,9 @@ SPEED_S = 0.01  # over which the runtime measures speed
 
 @dataclass(frozen=True)
 class Peak:
-    """The most that one quantity of one joint came to on the twin: value and limit in the joint's own units."""
+    """The most that one quantity of one joint came to on the twin: value and limit in the joint's
+    own units.
+    """
 
     quantity: str  # "torque" | "force" | "speed"
     joint: int  # from 1
@@ -42,7 +44,10 @@ class Peak:
         return abs(self.value / self.limit)
 
     def __str__(self) -> str:
-        return f"{self.quantity} {abs(self.value):.3g} of {self.limit:.3g} {self.unit} (joint {self.joint}, {100 * self.share:.0f} %)"
+        return (
+            f"{self.quantity} {abs(self.value):.3g} of {self.limit:.3g} {self.unit} (joint"
+            f" {self.joint}, {100 * self.share:.0f} %)"
+        )
 
 
 @dataclass(frozen=True)
@@ -52,13 +57,16 @@ class Rehearsal:
     Attributes
     ----------
     simulated : bool
-        False: there is no simulation of this machine here, or it could not be finished; ``text`` says why.
+        False: there is no simulation of this machine here, or it could not be finished; ``text``
+        says why.
     trip : Trip or None
         The limit that would be passed.
     text : str
-        One sentence for people: which limit, when, by how much, and what to do; or how far from the limits it stayed.
+        One sentence for people: which limit, when, by how much, and what to do; or how far from the
+        limits it stayed.
     peaks : tuple of Peak
-        Of each quantity that has a limit, the joint that came nearest to it; empty where the run tripped.
+        Of each quantity that has a limit, the joint that came nearest to it; empty where the run
+        tripped.
     """
 
     simulated: bool
@@ -80,10 +88,11 @@ def rehearse(
     on_progress: Callable[[float], None] | None = None,
     timeout: float = LONGEST_S,
 ) -> Rehearsal:
-    """Run the loaded program on a simulated twin: the same C code, parameters, limits, position and runtime, in fast time.
+    """Run the loaded program on a simulated twin: the same C code, parameters, limits, position and
+    runtime, in fast time.
 
-    The target itself is only read. The twin is the nominal simulation of the machine of that name; what a real machine has
-    beyond it (and what a simulated one conceals) is not in it.
+    The target itself is only read. The twin is the nominal simulation of the machine of that name;
+    what a real machine has beyond it (and what a simulated one conceals) is not in it.
 
     Parameters
     ----------
@@ -108,7 +117,9 @@ def rehearse(
     from importlib import resources
 
     if not resources.files("zendsp_isr").joinpath("machines", f"{info.name}.c").is_file():
-        return Rehearsal(False, None, f"it could not be simulated: there is no simulation of {info.name} here")
+        return Rehearsal(
+            False, None, f"it could not be simulated: there is no simulation of {info.name} here"
+        )
     rate, ticks = status.rate_hz, max(1, round(seconds * status.rate_hz))
     names = [v.name for v in target.variables().values() if v.kind == "parameter"]
     present = dict(target.read(names).values) if names else {}
@@ -128,9 +139,13 @@ def rehearse(
     with local(info.name, clock="fast", rate=rate, options=options) as twin:
         twin.download(dict(program.sources), program.flags)
         twin.set_limits(
-            limits.position_min, limits.position_max, limits.speed_max, limits.torque_max, limits.command_max,
+            limits.position_min,
+            limits.position_max,
+            limits.speed_max,
+            limits.torque_max,
+            limits.command_max,
             limits.torque_clamp,
-        )  # fmt: skip
+        )
         if present or values:
             twin.update(**{**present, **values})
         for name, rows in tables.items():
@@ -142,29 +157,47 @@ def rehearse(
         try:
             ended = twin.wait(timeout, tell)
         except LinkError:
-            return Rehearsal(False, None, f"its simulation took longer than {timeout:g} s: simulate a shorter motion")
+            return Rehearsal(
+                False,
+                None,
+                f"its simulation took longer than {timeout:g} s: simulate a shorter motion",
+            )
         peaks = _peaks(twin.acquire_load(), info.joints, limits) if ended.trip is None else ()
     if ended.trip is None:
         most = f": {', '.join(map(str, peaks))}" if peaks else ""
-        return Rehearsal(True, None, f"no limit is passed in the simulation of {seconds:.1f} s{most}", peaks)
+        return Rehearsal(
+            True, None, f"no limit is passed in the simulation of {seconds:.1f} s{most}", peaks
+        )
     return Rehearsal(True, ended.trip, _words(ended.trip, rate))
 
 
 def _peaks(record: Recording, joints: Sequence[m.JointInfo], limits: m.Limits) -> tuple[Peak, ...]:
-    """The peaks by the runtime's own measures: torque of the command, speed from counts over 10 ms."""
+    """The peaks by the runtime's own measures: torque of the command, speed from counts over 10 ms.
+    """
     cmd, enc = np.atleast_2d(record["cmd"].T).T, np.atleast_2d(record["enc"].T).T
     window = max(1, round(SPEED_S / record.sample_time))
     moved = (enc[window:] - enc[:-window]) / (window * record.sample_time)
     found: dict[str, list[Peak]] = {}
     for j, joint in enumerate(joints):
         for quantity, values, scale, limit in (
-            ("force" if joint.unit == "m" else "torque", cmd[:, j], joint.mv_per_torque, limits.torque_max[j]),
+            (
+                "force" if joint.unit == "m" else "torque",
+                cmd[:, j],
+                joint.mv_per_torque,
+                limits.torque_max[j],
+            ),
             ("speed", moved[:, j], joint.counts_per_unit, limits.speed_max[j]),
         ):
             if scale != 0.0 and np.isfinite(limit) and limit > 0.0 and len(values):
-                unit = f"{joint.unit}/s" if quantity == "speed" else {"force": "N", "torque": "N m"}[quantity]
+                unit = (
+                    f"{joint.unit}/s"
+                    if quantity == "speed"
+                    else {"force": "N", "torque": "N m"}[quantity]
+                )
                 value = values[np.argmax(np.abs(values))] / scale
-                found.setdefault(quantity, []).append(Peak(quantity, j + 1, float(value), limit, unit))
+                found.setdefault(quantity, []).append(
+                    Peak(quantity, j + 1, float(value), limit, unit)
+                )
     return tuple(max(peaks, key=lambda peak: peak.share) for peaks in found.values())
 
 
@@ -172,6 +205,6 @@ def _words(trip: m.Trip, rate: float) -> str:
     what = (trip.text or trip.reason).split(" (sample")[0]
     beyond = f", {100 * (abs(trip.value / trip.limit) - 1):.0f} % beyond it" if trip.limit else ""
     return (
-        f"in the simulation {what} at {trip.tick / rate:.2f} s{beyond}: plan it slower or smaller (headroom), begin nearer "
-        "to its start, or lower the gains"
+        f"in the simulation {what} at {trip.tick / rate:.2f} s{beyond}: plan it slower or smaller"
+        " (headroom), begin nearer to its start, or lower the gains"
     )

@@ -38,7 +38,9 @@ class Requests:
         return self.link.request(verb, arguments, timeout)
 
     def insist(self, verb: str, patience: float = PATIENCE_S, **arguments: Any) -> Any:
-        """Send a request that does no harm when repeated, again after each outage of up to ``patience`` s."""
+        """Send a request that does no harm when repeated, again after each outage of up to
+        ``patience`` s.
+        """
         while True:
             try:
                 return self.request(verb, **arguments)

@@ -1,4 +1,6 @@
-"""Recordings of targets that were killed: their rows outlive them in shared memory, on the same computer and for the same user."""
+"""Recordings of targets that were killed: their rows outlive them in shared memory, on the same
+computer and for the same user.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ else:
     np = Lazily("numpy")
 
 SETTLE_S = 5.0  # for a loop that outlives its monitor by a moment
-LOG_LOST = "changes of parameters made while it recorded are not known; the values are those when it began"
+LOG_LOST = (
+    "changes of parameters made while it recorded are not known; the values are those when it began"
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,10 @@ class Salvage:
 
         found = kept.read(self.folder)
         if found is None:
-            raise AcquisitionError(f"the recording of {self.target!r} is gone: it was dropped, or removed by a later start")
+            raise AcquisitionError(
+                f"the recording of {self.target!r} is gone: it was dropped, or removed by a later"
+                " start"
+            )
         first, data = _rows(self.folder, found)
         about, program = found.about, found.about.program
         start_tick = found.word(self.folder, found.start_at) + first * found.decimation
@@ -98,8 +105,9 @@ class Salvage:
 def find_salvage(target: str = "") -> tuple[Salvage, ...]:
     """Find what targets of this user that were killed had recorded, the newest first.
 
-    A target keeps the last recording that was begun in shared memory until it ends in good order. If it is killed the rows stay,
-    those of the last three killed targets, until they are dropped or the computer is switched off.
+    A target keeps the last recording that was begun in shared memory until it ends in good order.
+    If it is killed the rows stay, those of the last three killed targets, until they are dropped or
+    the computer is switched off.
 
     Parameters
     ----------
@@ -119,7 +127,16 @@ def find_salvage(target: str = "") -> tuple[Salvage, ...]:
             if note is not None and target in ("", note.about.target):
                 about = note.about
                 first, count = _range(folder, note)
-                found.append(Salvage(about.target, about.machine, about.begun, count - first, len(note.columns), folder))
+                found.append(
+                    Salvage(
+                        about.target,
+                        about.machine,
+                        about.begun,
+                        count - first,
+                        len(note.columns),
+                        folder,
+                    )
+                )
     return tuple(sorted(found, key=lambda one: one.begun, reverse=True))
 
 
@@ -139,4 +156,7 @@ def _rows(folder: Path, note: kept.Kept) -> tuple[int, FloatArray]:
         if note.count(folder) == count:
             return first, data
         if time.monotonic() > deadline:
-            raise AcquisitionError(f"the loop of {note.about.target!r} still writes rows: end it, or look whether the target lives")
+            raise AcquisitionError(
+                f"the loop of {note.about.target!r} still writes rows: end it, or look whether the"
+                " target lives"
+            )

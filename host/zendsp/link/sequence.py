@@ -15,8 +15,8 @@ POLL_S = 0.02
 class Sequence(Requests):
     """Methods of a target that concern power, homing, enabling, and who commands.
 
-    Off → ready → homed → enabled → running → stopped or tripped. A script need not use it: as long as nobody has, ``start``
-    switches the drives on and ``pause`` off.
+    Off → ready → homed → enabled → running → stopped or tripped. A script need not use it: as long
+    as nobody has, ``start`` switches the drives on and ``pause`` off.
     """
 
     def drive_status(self) -> m.DriveStatus:
@@ -57,7 +57,9 @@ class Sequence(Requests):
             if status.homed and status.state != ProgramState.RUNNING:
                 return "homed"
             if time.monotonic() > deadline:
-                raise Refused(f"homing is not done after {timeout:g} s; STOP, and look at the machine")
+                raise Refused(
+                    f"homing is not done after {timeout:g} s; STOP, and look at the machine"
+                )
             time.sleep(POLL_S)
 
     def enable(self, mode: str = "torque") -> str:
@@ -93,5 +95,7 @@ class Sequence(Requests):
         return self._drive("release")
 
     def set_host_lost(self, policy: str) -> str:
-        """Choose what happens when the commanding host disappears: ``"stop"``, ``"hold"`` or ``"finish"``."""
+        """Choose what happens when the commanding host disappears: ``"stop"``, ``"hold"`` or
+        ``"finish"``.
+        """
         return self._drive("host_lost", policy=policy)

@@ -37,15 +37,25 @@ class Credentials:
 
     @property
     def identity(self) -> str:
-        """Name under which the target knows this host: its user, or the common name of its certificate; empty for its own user."""
+        """Name under which the target knows this host: its user, or the common name of its
+        certificate; empty for its own user.
+        """
         if self.own:
             return ""
         return self.user or (common_name(self.certificate) if self.certificate else "")
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Credentials:
-        """Read ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``, ``ZENDSP_USER`` and ``ZENDSP_PASSWORD``."""
-        names = ("ZENDSP_TLS_CA", "ZENDSP_TLS_CERT", "ZENDSP_TLS_KEY", "ZENDSP_USER", "ZENDSP_PASSWORD")
+        """Read ``ZENDSP_TLS_CA``, ``ZENDSP_TLS_CERT``, ``ZENDSP_TLS_KEY``, ``ZENDSP_USER`` and
+        ``ZENDSP_PASSWORD``.
+        """
+        names = (
+            "ZENDSP_TLS_CA",
+            "ZENDSP_TLS_CERT",
+            "ZENDSP_TLS_KEY",
+            "ZENDSP_USER",
+            "ZENDSP_PASSWORD",
+        )
         authority, certificate, key, user, password = (environment.get(name, "") for name in names)
         return cls(authority, certificate, key, user, password)
 
@@ -62,8 +72,11 @@ def common_name(certificate: str) -> str:
     return next((value for row in subject for name, value in row if name == "commonName"), "")
 
 
-def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: float) -> zenoh.Config:
-    """Settings of a host's session: it listens nowhere, connects to ``endpoints`` only, and comes back after an outage.
+def zenoh_config(
+    endpoints: Sequence[str], credentials: Credentials, timeout: float
+) -> zenoh.Config:
+    """Settings of a host's session: it listens nowhere, connects to ``endpoints`` only, and comes
+    back after an outage.
 
     Parameters
     ----------
@@ -75,8 +88,8 @@ def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: fl
     Raises
     ------
     LinkError
-        A file of the credentials cannot be read, or a certificate comes without its key: over the link, either would only look like
-        silence.
+        A file of the credentials cannot be read, or a certificate comes without its key: over the
+        link, either would only look like silence.
     """
     _check(credentials)
     settings: dict[str, object] = {
@@ -86,13 +99,18 @@ def zenoh_config(endpoints: Sequence[str], credentials: Credentials, timeout: fl
         "connect/timeout_ms": int(timeout * 1000),
         # Otherwise a peer opens "successfully" although nobody answered.
         "connect/exit_on_failure": True,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.5,
+        },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
         "open/return_conditions/connect_scouted": False,
         "transport/link/tx/lease": LEASE_MS,
-        # Each closed session would leave a segment open in this process, and containers often have 64 MB of it in all.
+        # Each closed session would leave a segment open in this process, and containers often have
+        # 64 MB of it in all.
         "transport/shared_memory/enabled": False,
     }
     if credentials.authority:
@@ -120,4 +138,7 @@ def _check(credentials: Credentials) -> None:
         if file and not os.access(file, os.R_OK):
             raise LinkError(f"the {what} {file!r} cannot be read: give the path of a PEM file")
     if bool(credentials.certificate) != bool(credentials.key):
-        raise LinkError("a certificate needs its key and a key its certificate: give both ZENDSP_TLS_CERT and ZENDSP_TLS_KEY")
+        raise LinkError(
+            "a certificate needs its key and a key its certificate: give both ZENDSP_TLS_CERT and"
+            " ZENDSP_TLS_KEY"
+        )

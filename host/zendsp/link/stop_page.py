@@ -1,4 +1,6 @@
-"""STOP through shared memory: for a target of this user on this computer, past its interpreter and past the link."""
+"""STOP through shared memory: for a target of this user on this computer, past its interpreter and
+past the link.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,8 @@ class StopPage:
         Returns
         -------
         int or None
-            The sample at which it, or an earlier trip, was latched; None where no loop said so in time.
+            The sample at which it, or an earlier trip, was latched; None where no loop said so in
+            time.
         """
         deadline = time.monotonic() + timeout
         while self._words[page.TAKEN // 8] == asked:
@@ -67,7 +70,8 @@ class StopPage:
 
 
 def here(name: str, connect: str | None) -> StopPage | None:
-    """Map the stop page of the target that a user means, as `connect` would find it; None where that is elsewhere, or not the only one.
+    """Map the stop page of the target that a user means, as `connect` would find it; None where
+    that is elsewhere, or not the only one.
 
     Parameters
     ----------

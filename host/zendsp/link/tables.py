@@ -1,4 +1,5 @@
-"""Large arrays to the target: in chunks with checksums, switched over in one sample when complete."""
+"""Large arrays to the target: in chunks with checksums, switched over in one sample when complete.
+"""
 
 from __future__ import annotations
 
@@ -61,13 +62,24 @@ class Tables(Requests):
             raise VariableError(f"{name}: no such variable in the running code")
         dtype = _DTYPES[infos[name].type]
         if np.asarray(values).dtype.kind == "b" and dtype != "|b1":
-            raise VariableError(f"{name}: true or false is not a number, which a {infos[name].type} needs")
+            raise VariableError(
+                f"{name}: true or false is not a number, which a {infos[name].type} needs"
+            )
         array = np.ascontiguousarray(values, dtype=dtype).reshape(-1)
         data = array.tobytes()
-        begun = self.request("table_begin", name=name, dtype=dtype, length=array.size, crc=crc(data))
+        begun = self.request(
+            "table_begin", name=name, dtype=dtype, length=array.size, crc=crc(data)
+        )
         for offset, size in spans(0, len(data), CHUNK):
             part = data[offset : offset + size]
-            self.insist("table_chunk", patience, upload=begun.upload, offset=offset, data=part, crc=crc(part))
+            self.insist(
+                "table_chunk",
+                patience,
+                upload=begun.upload,
+                offset=offset,
+                data=part,
+                crc=crc(part),
+            )
             if progress is not None:
                 progress((offset + size) / len(data))
         applied: m.Applied = self.request("table_commit", upload=begun.upload, at_tick=at_tick)

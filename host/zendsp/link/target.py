@@ -63,10 +63,14 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not name.startswith("_") and name not in _ATTRIBUTES and not hasattr(type(self), name):
-            raise AttributeError(f"a target has no attribute {name!r}; to write a variable: target[{_quoted(name)}] = {value!r}")
+            raise AttributeError(
+                f"a target has no attribute {name!r}; to write a variable: target[{_quoted(name)}]"
+                f" = {value!r}"
+            )
         super().__setattr__(name, value)
 
-    if not TYPE_CHECKING:  # which knows the attributes there are, and would take all others for good
+    # which knows the attributes there are, and would take all others for good
+    if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
             hint = "" if name.startswith("_") else f"; to read a variable: target[{_quoted(name)}]"
@@ -83,9 +87,11 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         return self.link.alive
 
     def reconnect(self) -> None:
-        """Look the target up again and connect anew: after it was started again, which gave it another address.
+        """Look the target up again and connect anew: after it was started again, which gave it
+        another address.
 
-        An outage of the link alone needs no call: the connection comes back by itself. Live views go on; what is staged stays.
+        An outage of the link alone needs no call: the connection comes back by itself. Live views
+        go on; what is staged stays.
 
         Raises
         ------
@@ -94,7 +100,8 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         """
         if self._reopen is None:
             raise LinkError(
-                f"{self.name} was started by this host and ended with it; start another with local()"
+                f"{self.name} was started by this host and ended with it; start another with"
+                " local()"
             )
         old = self.link
         old.close()
@@ -104,7 +111,8 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         self.link.take_over(old)
 
     def close(self) -> None:
-        """End the connection; a target started by :func:`zendsp.local` ends with it, others go on."""
+        """End the connection; a target started by :func:`zendsp.local` ends with it, others go on.
+        """
         self.link.close()
         if self._on_close is not None:
             on_close, self._on_close = self._on_close, None
@@ -119,5 +127,6 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
     def __repr__(self) -> str:
         state = "" if self.alive else ", not reachable"
         return (
-            f"<Target {self.name}: {self.info.machine}, {self.info.rate_hz:g} Hz, {self.info.clock}{state}>"
+            f"<Target {self.name}: {self.info.machine}, {self.info.rate_hz:g} Hz,"
+            f" {self.info.clock}{state}>"
         )

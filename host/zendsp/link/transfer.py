@@ -1,8 +1,9 @@
 """Recorded rows on their way home.
 
-Over the link they come in checked chunks, each put in its place, and resume after a broken link. A host of the
-target's own user on the same computer reads them where the loop wrote them, in shared memory: Zenoh over a Unix
-socket would bring them at a third of that speed, and both processes would have to compute for it.
+Over the link they come in checked chunks, each put in its place, and resume after a broken link. A
+host of the target's own user on the same computer reads them where the loop wrote them, in shared
+memory: Zenoh over a Unix socket would bring them at a third of that speed, and both processes would
+have to compute for it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ else:
     np = Lazily("numpy")
 
 REQUEST_BYTES = 128 << 20  # rows asked for at once: what is lost at most when the link breaks
-CHUNK_BYTES = CHUNK  # of one part: each has its own price at either end, and larger ones leave the caches
+# of one part: each has its own price at either end, and larger ones leave the caches
+CHUNK_BYTES = CHUNK
 PIECE_BYTES = 16 << 20  # read at once from shared memory: progress is told in between
 MOST_IDLE = 3  # requests in a row without a single row, until it is given up
 
@@ -111,7 +113,9 @@ def read_held(file: int, held: m.Held, first: int, rows: FloatArray) -> None:
         while len(part):
             got = os.preadv(file, [part], at)
             if got == 0:
-                raise AcquisitionError(f"the recorder's memory ends before row {first + done}: load it again")
+                raise AcquisitionError(
+                    f"the recorder's memory ends before row {first + done}: load it again"
+                )
             part, at = part[got:], at + got
         done += min(len(rows) - done, held.capacity - place)
 
@@ -165,12 +169,19 @@ class Transfers(Requests):
         # what the loop has overwritten by now may have been overwritten while it was read
         now: m.Held = self.insist("acquire_held", patience)
         if (now.device, now.inode) != (held.device, held.inode):
-            raise AcquisitionError("the recorder was configured anew while its rows were loaded: record again")
+            raise AcquisitionError(
+                "the recorder was configured anew while its rows were loaded: record again"
+            )
         _check_held(now, first, count, columns)
         return data
 
     def _load_streamed(
-        self, first: int, count: int, columns: int, progress: Callable[[float], None] | None, patience: float
+        self,
+        first: int,
+        count: int,
+        columns: int,
+        progress: Callable[[float], None] | None,
+        patience: float,
     ) -> FloatArray:
         rows = Rows(columns, count)
         rows.origin = first

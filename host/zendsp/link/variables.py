@@ -1,4 +1,6 @@
-"""Variables of the running code: asynchronous reads and writes, synchronous updates, the dictionary, the log."""
+"""Variables of the running code: asynchronous reads and writes, synchronous updates, the
+dictionary, the log.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,15 @@ _FLOATS = frozenset((float,))
 
 
 class Reading(msgspec.Struct, frozen=True):
-    """Values of several variables, all from sample ``tick``; a struct of msgspec, which is made in C at each reading."""
+    """Values of several variables, all from sample ``tick``; a struct of msgspec, which is made in
+    C at each reading.
+    """
 
     tick: int
     values: Mapping[str, Value]
-    ended: str = ""  # why the program no longer runs: it crashed, tripped or was stopped; the values are those of its last sample
+    # why the program no longer runs: it crashed, tripped or was stopped; the values are those of
+    # its last sample
+    ended: str = ""
 
     def __getitem__(self, name: str) -> Value:
         return self.values[name]
@@ -82,12 +88,15 @@ class Variables(Requests):
         return Reading(found.tick, values, found.ended)
 
     def write(self, **values: Any) -> int:
-        """Write variables asynchronously; the reply does not wait for the sample. Returns the sequence number."""
+        """Write variables asynchronously; the reply does not wait for the sample. Returns the
+        sequence number.
+        """
         written: m.Written = self.link.request("write", {"values": _wire(values)})
         return written.sequence
 
     def stage(self, **values: Any) -> dict[str, Any]:
-        """Note values for the next :meth:`update`, which the target has checked; returns all that is staged.
+        """Note values for the next :meth:`update`, which the target has checked; returns all that
+        is staged.
 
         Raises
         ------
@@ -116,7 +125,8 @@ class Variables(Requests):
         Parameters
         ----------
         at_tick : int, optional
-            The sample at which to apply them; then the call does not wait for it. Default: the next one.
+            The sample at which to apply them; then the call does not wait for it. Default: the next
+            one.
 
         Returns
         -------
@@ -132,7 +142,10 @@ class Variables(Requests):
             return self._update(at_tick, values)
         except VariableError as error:
             if self._staged:
-                error.add_note(f"still staged: {', '.join(self._staged)}; discard() (MatDSPdiscard) forgets them")
+                error.add_note(
+                    f"still staged: {', '.join(self._staged)}; discard() (MatDSPdiscard) forgets"
+                    " them"
+                )
             raise
 
     def _update(self, at_tick: int | None, values: dict[str, Any]) -> int:
@@ -149,7 +162,9 @@ class Variables(Requests):
         return tick
 
     def variables(self) -> dict[str, m.VariableInfo]:
-        """The dictionary of the running code: name to type, length, kind, unit, limits, initial value, description."""
+        """The dictionary of the running code: name to type, length, kind, unit, limits, initial
+        value, description.
+        """
         return {info.name: info for info in self.request("variables")}
 
     def builtins(self) -> dict[str, m.VariableInfo]:

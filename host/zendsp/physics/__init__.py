@@ -1,11 +1,13 @@
-"""Models of machines, the library of physical effects, simulation, calibration, and C for the ISR."""
+"""Models of machines, the library of physical effects, simulation, calibration, and C for the ISR.
+"""
 
 from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
-# name -> module that holds it; imported on first use: a model file needs neither SciPy nor a compiler
+# name -> module that holds it; imported on first use: a model file needs neither SciPy nor a
+# compiler
 _LAZY = {
     "Model": "zendsp.physics.model",
     "load_model": "zendsp.physics.model_file",

@@ -1,11 +1,14 @@
-"""What bodies do to the joints: torque is linear in ten numbers of each link (Atkeson, An, Hollerbach 1986).
+"""What bodies do to the joints: torque is linear in ten numbers of each link (Atkeson, An,
+Hollerbach 1986).
 
-The numbers of a link are its mass m, first moment h = m c and inertia I about the link's origin, all in the link's frame. With the
-spin w, its rate wd and the acceleration a of the origin less gravity, the link needs
+The numbers of a link are its mass m, first moment h = m c and inertia I about the link's origin,
+all in the link's frame. With the spin w, its rate wd and the acceleration a of the origin less
+gravity, the link needs
 
     force  = m a + wd x h + w x (w x h)          moment = h x a + I wd + w x (I w)
 
-and joint j bears what of it acts along its own screw. Effects of site "body" change these numbers, or gravity.
+and joint j bears what of it acts along its own screw. Effects of site "body" change these numbers,
+or gravity.
 """
 
 from __future__ import annotations
@@ -79,22 +82,25 @@ def changed(bodies: Sequence[Body], terms: Sequence[Term]) -> list[Body]:
         mass, com = float(numbers[0]), numbers[1:4]
         if mass <= 0.0:
             raise ModelError(
-                f"{term.effect} of joint {term.joint}: mass = {term.value('mass'):g} kg leaves a link of"
-                f" {body.mass:g} kg with {mass:g} kg; it has to stay above 0"
+                f"{term.effect} of joint {term.joint}: mass = {term.value('mass'):g} kg leaves a"
+                f" link of {body.mass:g} kg with {mass:g} kg; it has to stay above 0"
             )
         com = com / mass
         whole = np.empty((3, 3))
         for (i, j), value in zip(_PAIRS, numbers[4:], strict=True):
             whole[i, j] = whole[j, i] = value
-        out[term.joint - 1] = replace(body, mass=mass, com=com, inertia=whole - about(mass, com, np.zeros((3, 3))))
+        out[term.joint - 1] = replace(
+            body, mass=mass, com=com, inertia=whole - about(mass, com, np.zeros((3, 3)))
+        )
     return out
 
 
 def machine_tree(model: Model) -> tuple[list[Body], Array] | None:
     """Links and gravity of a machine, for bodies to be fixed to; None where its kind has none.
 
-    The links of ``rotary`` and ``planar2r`` bear no mass: their inertia and gravity are parameters of the mechanism. Their x axis points
-    along the link, and a rotary joint with gravity hangs down at q = 0.
+    The links of ``rotary`` and ``planar2r`` bear no mass: their inertia and gravity are parameters
+    of the mechanism. Their x axis points along the link, and a rotary joint with gravity hangs down
+    at q = 0.
     """
     if model.kind == "urdf":
         path = Path(model.file) if Path(model.file).is_absolute() else model.folder / model.file
@@ -120,7 +126,9 @@ def _values(model: Model, key: str) -> list[float]:
 
 @dataclass(frozen=True)
 class Change:
-    """What the body terms of a model add to one joint along a record: inertia and known torque, each (n,)."""
+    """What the body terms of a model add to one joint along a record: inertia and known torque,
+    each (n,).
+    """
 
     inertia: Array
     bias: Array
@@ -128,7 +136,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Links:
-    """The links of a machine along one recording, as its joints feel them; joints and links count from 0."""
+    """The links of a machine along one recording, as its joints feel them; joints and links count
+    from 0.
+    """
 
     bodies: tuple[Body, ...]
     gravity: Array
@@ -157,7 +167,9 @@ class Links:
 
     @cached_property
     def _screws(self) -> dict[tuple[int, int], tuple[Array, Array]]:
-        """Turning (3, n) and sliding (3, n) of each link's origin for a unit speed of a joint that moves it."""
+        """Turning (3, n) and sliding (3, n) of each link's origin for a unit speed of a joint that
+        moves it.
+        """
         n, out = self.motion.shape[2], {}
         for k, b in enumerate(self.bodies):
             own = np.repeat(b.axis[:, None], n, axis=1)
@@ -175,22 +187,30 @@ class Links:
         return (joint, link) in self._screws
 
     def columns(self, joint: int, link: int) -> tuple[Array, Array]:
-        """Inertia that the joint feels and torque that it bears, for each of a link's ten numbers: (10, n) each."""
+        """Inertia that the joint feels and torque that it bears, for each of a link's ten numbers:
+        (10, n) each.
+        """
         key = (joint, link)
         if key not in self._columns:
             turn, slide = self._screws[key]
-            w, wd, a = (v[link].T for v in (self._moved.spin, self._moved.spin_rate, self._moved.push))
+            w, wd, a = (
+                v[link].T for v in (self._moved.spin, self._moved.spin_rate, self._moved.push)
+            )
             torque = np.concatenate([
                 [_dot(slide, a)],
                 _cross(slide, wd) + _cross(w, _cross(w, slide)) + _cross(a, turn),
                 _products(turn, wd) + _products(_cross(turn, w), w),
             ])  # fmt: skip
-            inertia = np.concatenate([[_dot(slide, slide)], 2.0 * _cross(slide, turn), _products(turn, turn)])
+            inertia = np.concatenate(
+                [[_dot(slide, slide)], 2.0 * _cross(slide, turn), _products(turn, turn)]
+            )
             self._columns[key] = (inertia, torque)
         return self._columns[key]
 
     def pull(self, joint: int, link: int) -> Array:
-        """Torque for a unit of gravity along each axis of the base and each of mass and first moment, (3, 4, n)."""
+        """Torque for a unit of gravity along each axis of the base and each of mass and first
+        moment, (3, 4, n).
+        """
         key = (joint, link)
         if key not in self._pulls:
             turn, slide = self._screws[key]
@@ -221,7 +241,9 @@ class Links:
         return self._weights[joint]
 
     def change(self, terms: Sequence[Term], joint: int) -> Change:
-        """What body terms add to a joint; ``bias`` is their torque without what they add to the joint's own inertia."""
+        """What body terms add to a joint; ``bias`` is their torque without what they add to the
+        joint's own inertia.
+        """
         n = self.motion.shape[2]
         inertia, torque = np.zeros(n), np.zeros(n)
         gravity = turned_gravity(self.gravity, terms) - self.gravity
@@ -253,7 +275,9 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.stack(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
 
 
 def _products(a: Array, b: Array) -> Array:

@@ -1,4 +1,6 @@
-"""How far a parameter may sensibly go in a given recording: physics outside these bounds cannot be seen in it."""
+"""How far a parameter may sensibly go in a given recording: physics outside these bounds cannot be
+seen in it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,8 @@ from zendsp.physics.joint import JointRecord, facts
 
 
 def parameter_bounds(effect_name: str, name: str, record: JointRecord) -> tuple[float, float]:
-    """Lower and upper bound of a parameter, SI, from its definition and from what the recording can show.
+    """Lower and upper bound of a parameter, SI, from its definition and from what the recording can
+    show.
 
     Parameters
     ----------

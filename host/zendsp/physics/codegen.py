@@ -1,14 +1,25 @@
-"""From model to C: what the ISR needs to use a model, with every number as a variable that can be tuned live."""
+"""From model to C: what the ISR needs to use a model, with every number as a variable that can be
+tuned live.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-from zendsp.physics.codegen_terms import Line, Variable, compensable, declare, kernel_terms, lines, why_not
+from zendsp.physics.codegen_terms import (
+    Line,
+    Variable,
+    compensable,
+    declare,
+    kernel_terms,
+    lines,
+    why_not,
+)
 from zendsp.physics.model import Actuator, Model, Term
 
-SIGN_SPEED = 0.02  # rad/s or m/s: measured speed is never exactly zero, a hard sign would chatter about it
+# rad/s or m/s: measured speed is never exactly zero, a hard sign would chatter about it
+SIGN_SPEED = 0.02
 
 
 def compensation(
@@ -23,8 +34,9 @@ def compensation(
 ) -> str:
     """Found effects as a C function that gives the torque to add to a command.
 
-    The text defines ``CompensationInit()``, to be called in ``UserInit``, and ``Compensation(joint, q, qd, qdd, tau)``: joint from 0,
-    arrays of all joints in SI units, ``tau`` the torque wanted so far; the result is to be added to ``tau``.
+    The text defines ``CompensationInit()``, to be called in ``UserInit``, and ``Compensation(joint,
+    q, qd, qdd, tau)``: joint from 0, arrays of all joints in SI units, ``tau`` the torque wanted so
+    far; the result is to be added to ``tau``.
 
     Parameters
     ----------
@@ -39,15 +51,18 @@ def compensation(
     actuator : Actuator, optional
         Needed for effects in command units.
     model : Model, optional
-        The whole model that the terms are part of: where ``kinds``, ``actuator`` and ``title`` come from if they are not given, and the
-        Coulomb level under a Stribeck term whose Coulomb term is not among ``terms``.
+        The whole model that the terms are part of: where ``kinds``, ``actuator`` and ``title`` come
+        from if they are not given, and the Coulomb level under a Stribeck term whose Coulomb term
+        is not among ``terms``.
     sign_speed : float
-        Initial value of ``comp_sign_speed``, rad/s: dry friction is compensated by tanh(qd / comp_sign_speed); 0 is a hard sign.
+        Initial value of ``comp_sign_speed``, rad/s: dry friction is compensated by tanh(qd /
+        comp_sign_speed); 0 is a hard sign.
 
     Returns
     -------
     str
-        C source to be included after ``isr.h``. Valid, and of no effect, where nothing can be compensated.
+        C source to be included after ``isr.h``. Valid, and of no effect, where nothing can be
+        compensated.
 
     Examples
     --------
@@ -61,16 +76,38 @@ def compensation(
         kinds = kinds or [model.joint_kind(j + 1) for j in range(model.joints)]
         actuator, title = actuator or model.actuator, title or model.name
     others = tuple(t for t in whole.terms if not any(t is chosen for chosen in terms))
-    made = lines(kernel_terms(whole.with_terms((*terms, *others)))[: len(terms)], "comp", kinds=kinds, actuator=actuator)
+    made = lines(
+        kernel_terms(whole.with_terms((*terms, *others)))[: len(terms)],
+        "comp",
+        kinds=kinds,
+        actuator=actuator,
+    )
     variables = [
         Variable("comp_share", 1.0, "", "part of the compensation that is added, 0 to 1"),
-        Variable("comp_sign_speed", sign_speed, "rad/s", "speed over which dry friction changes its sign; 0: at once"),
+        Variable(
+            "comp_sign_speed",
+            sign_speed,
+            "rad/s",
+            "speed over which dry friction changes its sign; 0: at once",
+        ),
         *(v for line in made for v in line.variables),
     ]
     defined, declared = declare(variables)
     notes = [f"   {text}" for text in sentences]
-    notes += [f"   Not compensated: {t.effect} of joint {t.joint} ({why_not(t.effect)})." for t in terms if not compensable(t)]
-    about = "\n".join([f"compensation.c: physics found{' in ' + title if title else ''}, as torque to add to a command.", *notes])
+    notes += [
+        f"   Not compensated: {t.effect} of joint {t.joint} ({why_not(t.effect)})."
+        for t in terms
+        if not compensable(t)
+    ]
+    about = "\n".join(
+        [
+            (
+                f"compensation.c: physics found{' in ' + title if title else ''}, as torque to add"
+                " to a command."
+            ),
+            *notes,
+        ]
+    )
     return _COMPENSATION.format(
         about=_comment(about), defined=defined, declared=declared, sign=sign_function("comp"),
         cases=_cases(made), inverse=_inverse(made),
@@ -104,14 +141,14 @@ static inline double Compensation(int32_t joint, const double *pos, const double
     }}
 {inverse}    return wanted - torque;
 }}
-"""
+"""  # noqa: E501
 
 
 def sign_function(prefix: str) -> str:
     """C function ``{prefix}_sign``: smooth over ``{prefix}_sign_speed``, hard where that is 0."""
     return (
-        f"static inline double {prefix}_sign(double x) {{\n"
-        f"    return {prefix}_sign_speed > 0.0 ? tanh(x / {prefix}_sign_speed) : (double)((x > 0.0) - (x < 0.0));\n}}"
+        f"static inline double {prefix}_sign(double x) {{\n    return {prefix}_sign_speed > 0.0 ?"
+        f" tanh(x / {prefix}_sign_speed) : (double)((x > 0.0) - (x < 0.0));\n}}"
     )
 
 
@@ -128,7 +165,8 @@ def _cases(made: Sequence[Line]) -> str:
 
 def _inverse(made: Sequence[Line]) -> str:
     return "".join(
-        f"    if (joint == {line.joint})\n        wanted += comp_share * ({line.expression} - wanted); /* {line.comment} */\n"
+        f"    if (joint == {line.joint})\n        wanted += comp_share * ({line.expression} -"
+        f" wanted); /* {line.comment} */\n"
         for line in made
         if line.inverse
     )
@@ -141,17 +179,20 @@ def _comment(text: str) -> str:
 
 
 def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
-    """A whole model as C functions for the ISR: inverse dynamics, gravity, friction, and every effect that a torque can cancel.
+    """A whole model as C functions for the ISR: inverse dynamics, gravity, friction, and every
+    effect that a torque can cancel.
 
-    The text defines ``ModelInit()``, to be called in ``UserInit``; ``ModelTorque(q, qd, qdd, tau)``, the torque of a motion;
-    ``ModelGravity(q, tau)``; ``ModelEffects(q, qd, qdd, tau, extra)``, what friction and the other effects take while ``tau`` acts; and
-    ``MODEL_JOINTS``. Every number is a parameter that can be changed while the program runs.
+    The text defines ``ModelInit()``, to be called in ``UserInit``; ``ModelTorque(q, qd, qdd,
+    tau)``, the torque of a motion; ``ModelGravity(q, tau)``; ``ModelEffects(q, qd, qdd, tau,
+    extra)``, what friction and the other effects take while ``tau`` acts; and ``MODEL_JOINTS``.
+    Every number is a parameter that can be changed while the program runs.
 
     Parameters
     ----------
     model : Model
     sign_speed : float
-        Initial value of ``model_sign_speed``, rad/s: dry friction is level · tanh(qd / model_sign_speed); 0 is a hard sign.
+        Initial value of ``model_sign_speed``, rad/s: dry friction is level · tanh(qd /
+        model_sign_speed); 0 is a hard sign.
 
     Returns
     -------
@@ -169,7 +210,7 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     >>> bench = parse_model({"name": "bench", "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
     >>> "torque[0] = model_inertia1 * acc[0] + 0.0;" in model_code(bench)
     True
-    """
+    """  # noqa: E501
     from zendsp.physics.codegen_model import rigid_code
     from zendsp.physics.joint import own_terms
     from zendsp.physics.simulate_plant import joint_count, with_bodies
@@ -179,22 +220,40 @@ def model_code(model: Model, *, sign_speed: float = SIGN_SPEED) -> str:
     kinds = [model.joint_kind(j + 1) for j in range(n)]
     numbers, rigid, arrays, note = rigid_code(model)
     made = lines(kernel_terms(model), "model", kinds=kinds, actuator=model.actuator)
-    numbers += [Variable("model_sign_speed", sign_speed, "rad/s", "speed over which dry friction changes its sign; 0: at once")]
+    numbers += [
+        Variable(
+            "model_sign_speed",
+            sign_speed,
+            "rad/s",
+            "speed over which dry friction changes its sign; 0: at once",
+        )
+    ]
     numbers += [v for line in made for v in line.variables]
     defined, declared = declare(numbers)
     terms = own_terms(model.terms)  # bodies have entered the rigid body
-    left_out = [f"   Not in it: {t.effect} of joint {t.joint} ({why_not(t.effect)})." for t in terms if not compensable(t)]
+    left_out = [
+        f"   Not in it: {t.effect} of joint {t.joint} ({why_not(t.effect)})."
+        for t in terms
+        if not compensable(t)
+    ]
     about = "\n".join([f"The model {model.name!r} for the ISR: {note}.", *left_out])
     effects = "".join(_extra(line) for line in made if not line.inverse)
     inverse = "".join(
-        f"    {{\n        const double wanted = torque[{line.joint}];\n        torque[{line.joint}] = {line.expression}; /* {line.comment} */\n    }}\n"
+        f"    {{\n        const double wanted = torque[{line.joint}];\n        torque[{line.joint}]"
+        f" = {line.expression}; /* {line.comment} */\n    }}\n"
         for line in made
         if line.inverse
     )
     return _MODEL.format(
-        about=_comment(about), joints=n, defined=defined, sign=sign_function("model"), rigid=rigid,
-        declared="\n".join(part for part in (declared, arrays) if part), effects=effects, inverse=inverse,
-    )  # fmt: skip
+        about=_comment(about),
+        joints=n,
+        defined=defined,
+        sign=sign_function("model"),
+        rigid=rigid,
+        declared="\n".join(part for part in (declared, arrays) if part),
+        effects=effects,
+        inverse=inverse,
+    )
 
 
 _MODEL = """{about}
@@ -235,7 +294,7 @@ static inline void ModelTorque(const double *pos, const double *vel, const doubl
     for (int j = 0; j < MODEL_JOINTS; j++)
         torque[j] += extra[j];
 {inverse}}}
-"""
+"""  # noqa: E501
 
 
 def _extra(line: Line) -> str:

@@ -46,11 +46,16 @@ def rigid_code(model: Model) -> tuple[list[Variable], str, str, str]:
         return _planar(model)
     if model.kind == "urdf":
         return _tree(model)
-    raise ModelError(f"{model.name}: kind = {model.kind!r} has no rigid-body form that could become C")
+    raise ModelError(
+        f"{model.name}: kind = {model.kind!r} has no rigid-body form that could become C"
+    )
 
 
 def _function(name: str, body: str) -> str:
-    return f"static inline void {name}(const double *pos, const double *vel, const double *acc, double *torque) {{\n    (void)pos, (void)vel, (void)acc;\n{body}}}\n"
+    return (
+        f"static inline void {name}(const double *pos, const double *vel, const double *acc, double"
+        f" *torque) {{\n    (void)pos, (void)vel, (void)acc;\n{body}}}\n"
+    )
 
 
 def _diagonal(model: Model) -> tuple[list[Variable], str, str, str]:
@@ -58,29 +63,60 @@ def _diagonal(model: Model) -> tuple[list[Variable], str, str, str]:
     variables, rigid, gravity = [], "", ""
     for j in range(model.joints):
         masses = tuple(q.value for q in model.mechanism[key])
-        weights = tuple(q.value for q in model.mechanism.get("gravity", ())) if model.kind == "rotary" else ()
+        weights = (
+            tuple(q.value for q in model.mechanism.get("gravity", ()))
+            if model.kind == "rotary"
+            else ()
+        )
         name = f"model_{key}{j + 1}"
-        variables.append(Variable(name, per_joint(masses, j + 1, 0.0), unit, f"{key} of joint {j + 1}"))
+        variables.append(
+            Variable(name, per_joint(masses, j + 1, 0.0), unit, f"{key} of joint {j + 1}")
+        )
         term = "0.0"
         if per_joint(weights, j + 1, 0.0) != 0.0:
-            variables.append(Variable(f"model_gravity{j + 1}", per_joint(weights, j + 1, 0.0), "N m", f"gravity torque of joint {j + 1}, m g l"))
+            variables.append(
+                Variable(
+                    f"model_gravity{j + 1}",
+                    per_joint(weights, j + 1, 0.0),
+                    "N m",
+                    f"gravity torque of joint {j + 1}, m g l",
+                )
+            )
             term = f"model_gravity{j + 1} * sin(pos[{j}])"
         rigid += f"    torque[{j}] = {name} * acc[{j}] + {term};\n"
         gravity += f"    torque[{j}] = {term};\n"
-    return variables, _function("model_rigid", rigid) + "\n" + _function("model_gravity", gravity), "", f"{key} qdd + gravity sin(q)"
+    return (
+        variables,
+        _function("model_rigid", rigid) + "\n" + _function("model_gravity", gravity),
+        "",
+        f"{key} qdd + gravity sin(q)",
+    )
 
 
 def _planar(model: Model) -> tuple[list[Variable], str, str, str]:
-    words = {"p1": "inertia of both links about axis 1", "p2": "inertia of link 2 about axis 2", "p3": "coupling of the links"}
-    variables = [Variable(f"model_{k}", model.mechanism[k][0].value, "kg m^2", text) for k, text in words.items()]
+    words = {
+        "p1": "inertia of both links about axis 1",
+        "p2": "inertia of link 2 about axis 2",
+        "p3": "coupling of the links",
+    }
+    variables = [
+        Variable(f"model_{k}", model.mechanism[k][0].value, "kg m^2", text)
+        for k, text in words.items()
+    ]
     rigid = (
-        "    const double c = model_p3 * cos(pos[1]), s = model_p3 * sin(pos[1]);\n"
-        "    torque[0] = (model_p1 + 2.0 * c) * acc[0] + (model_p2 + c) * acc[1] - s * vel[1] * (2.0 * vel[0] + vel[1]);\n"
-        "    torque[1] = (model_p2 + c) * acc[0] + model_p2 * acc[1] + s * vel[0] * vel[0];\n"
+        "    const double c = model_p3 * cos(pos[1]), s = model_p3 * sin(pos[1]);\n    torque[0] ="
+        " (model_p1 + 2.0 * c) * acc[0] + (model_p2 + c) * acc[1] - s * vel[1] * (2.0 * vel[0] +"
+        " vel[1]);\n    torque[1] = (model_p2 + c) * acc[0] + model_p2 * acc[1] + s * vel[0] *"
+        " vel[0];\n"
     )
     gravity = "    torque[0] = torque[1] = 0.0;\n"
     note = "M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]]"
-    return variables, _function("model_rigid", rigid) + "\n" + _function("model_gravity", gravity), "", note
+    return (
+        variables,
+        _function("model_rigid", rigid) + "\n" + _function("model_gravity", gravity),
+        "",
+        note,
+    )
 
 
 def _tree(model: Model) -> tuple[list[Variable], str, str, str]:
@@ -89,23 +125,46 @@ def _tree(model: Model) -> tuple[list[Variable], str, str, str]:
     head = resources.files("zendsp.physics").joinpath("simulate_tree.h").read_text(encoding="utf-8")
 
     def array(name: str, values: Array, size: str) -> str:
-        return f"static double {name}[{size}] = {{{', '.join(number(v) for v in np.ravel(values))}}};"
+        return (
+            f"static double {name}[{size}] = {{{', '.join(number(v) for v in np.ravel(values))}}};"
+        )
 
-    geometry = "static const double model_geometry[MODEL_JOINTS * 17] = { /* parent, prismatic, axis, R, p of each joint */\n" + "".join(
-        f"    {', '.join(number(v) for v in row[:17])},\n" for row in rows
-    ) + "};"  # fmt: skip
-    text = "\n".join([
-        head, geometry, array("model_mass", rows[:, 17], "MODEL_JOINTS"), array("model_com", rows[:, 18:21], "MODEL_JOINTS * 3"),
-        array("model_inertia", rows[:, 21:27], "MODEL_JOINTS * 6"), array("model_rotor", rows[:, 27], "MODEL_JOINTS"),
-        array("model_g", gravity, "3"), _TREE,
-    ])  # fmt: skip
-    declarations = "\n".join([
-        '    PARAMETER_ARRAY(model_mass, "kg", 0.0, NO_MAX, "mass of each link");',
-        '    PARAMETER_ARRAY(model_com, "m", NO_MIN, NO_MAX, "centre of mass of each link, x y z");',
-        '    PARAMETER_ARRAY(model_inertia, "kg m^2", NO_MIN, NO_MAX, "inertia of each link about it, xx yy zz xy xz yz");',
-        '    PARAMETER_ARRAY(model_rotor, "kg m^2", 0.0, NO_MAX, "inertia added at each joint");',
-        '    PARAMETER_ARRAY(model_g, "m/s^2", NO_MIN, NO_MAX, "gravity, x y z of the base");',
-    ])  # fmt: skip
+    geometry = (
+        "static const double model_geometry[MODEL_JOINTS * 17] = { /* parent, prismatic, axis, R, p"
+        " of each joint */\n"
+        + "".join(f"    {', '.join(number(v) for v in row[:17])},\n" for row in rows)
+        + "};"
+    )
+    text = "\n".join(
+        [
+            head,
+            geometry,
+            array("model_mass", rows[:, 17], "MODEL_JOINTS"),
+            array("model_com", rows[:, 18:21], "MODEL_JOINTS * 3"),
+            array("model_inertia", rows[:, 21:27], "MODEL_JOINTS * 6"),
+            array("model_rotor", rows[:, 27], "MODEL_JOINTS"),
+            array("model_g", gravity, "3"),
+            _TREE,
+        ]
+    )
+    declarations = "\n".join(
+        [
+            '    PARAMETER_ARRAY(model_mass, "kg", 0.0, NO_MAX, "mass of each link");',
+            (
+                '    PARAMETER_ARRAY(model_com, "m", NO_MIN, NO_MAX, "centre of mass of each link,'
+                ' x y z");'
+            ),
+            (
+                '    PARAMETER_ARRAY(model_inertia, "kg m^2", NO_MIN, NO_MAX, "inertia of each link'
+                ' about it, xx yy zz xy xz yz");'
+            ),
+            (
+                '    PARAMETER_ARRAY(model_rotor, "kg m^2", 0.0, NO_MAX, "inertia added at each'
+                ' joint");'
+            ),
+            '    PARAMETER_ARRAY(model_g, "m/s^2", NO_MIN, NO_MAX, "gravity, x y z of the base");',
+        ]
+    )
     return [], text, declarations, f"Newton-Euler over the {n} joints of {model.file}"
 
 
@@ -137,11 +196,19 @@ static inline void model_gravity(const double *pos, const double *vel, const dou
     (void)vel, (void)acc;
     model_rigid(pos, still, still, torque);
 }
-"""
+"""  # noqa: E501
 
 
-def inverse_dynamics(model: Model, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt.ArrayLike, *, sign_speed: float = 0.0) -> Array:
-    """Joint torque of a motion: rigid bodies and every effect of the model that is a torque of q, qd and qdd.
+def inverse_dynamics(
+    model: Model,
+    q: npt.ArrayLike,
+    qd: npt.ArrayLike,
+    qdd: npt.ArrayLike,
+    *,
+    sign_speed: float = 0.0,
+) -> Array:
+    """Joint torque of a motion: rigid bodies and every effect of the model that is a torque of q,
+    qd and qdd.
 
     Parameters
     ----------
@@ -154,7 +221,8 @@ def inverse_dynamics(model: Model, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt
     Returns
     -------
     ndarray, of the shape of q
-        N m or N. Effects of actuator and sensor, and those with states of their own, are not in it; nor is load friction.
+        N m or N. Effects of actuator and sensor, and those with states of their own, are not in it;
+        nor is load friction.
 
     Examples
     --------
@@ -165,18 +233,31 @@ def inverse_dynamics(model: Model, q: npt.ArrayLike, qd: npt.ArrayLike, qdd: npt
     """
     shape = np.shape(q)
     n = joint_count(model)
-    q2, qd2, qdd2 = (np.ascontiguousarray(np.asarray(x, dtype=np.float64).reshape(-1, n)) for x in (q, qd, qdd))
+    q2, qd2, qdd2 = (
+        np.ascontiguousarray(np.asarray(x, dtype=np.float64).reshape(-1, n)) for x in (q, qd, qdd)
+    )
     out = _rigid(with_bodies(model), q2, qd2, qdd2)
     sign = np.tanh(qd2 / sign_speed) if sign_speed > 0 else np.sign(qd2)
     for term in kernel_terms(model):
         j = term.joint - 1
         law = _LAWS.get(term.effect)
         if law is not None:
-            out[:, j] += law({k: v.value for k, v in term.parameters.items()}, q2[:, j], qd2[:, j], qdd2[:, j], sign[:, j])
+            out[:, j] += law(
+                {k: v.value for k, v in term.parameters.items()},
+                q2[:, j],
+                qd2[:, j],
+                qdd2[:, j],
+                sign[:, j],
+            )
         elif term.effect == "coupling":
             other = int(term.value("from_joint")) - 1
             speed = qd2[:, other]
-            kinds = (qdd2[:, other], speed**2, speed, np.tanh((qd2[:, j] + speed) / term.value("smooth", 0.01)))
+            kinds = (
+                qdd2[:, other],
+                speed**2,
+                speed,
+                np.tanh((qd2[:, j] + speed) / term.value("smooth", 0.01)),
+            )
             out[:, j] += term.value("coefficient") * kinds[int(term.value("law"))]
     return out.reshape(shape)
 
@@ -185,20 +266,30 @@ def _rigid(model: Model, q: Array, qd: Array, qdd: Array) -> Array:
     if model.kind == "planar2r":
         p1, p2, p3 = (model.mechanism[k][0].value for k in ("p1", "p2", "p3"))
         c, s = p3 * np.cos(q[:, 1]), p3 * np.sin(q[:, 1])
-        first = (p1 + 2 * c) * qdd[:, 0] + (p2 + c) * qdd[:, 1] - s * qd[:, 1] * (2 * qd[:, 0] + qd[:, 1])
+        first = (
+            (p1 + 2 * c) * qdd[:, 0]
+            + (p2 + c) * qdd[:, 1]
+            - s * qd[:, 1] * (2 * qd[:, 0] + qd[:, 1])
+        )
         return np.stack([first, (p2 + c) * qdd[:, 0] + p2 * qdd[:, 1] + s * qd[:, 0] ** 2], axis=1)
     if model.kind in ("rotary", "linear"):
         masses = [x.value for x in model.mechanism["inertia" if model.kind == "rotary" else "mass"]]
-        weights = [x.value for x in model.mechanism.get("gravity", ())] if model.kind == "rotary" else []
+        weights = (
+            [x.value for x in model.mechanism.get("gravity", ())] if model.kind == "rotary" else []
+        )
         out = np.zeros_like(q)
         for j in range(q.shape[1]):
-            out[:, j] = per_joint(tuple(masses), j + 1, 0.0) * qdd[:, j] + per_joint(tuple(weights), j + 1, 0.0) * np.sin(q[:, j])
+            out[:, j] = per_joint(tuple(masses), j + 1, 0.0) * qdd[:, j] + per_joint(
+                tuple(weights), j + 1, 0.0
+            ) * np.sin(q[:, j])
         return out
     rows, gravity = tree_of(model)
     native, n = simulator_library(), q.shape[1]
     d, tau, mass = native.doubles, np.empty_like(q), np.empty((n, n))
     for k in range(len(q)):
-        native.lib.sim_tree(n, d(rows), d(gravity), d(q[k]), d(qd[k]), d(qdd[k]), d(tau[k]), d(mass))
+        native.lib.sim_tree(
+            n, d(rows), d(gravity), d(q[k]), d(qd[k]), d(qdd[k]), d(tau[k]), d(mass)
+        )
     return tau
 
 
@@ -209,7 +300,9 @@ def _friction_block(p: Mapping[str, float], speed: Array) -> Array:
     w = v - s
     low = p["level"] + p["slope"] * v + p["curve"] * v**2 + p["cubic"] / s * v**3
     edge = p["level"] + p["slope"] * s + (p["curve"] + p["cubic"]) * s**2
-    high = edge + (p["slope"] + 2 * p["curve"] * s + 3 * p["cubic"] * s) * w + p["high_curve"] * w**2
+    high = (
+        edge + (p["slope"] + 2 * p["curve"] * s + 3 * p["cubic"] * s) * w + p["high_curve"] * w**2
+    )
     return np.asarray(np.where(w <= 0, low, high))
 
 
@@ -217,12 +310,24 @@ _Law = Callable[[Mapping[str, float], Array, Array, Array, Array], Array]
 _LAWS: dict[str, _Law] = {
     "friction_block": lambda p, q, qd, qdd, s: _friction_block(p, qd) * s,
     "viscous": lambda p, q, qd, qdd, s: p["coefficient"] * qd,
-    "viscous_asymmetry": lambda p, q, qd, qdd, s: np.where(qd > 0, p["coefficient_pos"], p["coefficient_neg"]) * qd,
+    "viscous_asymmetry": (
+        lambda p, q, qd, qdd, s: np.where(qd > 0, p["coefficient_pos"], p["coefficient_neg"]) * qd
+    ),
     "coulomb": lambda p, q, qd, qdd, s: p["level"] * s,
-    "coulomb_asymmetry": lambda p, q, qd, qdd, s: np.where(qd > 0, p["level_pos"], p["level_neg"]) * s,
+    "coulomb_asymmetry": (
+        lambda p, q, qd, qdd, s: np.where(qd > 0, p["level_pos"], p["level_neg"]) * s
+    ),
     "coulomb_tanh": lambda p, q, qd, qdd, s: p["level"] * np.tanh(qd / p["speed"]),
-    "stribeck": lambda p, q, qd, qdd, s: p["breakaway"] * np.exp(-((np.abs(qd) / p["velocity"]) ** p.get("exponent", 2.0))) * s,
-    "position_friction": lambda p, q, qd, qdd, s: p["amplitude"] * np.sin(2 * np.pi * q / p["period"] + p["phase"]) * s,
+    "stribeck": (
+        lambda p, q, qd, qdd, s: p["breakaway"]
+        * np.exp(-((np.abs(qd) / p["velocity"]) ** p.get("exponent", 2.0)))
+        * s
+    ),
+    "position_friction": (
+        lambda p, q, qd, qdd, s: p["amplitude"]
+        * np.sin(2 * np.pi * q / p["period"] + p["phase"])
+        * s
+    ),
     "quadratic_drag": lambda p, q, qd, qdd, s: p["coefficient"] * qd * np.abs(qd),
     "gravity": lambda p, q, qd, qdd, s: p["torque"] * np.sin(q - p["angle"]),
     "stiffness": lambda p, q, qd, qdd, s: p["coefficient"] * (q - p["neutral"]),

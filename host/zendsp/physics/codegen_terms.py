@@ -1,4 +1,6 @@
-"""Physical effects as C for the ISR: one expression of torque for each term, its numbers as declared variables."""
+"""Physical effects as C for the ISR: one expression of torque for each term, its numbers as
+declared variables.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ from dataclasses import dataclass
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Actuator, Model, Term, per_joint
 
-# The law of a coupling is part of the structure, not a number to be tuned: 0 inertia, 1 coriolis, 2 viscous, 3 coulomb.
+# The law of a coupling is part of the structure, not a number to be tuned: 0 inertia, 1 coriolis, 2
+# viscous, 3 coulomb.
 _COUPLING = (
     "p[2] * acc[{other}]",
     "p[2] * vel[{other}] * vel[{other}]",
@@ -32,8 +35,9 @@ class Variable:
 
 @dataclass(frozen=True)
 class Line:
-    """One term in C: ``expression`` of joint ``joint`` (from 0), over pos, vel, acc (arrays) and torque; ``inverse`` acts on
-    ``wanted`` at the end."""
+    """One term in C: ``expression`` of joint ``joint`` (from 0), over pos, vel, acc (arrays) and
+    torque; ``inverse`` acts on ``wanted`` at the end.
+    """
 
     joint: int
     expression: str
@@ -43,7 +47,9 @@ class Line:
 
 
 def kernel_terms(model: Model) -> tuple[Term, ...]:
-    """Terms with Stribeck as the excess over the Coulomb level, which is how the effects' C functions take it."""
+    """Terms with Stribeck as the excess over the Coulomb level, which is how the effects' C
+    functions take it.
+    """
     from dataclasses import replace
 
     out = []
@@ -51,7 +57,11 @@ def kernel_terms(model: Model) -> tuple[Term, ...]:
         if term.effect == "stribeck":
             level = sum(t.value("level") for t in model.at(term.joint) if t.effect == "coulomb")
             old = term.parameters["breakaway"]
-            term = Term(term.effect, term.joint, {**term.parameters, "breakaway": replace(old, value=old.value - level)})
+            term = Term(
+                term.effect,
+                term.joint,
+                {**term.parameters, "breakaway": replace(old, value=old.value - level)},
+            )
         out.append(term)
     return tuple(out)
 
@@ -67,7 +77,10 @@ def why_not(effect: str) -> str:
     -------
     str
     """
-    return get_effect(effect).why_not or "a torque that depends on position, speed and acceleration cannot undo it"
+    return (
+        get_effect(effect).why_not
+        or "a torque that depends on position, speed and acceleration cannot undo it"
+    )
 
 
 def compensable(term: Term) -> bool:
@@ -97,7 +110,13 @@ def number(value: float) -> str:
     return text if any(c in text for c in ".en") else text + ".0"
 
 
-def lines(terms: Sequence[Term], prefix: str, *, kinds: Sequence[str] = (), actuator: Actuator | None = None) -> list[Line]:
+def lines(
+    terms: Sequence[Term],
+    prefix: str,
+    *,
+    kinds: Sequence[str] = (),
+    actuator: Actuator | None = None,
+) -> list[Line]:
     """The terms that a torque can cancel, as C.
 
     Parameters
@@ -122,8 +141,18 @@ def lines(terms: Sequence[Term], prefix: str, *, kinds: Sequence[str] = (), actu
         if compensable(term):
             label = f"{prefix}_{term.effect}{term.joint}"
             seen[label] = seen.get(label, 0) + 1
-            found.append(_line(term, label if seen[label] == 1 else f"{label}_{seen[label]}", prefix, kinds, actuator or Actuator()))
-    return [line for line in found if not line.inverse] + [line for line in reversed(found) if line.inverse]
+            found.append(
+                _line(
+                    term,
+                    label if seen[label] == 1 else f"{label}_{seen[label]}",
+                    prefix,
+                    kinds,
+                    actuator or Actuator(),
+                )
+            )
+    return [line for line in found if not line.inverse] + [
+        line for line in reversed(found) if line.inverse
+    ]
 
 
 def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: Actuator) -> Line:
@@ -135,10 +164,13 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
     if inverse:
         body = re.sub(r"\bgain\b", number(gain), effect.inverse)
     elif term.effect == "coupling":
-        body = _COUPLING[int(term.value("law"))].format(other=int(term.value("from_joint")) - 1, joint=j)
+        body = _COUPLING[int(term.value("law"))].format(
+            other=int(term.value("from_joint")) - 1, joint=j
+        )
     else:
         body = effect.compensable
-        if effect.site == "dry" and "sgn(" not in body:  # levels per direction: the size here, the sign once and smooth
+        # levels per direction: the size here, the sign once and smooth
+        if effect.site == "dry" and "sgn(" not in body:
             body = f"fabs({body}) * sgn(qd)"
         body = re.sub(r"\b(q|qd|qdd|tau)\b", lambda m: _NAMES[m[1]].format(j), body)
     variables: list[Variable] = []
@@ -149,8 +181,18 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
         body = body.replace(f"p[{k}]", name)
         unit = unit_of(parameter.size, kind, actuator.unit).replace("²", "^2").replace("³", "^3")
         value = term.value(parameter.name, parameter.default or 0.0)
-        over = " over Coulomb" if term.effect == "stribeck" and parameter.name == "breakaway" else ""
-        variables.append(Variable(name, value, "" if unit == "1" else unit, f"{effect.name.replace('_', ' ')} of joint {term.joint}: {parameter.name.replace('_', ' ')}{over}"))
+        over = (
+            " over Coulomb" if term.effect == "stribeck" and parameter.name == "breakaway" else ""
+        )
+        variables.append(
+            Variable(
+                name,
+                value,
+                "" if unit == "1" else unit,
+                f"{effect.name.replace('_', ' ')} of joint {term.joint}:"
+                f" {parameter.name.replace('_', ' ')}{over}",
+            )
+        )
     comment = f"{effect.name.replace('_', ' ')}: {effect.equation}"
     return Line(j, body.replace("sgn(", f"{sign}("), inverse, tuple(variables), comment)
 
@@ -167,5 +209,8 @@ def declare(variables: Sequence[Variable]) -> tuple[str, str]:
     definitions, declarations : str
     """
     defined = "\n".join(f"static double {v.name};" for v in variables)
-    declared = "\n".join(f'    PARAMETER({v.name}, {number(v.value)}, "{v.unit}", NO_MIN, NO_MAX, "{v.text}");' for v in variables)
+    declared = "\n".join(
+        f'    PARAMETER({v.name}, {number(v.value)}, "{v.unit}", NO_MIN, NO_MAX, "{v.text}");'
+        for v in variables
+    )
     return defined, declared

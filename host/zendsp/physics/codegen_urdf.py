@@ -7,17 +7,25 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 
-def dh_urdf(name: str, links: Sequence[Mapping[str, Any]], limits: Mapping[str, Sequence[float]], comment: str = "") -> str:
-    """A URDF whose joints turn about the same axes as the frames of a Denavit-Hartenberg table (distal convention).
+def dh_urdf(
+    name: str,
+    links: Sequence[Mapping[str, Any]],
+    limits: Mapping[str, Sequence[float]],
+    comment: str = "",
+) -> str:
+    """A URDF whose joints turn about the same axes as the frames of a Denavit-Hartenberg table
+    (distal convention).
 
-    Joint k turns about z of frame k - 1; the constant part Trans(0, 0, d) Trans(a, 0, 0) Rot(x, alpha) of link k - 1 places it.
+    Joint k turns about z of frame k - 1; the constant part Trans(0, 0, d) Trans(a, 0, 0) Rot(x,
+    alpha) of link k - 1 places it.
 
     Parameters
     ----------
     name : str
         Of the robot.
     links : sequence of mapping
-        a, d (m), alpha_deg, mass (kg), com (m, in frame k), inertia (kg m^2 about the centre of mass: xx yy zz xy xz yz).
+        a, d (m), alpha_deg, mass (kg), com (m, in frame k), inertia (kg m^2 about the centre of
+        mass: xx yy zz xy xz yz).
     limits : mapping
         position_min, position_max (rad), torque (N m), speed (rad/s): one number a joint.
     comment : str
@@ -33,8 +41,13 @@ def dh_urdf(name: str, links: Sequence[Mapping[str, Any]], limits: Mapping[str, 
     >>> text = dh_urdf("bar", [bar], dict(position_min=[-1], position_max=[1], torque=[1], speed=[1]))
     >>> text.count("<joint ")
     1
-    """
-    out = ['<?xml version="1.0"?>', *([f"<!-- {comment.replace('--', '- -')} -->"] if comment else []), f'<robot name="{name}">', '  <link name="base"/>']
+    """  # noqa: E501
+    out = [
+        '<?xml version="1.0"?>',
+        *([f"<!-- {comment.replace('--', '- -')} -->"] if comment else []),
+        f'<robot name="{name}">',
+        '  <link name="base"/>',
+    ]
     place, parent = (0.0, 0.0, 0.0), "base"
     for k, link in enumerate(links, start=1):
         a, d, alpha = float(link["a"]), float(link["d"]), math.radians(float(link["alpha_deg"]))
@@ -42,8 +55,12 @@ def dh_urdf(name: str, links: Sequence[Mapping[str, Any]], limits: Mapping[str, 
         x, y, z = (float(v) for v in link["com"])
         com = (x + a, c * y - s * z, s * y + c * z + d)
         names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-        inertia = " ".join(f'{key}="{value!r}"' for key, value in zip(names, link["inertia"], strict=True))
-        low, high, effort, speed = (float(limits[key][k - 1]) for key in ("position_min", "position_max", "torque", "speed"))
+        inertia = " ".join(
+            f'{key}="{value!r}"' for key, value in zip(names, link["inertia"], strict=True)
+        )
+        low, high, effort, speed = (
+            float(limits[key][k - 1]) for key in ("position_min", "position_max", "torque", "speed")
+        )
         out += [
             f'  <link name="link{k}">',
             "    <inertial>",
@@ -55,9 +72,15 @@ def dh_urdf(name: str, links: Sequence[Mapping[str, Any]], limits: Mapping[str, 
             f'  <joint name="joint{k}" type="revolute">',
             f'    <parent link="{parent}"/>',
             f'    <child link="link{k}"/>',
-            f'    <origin xyz="{_words((place[0], 0.0, place[1]))}" rpy="{_words((place[2], 0.0, 0.0))}"/>',
+            (
+                f'    <origin xyz="{_words((place[0], 0.0, place[1]))}"'
+                f' rpy="{_words((place[2], 0.0, 0.0))}"/>'
+            ),
             '    <axis xyz="0 0 1"/>',
-            f'    <limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{speed!r}"/>',
+            (
+                f'    <limit lower="{low!r}" upper="{high!r}" effort="{effort!r}"'
+                f' velocity="{speed!r}"/>'
+            ),
             "  </joint>",
         ]
         place, parent = (a, d, alpha), f"link{k}"

@@ -1,4 +1,5 @@
-"""Whether a fit depends on the step of its integration: what halving the step does to every number."""
+"""Whether a fit depends on the step of its integration: what halving the step does to every number.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ SECOND_ORDER = 4.0 / 3.0  # the change from one step to its half, extrapolated t
 
 
 def step_error(data: Data, fitted: Fit, joints: Sequence[int]) -> Array:
-    """Error of each fitted number by the integration's step, to first order: one Gauss-Newton step at half the step.
+    """Error of each fitted number by the integration's step, to first order: one Gauss-Newton step
+    at half the step.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""A first model file from a recording: what its columns say, and questions where they say nothing."""
+"""A first model file from a recording: what its columns say, and questions where they say nothing.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ EXPLAINS = 0.3  # share of the command's variance: below that no first idea is g
 MATTERS = 0.02  # share that gravity must add
 SATURATED = 20  # samples at the largest command: it was cut off there
 LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
-PREFERRED = ("tau", "torque", "effort", "force", "u")  # of several columns that could be the command
+# of several columns that could be the command
+PREFERRED = ("tau", "torque", "effort", "force", "u")
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,9 @@ class Group:
     @property
     def spec(self) -> str:
         """As ``[columns]`` has it."""
-        return json.dumps(self.names[0] if len(self.names) == 1 else list(self.names), ensure_ascii=False)
+        return json.dumps(
+            self.names[0] if len(self.names) == 1 else list(self.names), ensure_ascii=False
+        )
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,9 @@ class _Page:
 def draft_model(table: Table, name: str = "") -> Draft:
     """A commented model file for the machine that a recording shows.
 
-    Columns are told by their names and units; sample time, resolution of the encoder, number of joints and a first
-    idea of the inertia come from the numbers. What they cannot tell stands as a question, in comments with a ``?``.
+    Columns are told by their names and units; sample time, resolution of the encoder, number of
+    joints and a first idea of the inertia come from the numbers. What they cannot tell stands as a
+    question, in comments with a ``?``.
 
     Parameters
     ----------
@@ -98,11 +103,24 @@ def draft_model(table: Table, name: str = "") -> Draft:
     joints = position.values.shape[1]
     command = _best(groups, Role.COMMAND, joints) or _best(groups, Role.CURRENT, joints)
     page = _Page()
-    page.line(comment=f"Model of the machine in {table.path.name}, begun by: zendsp model new {table.path.name}")
-    page.line(comment="What the recording cannot tell is asked with a question mark, above its line. docs/models.md explains every key.")
+    page.line(
+        comment=(
+            f"Model of the machine in {table.path.name}, begun by: zendsp model new"
+            f" {table.path.name}"
+        )
+    )
+    page.line(
+        comment=(
+            "What the recording cannot tell is asked with a question mark, above its line."
+            " docs/models.md explains every key."
+        )
+    )
     for note in table.notes:
         page.line(comment=note)
-    page.line(f"name = {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}")
+    page.line(
+        "name ="
+        f" {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}"
+    )
     clock = _best(groups, Role.TIME)
     step = _sample_time(page, clock)
     page.line()
@@ -111,7 +129,12 @@ def draft_model(table: Table, name: str = "") -> Draft:
     _actuator(page, command, step, joints)
     _sensor(page, position, linear)
     page.line()
-    page.line(comment="The feedback law, where it is known: command = kp (reference - position) - kd velocity.")
+    page.line(
+        comment=(
+            "The feedback law, where it is known: command = kp (reference - position) - kd"
+            " velocity."
+        )
+    )
     for text in ("[controller]", 'kind = "pd"', "kp = 0.0", "kd = 0.0"):
         page.line(comment=text)
     _columns(page, table, groups, clock, position, command, joints)
@@ -122,16 +145,22 @@ def _groups(table: Table) -> dict[Role, list[Group]]:
     found: dict[tuple[Role, str], list[str]] = {}
     for name, values in table.columns.items():
         if np.isfinite(values).any():
-            found.setdefault((role_of(name, table.units.get(name, "")), _stem(name, values)), []).append(name)
+            found.setdefault(
+                (role_of(name, table.units.get(name, "")), _stem(name, values)), []
+            ).append(name)
     groups: dict[Role, list[Group]] = {}
     for (role, _), names in found.items():
         values = np.column_stack([table.columns[n] for n in names])
-        groups.setdefault(role, []).append(Group(tuple(names), values, table.units.get(names[0], "")))
+        groups.setdefault(role, []).append(
+            Group(tuple(names), values, table.units.get(names[0], ""))
+        )
     return groups
 
 
 def _stem(name: str, values: Array) -> str:
-    """What the columns of one quantity share: ``q1``, ``q2``; ``joint_states.elbow.effort``, ``joint_states.wrist.effort``."""
+    """What the columns of one quantity share: ``q1``, ``q2``; ``joint_states.elbow.effort``,
+    ``joint_states.wrist.effort``.
+    """
     if values.ndim == 2:
         return name
     parts = name.split(".")
@@ -140,7 +169,9 @@ def _stem(name: str, values: Array) -> str:
 
 
 def _best(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> Group | None:
-    """The group that most probably has this role; with ``joints``, only one that has a column for each."""
+    """The group that most probably has this role; with ``joints``, only one that has a column for
+    each.
+    """
     some = [g for g in groups.get(role, []) if not joints or g.values.shape[1] == joints]
     if role is Role.POSITION:
         some = [g for g in some if not _behind(g)] or some
@@ -149,7 +180,10 @@ def _best(groups: dict[Role, list[Group]], role: Role, joints: int = 0) -> Group
 
     def unlikely(group: Group) -> tuple[int, int]:
         words = re.findall(r"[a-z]+", group.names[0].lower())
-        return (group.unit not in ("N m", "Nm", "N"), min((rank.get(w, 9) for w in words), default=9))
+        return (
+            group.unit not in ("N m", "Nm", "N"),
+            min((rank.get(w, 9) for w in words), default=9),
+        )
 
     return min(some, key=unlikely, default=None)
 
@@ -160,7 +194,9 @@ def _behind(group: Group) -> bool:
 
 def _sample_time(page: _Page, clock: Group | None) -> float:
     if clock is None:
-        page.line("sample_time = 0.001", "s", ask="there is no time column: how far are two rows apart?")
+        page.line(
+            "sample_time = 0.001", "s", ask="there is no time column: how far are two rows apart?"
+        )
         return 1e-3
     steps = np.diff(clock.values[:, 0])
     step = float(np.median(steps))
@@ -170,39 +206,93 @@ def _sample_time(page: _Page, clock: Group | None) -> float:
     shown = even if abs(even / step - 1) < 1e-3 else shown
     jitter = float(np.max(np.abs(steps - step))) / step
     if shown > 0.1:
-        page.line(f"sample_time = {shown:g}", "s", ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'")
+        page.line(
+            f"sample_time = {shown:g}",
+            "s",
+            ask="is that column in seconds? Its steps are long; write its unit: 't [ms]'",
+        )
     else:
-        page.line(f"sample_time = {shown:g}", f"s: median of {clock.names[0]}" + (f", jitter up to {jitter:.0%}" if jitter > 0.02 else ""))
+        page.line(
+            f"sample_time = {shown:g}",
+            f"s: median of {clock.names[0]}"
+            + (f", jitter up to {jitter:.0%}" if jitter > 0.02 else ""),
+        )
     return shown
 
 
-def _mechanism(page: _Page, position: Group, command: Group | None, step: float, linear: bool) -> None:
+def _mechanism(
+    page: _Page, position: Group, command: Group | None, step: float, linear: bool
+) -> None:
     joints = position.values.shape[1]
     page.line("[mechanism]")
     kinds = "rotary | linear | planar2r | urdf | python"
-    ask = "" if position.unit in ("rad", "m") else f"{position.names[0]} has no unit: does it turn (rad) or slide (m)?"
+    ask = (
+        ""
+        if position.unit in ("rad", "m")
+        else f"{position.names[0]} has no unit: does it turn (rad) or slide (m)?"
+    )
     page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, ask)
     if joints > 1:
-        page.line(comment="", ask=f"do the {joints} joints act on one another, as in an arm? Then a URDF says it best: kind = \"urdf\", file = \"arm.urdf\"")
+        page.line(
+            comment="",
+            ask=(
+                f"do the {joints} joints act on one another, as in an arm? Then a URDF says it"
+                ' best: kind = "urdf", file = "arm.urdf"'
+            ),
+        )
     page.line("[mechanism.parameters]")
     key, unit = ("mass", "kg") if linear else ("inertia", "kg m^2")
-    ideas = [_idea(position.values[:, j], command.values[:, j], step, linear) if command else None for j in range(joints)]
+    ideas = [
+        _idea(position.values[:, j], command.values[:, j], step, linear) if command else None
+        for j in range(joints)
+    ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
     torque = command is not None and command.unit in ("N m", "Nm", "N")
     if all(ideas):
         shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)
         said = f"{unit}: a first idea; with friction it explains {shares} of the command"
-        page.line(f"{key} = {{ value = {_list(values)} }}", said, ask="" if torque else f"the number below is for a gain of 1: times the actuator's gain it is in {unit}")
+        page.line(
+            f"{key} = {{ value = {_list(values)} }}",
+            said,
+            ask=(
+                ""
+                if torque
+                else (
+                    "the number below is for a gain of 1: times the actuator's gain it is in"
+                    f" {unit}"
+                )
+            ),
+        )
     else:
-        page.line(f"{key} = {{ value = {_list(values)} }}", unit, ask="the recording does not show it: what does the drawing say?")
+        page.line(
+            f"{key} = {{ value = {_list(values)} }}",
+            unit,
+            ask="the recording does not show it: what does the drawing say?",
+        )
     gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
     if not linear and any(gravity):
-        page.line(f"gravity = {{ value = {_list(gravity)} }}", "N m, times sin(q)", ask="is q = 0 where it hangs down?")
+        page.line(
+            f"gravity = {{ value = {_list(gravity)} }}",
+            "N m, times sin(q)",
+            ask="is q = 0 where it hangs down?",
+        )
     elif not linear:
-        page.line(comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen")
+        page.line(
+            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
+        )
     page.line()
-    page.line(comment="Physics that you know already; names and parameters as in docs/effects.md. What is missing is for zendsp diagnose to find.")
-    for text in ("[[effect]]", 'kind = "viscous"', "joint = 1", f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}"):
+    page.line(
+        comment=(
+            "Physics that you know already; names and parameters as in docs/effects.md. What is"
+            " missing is for zendsp diagnose to find."
+        )
+    )
+    for text in (
+        "[[effect]]",
+        'kind = "viscous"',
+        "joint = 1",
+        f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}",
+    ):
         page.line(comment=text)
 
 
@@ -214,7 +304,9 @@ class _Idea:
 
 
 def _idea(q: Array, u: Array, step: float, linear: bool) -> _Idea | None:
-    """Inertia and gravity by least squares beside friction and a bias; None where the command is hardly explained."""
+    """Inertia and gravity by least squares beside friction and a bias; None where the command is
+    hardly explained.
+    """
     window = max(5, 2 * round(WINDOW_S / step / 2) + 1)
     if len(q) < 4 * window or not (np.isfinite(q).all() and np.isfinite(u).all()) or np.std(u) == 0:
         return None
@@ -243,25 +335,44 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
     page.line()
     page.line("[actuator]")
     if command is None:
-        page.line("gain = { value = 1.0, free = false }", ask="no column looks like the command: which one is it? (see [columns])")
+        page.line(
+            "gain = { value = 1.0, free = false }",
+            ask="no column looks like the command: which one is it? (see [columns])",
+        )
         return
     if command.unit in ("N m", "Nm", "N"):
-        page.line("gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command")
+        page.line(
+            "gain = { value = 1.0, free = false }", f"{command.unit} per {command.unit} of command"
+        )
     elif not command.unit and any(word in command.names[0].lower() for word in PREFERRED[:4]):
         page.line("gain = { value = 1.0, free = false }", ask=f"is {command.names[0]} in N m (N)?")
     else:
         unit = command.unit or "unit"
-        page.line("gain = { value = 1.0, free = false }", ask=f"how many N m (N) does one {unit} of {command.names[0]} make?")
+        page.line(
+            "gain = { value = 1.0, free = false }",
+            ask=f"how many N m (N) does one {unit} of {command.names[0]} make?",
+        )
     if command.unit:
         page.line(f"unit = {json.dumps(command.unit, ensure_ascii=False)}")
     peaks = np.max(np.abs(command.values), axis=0)
     cut = np.sum(np.abs(command.values) > 0.9995 * peaks, axis=0) >= SATURATED
     if np.any(cut & (peaks > 0)):
         limits = [float(f"{p:.4g}") if c else 0.0 for p, c in zip(peaks, cut, strict=True)]
-        page.line(f"limit = {_list(limits)}", "the command stayed at this value again and again; 0: none seen")
+        page.line(
+            f"limit = {_list(limits)}",
+            "the command stayed at this value again and again; 0: none seen",
+        )
     else:
-        page.line(comment=f"limit = {_list([float(f'{p:.3g}') for p in peaks])}: the largest command seen", ask="where does the drive cut off?")
-    page.line(f"hold = {float(f'{step:.6g}'):g}", "s: how long a command acts; the sample time, unless the drive is faster")
+        page.line(
+            comment=(
+                f"limit = {_list([float(f'{p:.3g}') for p in peaks])}: the largest command seen"
+            ),
+            ask="where does the drive cut off?",
+        )
+    page.line(
+        f"hold = {float(f'{step:.6g}'):g}",
+        "s: how long a command acts; the sample time, unless the drive is faster",
+    )
     page.line("delay = 0.0", "s", ask="how long until a command acts? One sample is common")
 
 
@@ -273,16 +384,31 @@ def _sensor(page: _Page, position: Group, linear: bool) -> None:
     if all(steps):
         said = f"{unit} per count, as the numbers are spaced"
         turns = [2 * np.pi / s for s in steps]
-        if not linear and all(abs(turn - round(turn)) < 0.02 * max(1.0, turn / 1e4) for turn in turns):
-            said += f": {', '.join(str(round(turn)) for turn in dict.fromkeys(turns))} counts a turn"
+        if not linear and all(
+            abs(turn - round(turn)) < 0.02 * max(1.0, turn / 1e4) for turn in turns
+        ):
+            said += (
+                f": {', '.join(str(round(turn)) for turn in dict.fromkeys(turns))} counts a turn"
+            )
         page.line(f"position_resolution = {_list([float(f'{s:.8g}') for s in steps])}", said)
     else:
-        page.line(comment=f"position_resolution = 0.001: {unit} per count", ask="no steps are seen: what does the encoder resolve?")
-    page.line('side = "motor"', ask='is the encoder on the motor, or behind gear and spring ("load")?')
+        page.line(
+            comment=f"position_resolution = 0.001: {unit} per count",
+            ask="no steps are seen: what does the encoder resolve?",
+        )
+    page.line(
+        'side = "motor"', ask='is the encoder on the motor, or behind gear and spring ("load")?'
+    )
 
 
 def _columns(
-    page: _Page, table: Table, groups: dict[Role, list[Group]], clock: Group | None, position: Group, command: Group | None, joints: int
+    page: _Page,
+    table: Table,
+    groups: dict[Role, list[Group]],
+    clock: Group | None,
+    position: Group,
+    command: Group | None,
+    joints: int,
 ) -> None:
     page.line()
     page.line("[columns]")
@@ -292,11 +418,21 @@ def _columns(
     chosen["position"] = position
     if command is not None:
         chosen["command"] = command
-    for role in (Role.REFERENCE, Role.VELOCITY, Role.CURRENT, Role.TEMPERATURE, Role.TORQUE_MEASURED):
+    for role in (
+        Role.REFERENCE,
+        Role.VELOCITY,
+        Role.CURRENT,
+        Role.TEMPERATURE,
+        Role.TORQUE_MEASURED,
+    ):
         group = _best(groups, role, joints)
         if group is not None and group is not command:
             chosen[role.value] = group
-    behind = [g for g in groups.get(Role.POSITION, []) if g is not position and g.values.shape[1] == joints and _behind(g)]
+    behind = [
+        g
+        for g in groups.get(Role.POSITION, [])
+        if g is not position and g.values.shape[1] == joints and _behind(g)
+    ]
     if behind:
         chosen["position_load"] = behind[0]
     for key, group in chosen.items():

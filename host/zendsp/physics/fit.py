@@ -1,8 +1,10 @@
-"""Calibration: the parameters that minimise the observer's innovations (prediction error method, Ljung 1999, ch. 7).
+"""Calibration: the parameters that minimise the observer's innovations (prediction error method,
+Ljung 1999, ch. 7).
 
-Levenberg-Marquardt on the normal equations with box bounds; sensitivities by finite differences, one simulation a parameter, on all
-threads (the kernel runs outside the interpreter's lock). The covariance is block-wise robust, so that innovations that are not
-white do not pretend to know more than they do.
+Levenberg-Marquardt on the normal equations with box bounds; sensitivities by finite differences,
+one simulation a parameter, on all threads (the kernel runs outside the interpreter's lock). The
+covariance is block-wise robust, so that innovations that are not white do not pretend to know more
+than they do.
 """
 
 from __future__ import annotations
@@ -22,17 +24,22 @@ from zendsp.physics.native import LANES
 
 Array = npt.NDArray[np.float64]
 
-TOO_FAR = 3.0  # factor within which an inertial figure is calibrated where the recordings give no range of their own
+# factor within which an inertial figure is calibrated where the recordings give no range of their
+# own
+TOO_FAR = 3.0
 TRIES = 8  # ever shorter steps before a fit ends
 FEW_BLOCKS = 20  # as many blocks as the classical variance counts for
 ENDLESS = 1e30  # a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
-ZERO_ERROR = 2e-3  # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
+# rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
+ZERO_ERROR = 2e-3
 
 
 @dataclass(frozen=True)
 class Handle:
-    """Names one free number of a model: ``place`` is "mechanism", "term", "gain" or "offset"; ``index`` is 0-based."""
+    """Names one free number of a model: ``place`` is "mechanism", "term", "gain" or "offset";
+    ``index`` is 0-based.
+    """
 
     place: str
     index: int
@@ -40,7 +47,9 @@ class Handle:
 
 
 def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
-    """The free numbers that act on one joint (1-based): its terms, its sensor's zero, the mechanism parameters in its equation."""
+    """The free numbers that act on one joint (1-based): its terms, its sensor's zero, the mechanism
+    parameters in its equation.
+    """
     keys = set(data.records[0][joint - 1].basis) | {"gravity"}
     out = []
     for h in free_handles(model, joints=(joint,)):
@@ -52,11 +61,13 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
     return tuple(out)
 
 
-def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = True) -> tuple[Handle, ...]:
+def free_handles(
+    model: Model, *, joints: Sequence[int] = (), offsets: bool = True
+) -> tuple[Handle, ...]:
     """The numbers of a model that may be calibrated.
 
-    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated. Numbers of bodies are free only where
-    all joints decide.
+    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated.
+    Numbers of bodies are free only where all joints decide.
 
     Parameters
     ----------
@@ -88,7 +99,11 @@ def free_handles(model: Model, *, joints: Sequence[int] = (), offsets: bool = Tr
             ]
     if model.actuator.gain_free:
         handles += [Handle("gain", j - 1) for j in sorted(wanted)]
-    if offsets and model.kind == "rotary" and any(q.value for q in model.mechanism.get("gravity", ())):
+    if (
+        offsets
+        and model.kind == "rotary"
+        and any(q.value for q in model.mechanism.get("gravity", ()))
+    ):
         handles += [Handle("offset", j - 1) for j in sorted(wanted)]
     return tuple(handles)
 
@@ -112,8 +127,12 @@ def get_values(model: Model, handles: Sequence[Handle]) -> Array:
     return np.array(out, float)
 
 
-def set_values(model: Model, handles: Sequence[Handle], x: Array, std: Array | None = None) -> Model:
-    """A copy of the model with the numbers behind the handles replaced (and their standard deviations noted)."""
+def set_values(
+    model: Model, handles: Sequence[Handle], x: Array, std: Array | None = None
+) -> Model:
+    """A copy of the model with the numbers behind the handles replaced (and their standard
+    deviations noted).
+    """
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
     terms = [dict(term.parameters) for term in model.terms]
     gain = [_pick(model.actuator.gain, j, 1.0) for j in range(model.joints)]
@@ -134,7 +153,9 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array, std: Array | N
     return replace(
         model,
         mechanism={key: tuple(items) for key, items in mechanism.items()},
-        terms=tuple(Term(t.effect, t.joint, values) for t, values in zip(model.terms, terms, strict=True)),
+        terms=tuple(
+            Term(t.effect, t.joint, values) for t, values in zip(model.terms, terms, strict=True)
+        ),
         actuator=actuator,
         sensor=sensor,
     )
@@ -142,7 +163,9 @@ def set_values(model: Model, handles: Sequence[Handle], x: Array, std: Array | N
 
 @dataclass(frozen=True)
 class Data:
-    """Recordings ready to be fitted: ``records[r][j]`` is joint j + 1 of recording r; ``bandwidth[j]`` of its observer, rad/s."""
+    """Recordings ready to be fitted: ``records[r][j]`` is joint j + 1 of recording r;
+    ``bandwidth[j]`` of its observer, rad/s.
+    """
 
     records: tuple[tuple[JointRecord, ...], ...]
     bandwidth: tuple[float, ...]
@@ -159,13 +182,16 @@ class Data:
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""
         return replace(
-            self, bandwidth=tuple(value if j + 1 == joint else b for j, b in enumerate(self.bandwidth))
+            self,
+            bandwidth=tuple(value if j + 1 == joint else b for j, b in enumerate(self.bandwidth)),
         )
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model: numbers (p,), covariance (p, p), residual (N,) of the joints fitted, cost = sum of squares."""
+    """A fitted model: numbers (p,), covariance (p, p), residual (N,) of the joints fitted, cost =
+    sum of squares.
+    """
 
     model: Model
     handles: tuple[Handle, ...]
@@ -194,21 +220,36 @@ def residual(data: Data, model: Model, joints: Sequence[int]) -> Array:
     return np.concatenate(parts)
 
 
-def residuals(data: Data, models: Sequence[Model], joints: Sequence[int], pool: ThreadPoolExecutor | None = None) -> Array:
+def residuals(
+    data: Data,
+    models: Sequence[Model],
+    joints: Sequence[int],
+    pool: ThreadPoolExecutor | None = None,
+) -> Array:
     """As ``residual`` for models that differ in numbers only, (N, models)."""
     groups = [models[i : i + LANES] for i in range(0, len(models), LANES)]
-    tasks = [(rec[j - 1], group, data.bandwidth[j - 1]) for rec in data.records for j in joints for group in groups]
+    tasks = [
+        (rec[j - 1], group, data.bandwidth[j - 1])
+        for rec in data.records
+        for j in joints
+        for group in groups
+    ]
 
     def work(task: tuple[JointRecord, Sequence[Model], float]) -> Array:
         return run_many(*task, inner=data.inner)
 
     done = list(map(work, tasks) if pool is None or len(tasks) == 1 else pool.map(work, tasks))
     if len(groups) > 1:
-        done = [np.concatenate(done[i : i + len(groups)], axis=1) for i in range(0, len(done), len(groups))]
+        done = [
+            np.concatenate(done[i : i + len(groups)], axis=1)
+            for i in range(0, len(done), len(groups))
+        ]
     return np.concatenate(done) if len(done) > 1 else done[0]
 
 
-def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tuple[Array, Array, Array]:
+def bounds_and_steps(
+    data: Data, model: Model, handles: Sequence[Handle]
+) -> tuple[Array, Array, Array]:
     """Lower and upper bounds and the natural size of each number, (p,) each."""
     low, high, size = [], [], []
     for h in handles:
@@ -239,8 +280,11 @@ def bounds_and_steps(data: Data, model: Model, handles: Sequence[Handle]) -> tup
             value = float(get_values(model, [h])[0])
             signed = h.place == "mechanism" and h.key in ("p3", "gravity")
             wide = (value / TOO_FAR, value * TOO_FAR)
-            free = any(get_effect(t.effect).loosens_inertia for t in model.terms)  # Data.ranges takes the command for what accelerates
-            lower, upper = (-np.inf, np.inf) if signed else wide if free else data.ranges.get(h.key, wide)
+            # Data.ranges takes the command for what accelerates
+            free = any(get_effect(t.effect).loosens_inertia for t in model.terms)
+            lower, upper = (
+                (-np.inf, np.inf) if signed else wide if free else data.ranges.get(h.key, wide)
+            )
             low.append(lower)
             high.append(upper)
             size.append(abs(value))
@@ -285,7 +329,8 @@ def fit(
     start : ndarray or None, shape (p,)
         Other start values.
     central : bool
-        Central differences in place of one-sided ones: twice the work, for the last steps of a rough cost.
+        Central differences in place of one-sided ones: twice the work, for the last steps of a
+        rough cost.
     brief : bool
         A step on the way: the Jacobian, and with it the covariance, may be that of the step before.
 
@@ -297,15 +342,20 @@ def fit(
     wanted = tuple(joints or range(1, data.joints + 1))
     low, high, size = bounds_and_steps(data, model, handles)
     x = np.clip(get_values(model, handles) if start is None else start, low, high)
-    prior = np.array([1.0 / (0.3 * size[i]) if h.place == "offset" else 0.0 for i, h in enumerate(handles)])
+    prior = np.array(
+        [1.0 / (0.3 * size[i]) if h.place == "offset" else 0.0 for i, h in enumerate(handles)]
+    )
     centre = get_values(model, handles)
 
-    # impacts make the cost rough on a fine scale: differences over a tenth of a percent look past it
+    # impacts make the cost rough on a fine scale: differences over a tenth of a percent look past
+    # it
     coarse = 2e-3 if any(get_effect(t.effect).rough for t in model.terms) else 1e-4
     with ThreadPoolExecutor(max(1, jobs)) as pool:
 
         def evaluate(points: Sequence[Array]) -> Array:
-            columns = residuals(data, [set_values(model, handles, at) for at in points], wanted, pool)
+            columns = residuals(
+                data, [set_values(model, handles, at) for at in points], wanted, pool
+            )
             if not prior.any():
                 return columns
             known = [prior[prior > 0] * (at - centre)[prior > 0] for at in points]
@@ -315,12 +365,21 @@ def fit(
             step = coarse * np.maximum(np.abs(at), size)
             step = np.where(at + step > high, -step, step)
             points = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
-            back = [np.clip(at - step[i] * np.eye(len(at))[i], low, high) for i in range(len(at))] if central else []
+            back = (
+                [np.clip(at - step[i] * np.eye(len(at))[i], low, high) for i in range(len(at))]
+                if central
+                else []
+            )
             if not points:
                 return np.zeros((len(base), 0))
             columns = evaluate([*points, *back])
             behind = columns[:, len(at) :] if central else base[:, None]
-            widths = np.array([(p - q)[i] for i, (p, q) in enumerate(zip(points, back or [at] * len(at), strict=True))])
+            widths = np.array(
+                [
+                    (p - q)[i]
+                    for i, (p, q) in enumerate(zip(points, back or [at] * len(at), strict=True))
+                ]
+            )
             return np.asarray((columns[:, : len(at)] - behind) / widths)
 
         r = evaluate([x])[:, 0]
@@ -328,13 +387,20 @@ def fit(
         jac, count = jacobian(x, r), 0
         while not done and count < iterations:
             count += 1
-            unit = np.maximum(np.abs(x), size)  # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
+            # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
+            unit = np.maximum(np.abs(x), size)
             scaled = jac * unit
             gradient, normal = scaled.T @ r, scaled.T @ scaled
-            diagonal = np.maximum(np.diag(normal), 1e-12 * max(float(np.max(np.diag(normal))), 1e-300))
+            diagonal = np.maximum(
+                np.diag(normal), 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
+            )
             use = ~(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
             better: tuple[float, Array, Array] | None = None
-            for dampings in ([damping], [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]):  # then shorter steps, all of them at once
+            # then shorter steps, all of them at once
+            for dampings in (
+                [damping],
+                [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)],
+            ):
                 trials = []
                 for value in dampings:
                     step = np.zeros_like(x)
@@ -358,14 +424,18 @@ def fit(
     covariance = robust_covariance(jac, r, block_count(data))
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)
-    return Fit(set_values(model, handles, x), handles, x, covariance, cost, count, at_bound, done, jac, r)
+    return Fit(
+        set_values(model, handles, x), handles, x, covariance, cost, count, at_bound, done, jac, r
+    )
 
 
 def robust_covariance(jac: Array, r: Array, block: int) -> Array:
-    """Covariance of least squares that stays honest when residuals are correlated within blocks (sandwich), (p, p).
+    """Covariance of least squares that stays honest when residuals are correlated within blocks
+    (sandwich), (p, p).
 
-    Where the blocks vary more than white innovations would, their variance counts. Where they vary less, because what a fast observer
-    gets wrong in one sample it makes good in the next, it counts as much as there are blocks, beside the classical one.
+    Where the blocks vary more than white innovations would, their variance counts. Where they vary
+    less, because what a fast observer gets wrong in one sample it makes good in the next, it counts
+    as much as there are blocks, beside the classical one.
     """
     n, p = jac.shape
     if not p:
@@ -384,7 +454,12 @@ def robust_covariance(jac: Array, r: Array, block: int) -> Array:
     sandwich = inverse @ (scores.T @ scores) @ inverse * count / max(1, count - p)
     white = np.maximum(np.diag(classic), 1e-300)
     blocks = np.maximum(np.diag(sandwich), 1e-6 * white)
-    grow = np.sqrt(np.where(blocks < white, (count * blocks + FEW_BLOCKS * white) / (count + FEW_BLOCKS), blocks) / blocks)
+    grow = np.sqrt(
+        np.where(
+            blocks < white, (count * blocks + FEW_BLOCKS * white) / (count + FEW_BLOCKS), blocks
+        )
+        / blocks
+    )
     honest: Array = sandwich * np.outer(grow, grow)
     honest[idle, :], honest[:, idle] = 0.0, 0.0
     honest[idle, idle] = ENDLESS

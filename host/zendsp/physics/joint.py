@@ -1,4 +1,6 @@
-"""One joint of one recording, ready for the kernel, and the two ways of running it: observed and free."""
+"""One joint of one recording, ready for the kernel, and the two ways of running it: observed and
+free.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +24,16 @@ Array = npt.NDArray[np.float64]
 
 MAX_EFFECTS, MAX_PARAMETERS = 24, 6
 _NOTHING = np.zeros(0)
-RAN_AWAY = 1e9  # what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5 rad/s or m/s
+# what the kernel writes from where a prediction leaves the track: 1000 rad or m off, or at 1e5
+# rad/s or m/s
+RAN_AWAY = 1e9
 AT_FIRST = 0.03  # s, over which the acceleration at the beginning is measured
 
 
 @dataclass
 class JointRecord:
-    """One joint along one recording. Arrays are (n,) and C-contiguous; SI units, joint coordinates."""
+    """One joint along one recording. Arrays are (n,) and C-contiguous; SI units, joint coordinates.
+    """
 
     joint: int
     sample_time: float
@@ -43,7 +48,8 @@ class JointRecord:
     position: Array  # as measured, quantised
     links: Links | None = None  # of the whole machine; None where its kind has none
     slides: bool = False  # a linear joint
-    columns: Mapping[str, Array] = field(default_factory=dict)  # optional ones by their role in [columns], (n,)
+    # optional ones by their role in [columns], (n,)
+    columns: Mapping[str, Array] = field(default_factory=dict)
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
     _facts: Facts | None = None
@@ -57,17 +63,23 @@ class JointRecord:
     def integral(self) -> Array:
         """Integral of the held command, (n + 1,)."""
         if self._integral is None:
-            self._integral = np.ascontiguousarray(np.r_[0.0, np.cumsum(self.command)] * self.sample_time)
+            self._integral = np.ascontiguousarray(
+                np.r_[0.0, np.cumsum(self.command)] * self.sample_time
+            )
         return self._integral
 
     @property
     def counted(self) -> npt.NDArray[np.bool_]:
-        """Samples that count in a likelihood, (n,): on a plateau of the quantiser only the code change does."""
+        """Samples that count in a likelihood, (n,): on a plateau of the quantiser only the code
+        change does.
+        """
         mask: npt.NDArray[np.bool_] = self.measurement.half == 0
         return mask
 
     def gains(self, bandwidth: float) -> tuple[Array, Array, Array]:
-        """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process noise of that strength."""
+        """Observer gains k1, k2 and weights of a bandwidth in rad/s, which stands for white process
+        noise of that strength.
+        """
         key = round(bandwidth, 6)
         if key not in self._gains:
             lib, n = native(), self.n
@@ -89,7 +101,9 @@ class JointRecord:
         return self._gains[key]
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
-        """Inertia and known torque along the record for the mechanism parameters of a model, each (n,)."""
+        """Inertia and known torque along the record for the mechanism parameters of a model, each
+        (n,).
+        """
         inertia, bias = np.zeros(self.n), np.zeros(self.n)
         for key, basis in self.basis.items():
             value = 1.0 if key == "fixed" else mechanism_value(model, key, self.joint)
@@ -102,14 +116,23 @@ class JointRecord:
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
-        """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the mean where a URDF tells no more."""
+        """Inertia that motor and load share, kg m^2 or kg: what is the same at every pose, or the
+        mean where a URDF tells no more.
+        """
         constant = [key for key in self.basis if key not in ("fixed", "p3")]
         if not constant:
             return float(np.mean(inertia))
-        return float(sum(mechanism_value(model, key, self.joint) * self.basis[key].inertia[0] for key in constant))
+        return float(
+            sum(
+                mechanism_value(model, key, self.joint) * self.basis[key].inertia[0]
+                for key in constant
+            )
+        )
 
 
-def facts(record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None) -> Facts:
+def facts(
+    record: JointRecord, model: Model | None = None, replaced: Mapping[str, float] | None = None
+) -> Facts:
     """What a recording and, where given, a model say to the effects of a joint.
 
     Parameters
@@ -129,33 +152,54 @@ def facts(record: JointRecord, model: Model | None = None, replaced: Mapping[str
         command = np.abs(record.command)
         fast, fastest = (float(x) for x in np.quantile(np.abs(qd), (0.95, 0.99)))
         record._facts = Facts(
-            scale=record.scale, centre=0.5 * (float(q.max()) + float(q.min())), fast=fast, fastest=fastest,
-            strong=float(np.quantile(command, 0.999)), strongest=float(command.max()), sample_time=record.sample_time,
-            slides=record.slides, joint=record.joint, joints=len(record.others), gain=1.0, inertia=record.scale.inertia,
-            temperature=float(record.columns["temperature"][0]) if "temperature" in record.columns else float("nan"),
-        )  # fmt: skip
+            scale=record.scale,
+            centre=0.5 * (float(q.max()) + float(q.min())),
+            fast=fast,
+            fastest=fastest,
+            strong=float(np.quantile(command, 0.999)),
+            strongest=float(command.max()),
+            sample_time=record.sample_time,
+            slides=record.slides,
+            joint=record.joint,
+            joints=len(record.others),
+            gain=1.0,
+            inertia=record.scale.inertia,
+            temperature=(
+                float(record.columns["temperature"][0])
+                if "temperature" in record.columns
+                else float("nan")
+            ),
+        )
     if model is None:
         return record._facts
-    dry = sum(t.value("level") for t in model.at(record.joint) if get_effect(t.effect).site == "dry")
+    dry = sum(
+        t.value("level") for t in model.at(record.joint) if get_effect(t.effect).site == "dry"
+    )
     return replace(
         record._facts, gain=per_joint(model.actuator.gain, record.joint, 1.0), friction=dry,
         inertia=float(np.mean(effective_inertia(record, model))), replaced=dict(replaced or {}),
-    )  # fmt: skip
+    )
 
 
 def along(record: JointRecord, model: Model) -> Along:
     """The measured motion of a joint, for the column of an effect."""
     q, qd, qdd = record.motion.states
     return Along(
-        q=q, qd=qd, qdd=qdd, t=np.asarray(record.t0 + record.sample_time * np.arange(record.n), dtype=np.float64),
-        torque=per_joint(model.actuator.gain, record.joint, 1.0) * record.command, sample_time=record.sample_time,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        t=np.asarray(record.t0 + record.sample_time * np.arange(record.n), dtype=np.float64),
+        torque=per_joint(model.actuator.gain, record.joint, 1.0) * record.command,
+        sample_time=record.sample_time,
         inertia=effective_inertia(record, model),
         gravity=mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0,
-    )  # fmt: skip
+    )
 
 
 def effective_inertia(record: JointRecord, model: Model) -> Array:
-    """Inertia that a torque at the joint accelerates, with the terms of kind inertia (rotors, payloads), (n,)."""
+    """Inertia that a torque at the joint accelerates, with the terms of kind inertia (rotors,
+    payloads), (n,).
+    """
     inertia, _ = record.inertia_and_bias(model)
     extra = sum(t.value("amount") for t in model.at(record.joint) if t.effect == "inertia")
     out: Array = np.maximum(inertia + extra, 0.05 * inertia)
@@ -171,14 +215,17 @@ def mechanism_value(model: Model, key: str, joint: int) -> float:
 
 
 def own_terms(terms: tuple[Term, ...]) -> tuple[Term, ...]:
-    """The terms that the kernel evaluates at a joint: bodies have entered its inertia and bias instead."""
+    """The terms that the kernel evaluates at a joint: bodies have entered its inertia and bias
+    instead.
+    """
     return tuple(term for term in terms if get_effect(term.effect).site != "body")
 
 
 def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
     """Effects as the kernel takes them: indices and a table of parameters.
 
-    The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give the breakaway).
+    The Stribeck parameter is the excess over the Coulomb level of the same joint (model files give
+    the breakaway).
     """
     index = native().index
     terms = own_terms(terms)
@@ -188,13 +235,17 @@ def pack(terms: tuple[Term, ...]) -> tuple[npt.NDArray[np.int32], Array]:
         effect = get_effect(term.effect)
         kinds[row] = index[term.effect]
         for column, parameter in enumerate(effect.parameters):
-            table[row, column] = term.value(parameter.name, parameter.default or 0.0) - (parameter.size == "joint")
+            table[row, column] = term.value(parameter.name, parameter.default or 0.0) - (
+                parameter.size == "joint"
+            )
     return kinds, table
 
 
 @dataclass(frozen=True)
 class Run:
-    """Outcome of one pass of the kernel: weighted innovations (n,), states and torque where asked for, sample at which it ran away."""
+    """Outcome of one pass of the kernel: weighted innovations (n,), states and torque where asked
+    for, sample at which it ran away.
+    """
 
     innovations: Array
     q: Array | None
@@ -232,7 +283,8 @@ def run(
     states : bool
         Also return states and torque.
     free_every : int
-        Restart from the smoothed motion every so many samples and simulate freely between; 0: observer.
+        Restart from the smoothed motion every so many samples and simulate freely between; 0:
+        observer.
     extra : ndarray or None, shape (n,)
         Resisting torque added from outside, N m or N.
 
@@ -257,14 +309,18 @@ def run(
     return Run(r, xq, xqd, torque, diverged)
 
 
-def run_many(record: JointRecord, models: Sequence[Model], bandwidth: float, *, inner: int = 2) -> Array:
-    """Weighted innovations of several models that differ in numbers only, (n, models): eight take little longer than two.
+def run_many(
+    record: JointRecord, models: Sequence[Model], bandwidth: float, *, inner: int = 2
+) -> Array:
+    """Weighted innovations of several models that differ in numbers only, (n, models): eight take
+    little longer than two.
 
     Parameters
     ----------
     record : JointRecord
     models : sequence of Model
-        Of the same terms in the same order, in kernel form; a coupling's joint and law are the same too. Those that are the same for this joint are run once.
+        Of the same terms in the same order, in kernel form; a coupling's joint and law are the same
+        too. Those that are the same for this joint are run once.
     bandwidth, inner
         As for ``run``.
     """
@@ -280,7 +336,9 @@ def run_many(record: JointRecord, models: Sequence[Model], bandwidth: float, *, 
             continue
         m = lib.ffi.new("zk_model[]", LANES)
         known: dict[tuple[float, ...], tuple[Array, Array]] = {}
-        alive = [_fill(m[i], record, model, bandwidth, inner, known) for i, model in enumerate(some)]
+        alive = [
+            _fill(m[i], record, model, bandwidth, inner, known) for i, model in enumerate(some)
+        ]
         for i in range(len(some), LANES):
             m[i] = m[0]  # idle
         r = np.empty((n, LANES))
@@ -294,7 +352,11 @@ def _numbers(record: JointRecord, model: Model) -> bytes:
     """All numbers of a model that one joint's prediction depends on."""
     j = record.joint
     numbers = [mechanism_value(model, key, j) for key in record.basis]
-    numbers += [mechanism_value(model, "gravity", j), per_joint(model.actuator.gain, j, 1.0), per_joint(model.actuator.limit, j, 0.0)]
+    numbers += [
+        mechanism_value(model, "gravity", j),
+        per_joint(model.actuator.gain, j, 1.0),
+        per_joint(model.actuator.limit, j, 0.0),
+    ]
     numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
     numbers += _body_numbers(model)
     return pack(model.at(j))[1].tobytes() + np.array(numbers).tobytes()
@@ -305,23 +367,46 @@ def _body_numbers(model: Model) -> tuple[float, ...]:
     return tuple(q.value for term in body_terms(model) for q in term.parameters.values())
 
 
-def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: int, known: dict[tuple[float, ...], tuple[Array, Array]] | None = None) -> list[Any]:
-    """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia and bias by mechanism values."""
+def _fill(
+    m: Any,
+    record: JointRecord,
+    model: Model,
+    bandwidth: float,
+    inner: int,
+    known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
+) -> list[Any]:
+    """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia
+    and bias by mechanism values.
+    """
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
     kinds, table = pack(model.at(record.joint))
-    values = tuple(1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis) + _body_numbers(model)
+    values = tuple(
+        1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis
+    ) + _body_numbers(model)
     known = {} if known is None else known
     if values not in known:
         known[values] = record.inertia_and_bias(model)
     inertia, bias = known[values]
     k1, k2, w = record.gains(bandwidth)
     rq, rqd = record.motion.states[0], record.motion.states[1]
-    m.n, m.sub, m.T, m.ucum, m.delay = n, inner, record.sample_time, p(record.integral), model.actuator.delay
+    m.n, m.sub, m.T, m.ucum, m.delay = (
+        n,
+        inner,
+        record.sample_time,
+        p(record.integral),
+        model.actuator.delay,
+    )
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
     m.shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
-    m.m, m.half, m.k1, m.k2, m.w = p(record.measurement.value), p(record.measurement.half), p(k1), p(k2), p(w)
+    m.m, m.half, m.k1, m.k2, m.w = (
+        p(record.measurement.value),
+        p(record.measurement.half),
+        p(k1),
+        p(k2),
+        p(w),
+    )
     m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
     m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
     m.other, m.extra = p(record.others), ffi.NULL
@@ -337,7 +422,9 @@ def _fill(m: Any, record: JointRecord, model: Model, bandwidth: float, inner: in
 
 
 def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floor: float) -> Array:
-    """Resisting torque of some effects along the measured motion, (n,); dry friction smoothed over ``speed_floor`` rad/s."""
+    """Resisting torque of some effects along the measured motion, (n,); dry friction smoothed over
+    ``speed_floor`` rad/s.
+    """
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
     kinds, table = pack(terms)
@@ -364,22 +451,34 @@ def _felt(record: JointRecord, terms: tuple[Term, ...]) -> Array:
         for column in get_effect(term.effect).reads:
             if column not in record.columns:
                 raise RecordingError(
-                    f"the model's {term.effect} of joint {term.joint} needs a column of {column}: name it in [columns] {column}"
+                    f"the model's {term.effect} of joint {term.joint} needs a column of {column}:"
+                    f" name it in [columns] {column}"
                 )
     felt = record.columns.get("temperature", _NOTHING)
     if len(felt) not in (0, record.n):
-        raise RecordingError(f"temperature has {len(felt)} rows; expected {record.n}, as many as the position")
+        raise RecordingError(
+            f"temperature has {len(felt)} rows; expected {record.n}, as many as the position"
+        )
     return felt
 
 
-def sensed(record: JointRecord, model: Model, terms: tuple[Term, ...], position: Array | None = None) -> Array:
-    """What the position sensor adds to a motion, (n,) rad or m; the measured one where no ``position`` is given."""
+def sensed(
+    record: JointRecord, model: Model, terms: tuple[Term, ...], position: Array | None = None
+) -> Array:
+    """What the position sensor adds to a motion, (n,) rad or m; the measured one where no
+    ``position`` is given.
+    """
     lib = native()
     p, ffi = lib.doubles, lib.ffi
     q = np.ascontiguousarray(record.motion.states[0] if position is None else position)
     kinds, table = pack(terms)
     m, out = ffi.new("zk_model *"), np.empty(len(q))
-    m.n, m.nfx, m.kind, m.p = len(q), len(terms), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
+    m.n, m.nfx, m.kind, m.p = (
+        len(q),
+        len(terms),
+        ffi.cast("int *", ffi.from_buffer(kinds)),
+        p(table),
+    )
     lib.lib.zk_sense(m, p(q), p(out))
     return out
 
@@ -393,7 +492,9 @@ def response(
     *,
     on_sensor: bool = False,
 ) -> Array:
-    """What torque columns (m, n) do to the weighted innovations, to first order (m, n); ``on_sensor``: position columns."""
+    """What torque columns (m, n) do to the weighted innovations, to first order (m, n);
+    ``on_sensor``: position columns.
+    """
     lib, n = native(), record.n
     p = lib.doubles
     k1, k2, w = record.gains(bandwidth)
@@ -401,7 +502,17 @@ def response(
     active = np.ones(n)
     out = np.empty_like(columns)
     lib.lib.zk_filter(
-        n, record.sample_time, p(k1), p(k2), p(w), p(active), p(np.ascontiguousarray(inertia)), p(np.ascontiguousarray(damping)),
-        len(columns), p(columns), int(on_sensor), p(out),
-    )  # fmt: skip
+        n,
+        record.sample_time,
+        p(k1),
+        p(k2),
+        p(w),
+        p(active),
+        p(np.ascontiguousarray(inertia)),
+        p(np.ascontiguousarray(damping)),
+        len(columns),
+        p(columns),
+        int(on_sensor),
+        p(out),
+    )
     return out

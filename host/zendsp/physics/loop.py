@@ -1,4 +1,6 @@
-"""One joint in a simulated closed loop, with every effect of the library: what a recording would look like if a hypothesis were true."""
+"""One joint in a simulated closed loop, with every effect of the library: what a recording would
+look like if a hypothesis were true.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +82,9 @@ def simulate_joint_loop(
         p(cumulative),
         model.actuator.delay,
     )
-    m.gain, m.limit = per_joint(model.actuator.gain, joint, 1.0), per_joint(model.actuator.limit, joint, 0.0)
+    m.gain, m.limit = per_joint(model.actuator.gain, joint, 1.0), per_joint(
+        model.actuator.limit, joint, 0.0
+    )
     m.m, m.half, m.k1, m.k2, m.w = (p(zeros) for _ in range(5))
     m.inertia, m.bias, m.reference, m.temperature = p(inertias), p(zeros), inertia, p(warm)
     m.gravity = mechanism_value(model, "gravity", joint) if model.kind == "rotary" else 0.0
@@ -102,8 +106,11 @@ def simulate_joint_loop(
     command = np.diff(cumulative) / sample_time
     for term in model.at(joint):
         effect = get_effect(term.effect)
-        if effect.mechanism == "measurement" and effect.retime is not None:  # what is recorded of what acted
-            command = effect.retime(command, sample_time, {name: -q.value for name, q in term.parameters.items()})
+        # what is recorded of what acted
+        if effect.mechanism == "measurement" and effect.retime is not None:
+            command = effect.retime(
+                command, sample_time, {name: -q.value for name, q in term.parameters.items()}
+            )
     return Looped(out, command)
 
 

@@ -1,4 +1,5 @@
-"""The model of a machine as docs/diagnosis.md describes it: mechanism, effects, actuator, sensor, controller, columns.
+"""The model of a machine as docs/diagnosis.md describes it: mechanism, effects, actuator, sensor,
+controller, columns.
 
 A parameter that has several joints is a tuple of one number per joint. All SI.
 """
@@ -20,7 +21,8 @@ REQUIRED = {
     "urdf": (),
     "python": (),
 }
-PARAMETERS: dict[str, tuple[str, ...] | None] = {  # that a model file may give; None: any, they are the simulator's own
+# that a model file may give; None: any, they are the simulator's own
+PARAMETERS: dict[str, tuple[str, ...] | None] = {
     "rotary": ("inertia", "gravity"),
     "linear": ("mass", "gravity"),
     "planar2r": ("p1", "p2", "p3", "l1", "l2"),
@@ -31,7 +33,9 @@ PARAMETERS: dict[str, tuple[str, ...] | None] = {  # that a model file may give;
 
 @cache
 def _movable(path: str) -> int:
-    """Number of joints that move in a URDF; 1 where it cannot be read (whoever needs the file says so)."""
+    """Number of joints that move in a URDF; 1 where it cannot be read (whoever needs the file says
+    so).
+    """
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError):
@@ -82,7 +86,9 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Position sensor: joint = matrix @ measured + offset; resolution in rad or m per count of the measured column."""
+    """Position sensor: joint = matrix @ measured + offset; resolution in rad or m per count of the
+    measured column.
+    """
 
     resolution: tuple[float, ...] = ()
     matrix: tuple[tuple[float, ...], ...] = ()
@@ -92,7 +98,9 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Model:
-    """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each parameter."""
+    """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each
+    parameter.
+    """
 
     name: str
     sample_time: float | None
@@ -141,7 +149,9 @@ class Model:
         return replace(self, terms=terms)
 
     def torque_unit(self, joint: int) -> str:
-        """Unit of what moves a joint: N m, N for a linear one, or that of the command where its gain is one (A of a motor current)."""
+        """Unit of what moves a joint: N m, N for a linear one, or that of the command where its
+        gain is one (A of a motor current).
+        """
         if self.actuator.unit and abs(per_joint(self.actuator.gain, joint, 1.0)) == 1.0:
             return self.actuator.unit
         return "N" if self.joint_kind(joint) == "linear" else "N m"

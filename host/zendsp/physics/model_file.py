@@ -1,4 +1,5 @@
-"""Reads and writes model files (TOML), naming the key and what was expected wherever one is wrong."""
+"""Reads and writes model files (TOML), naming the key and what was expected wherever one is wrong.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +13,47 @@ import tomli_w
 
 from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import KINDS, PARAMETERS, REQUIRED, Actuator, Model, Quantity, Sensor, Term
+from zendsp.physics.model import (
+    KINDS,
+    PARAMETERS,
+    REQUIRED,
+    Actuator,
+    Model,
+    Quantity,
+    Sensor,
+    Term,
+)
 from zendsp.spelling import unknown_keys
 
 KEYS = {  # of each table, whether this version uses the value or only knows it
-    "": ("name", "sample_time", "mechanism", "effect", "actuator", "sensor", "controller", "columns", "limits"),
+    "": (
+        "name",
+        "sample_time",
+        "mechanism",
+        "effect",
+        "actuator",
+        "sensor",
+        "controller",
+        "columns",
+        "limits",
+    ),
     "mechanism": ("kind", "parameters", "file", "entry", "folder"),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
     "sensor": ("position_resolution", "matrix", "offset", "side"),
     "controller": ("kind", "kp", "kd", "ki", "cutoff"),
     "columns": (
-        "time", "position", "command", "reference", "velocity", "current", "temperature", "position_load", "torque_measured",
+        "time",
+        "position",
+        "command",
+        "reference",
+        "velocity",
+        "current",
+        "temperature",
+        "position_load",
+        "torque_measured",
     ),
     "limits": ("position",),
-}  # fmt: skip
+}
 QUANTITY = ("value", "free", "unit", "std")
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 
@@ -49,7 +77,11 @@ class _Reader:
             raise ModelError(said)
 
     def number(self, key: str, value: Any, positive: bool = False) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             raise self.fail(key, "a finite number", value)
         if positive and value <= 0:
             raise self.fail(key, "a number above 0", value)
@@ -82,7 +114,12 @@ class _Reader:
             raise self.fail(f"{key}.free", "true or false", free)
         std = table.get("std", 0.0)
         return tuple(
-            Quantity(v, free, str(table.get("unit", "")), float(std) if isinstance(std, int | float) else 0.0)
+            Quantity(
+                v,
+                free,
+                str(table.get("unit", "")),
+                float(std) if isinstance(std, int | float) else 0.0,
+            )
             for v in self.numbers(f"{key}.value", table["value"])
         )
 
@@ -102,7 +139,8 @@ def load_model(path: str | Path) -> Model:
     Raises
     ------
     ModelError
-        Where the file cannot be read or a key is not what the contract says; the message names the key.
+        Where the file cannot be read or a key is not what the contract says; the message names the
+        key.
     """
     try:
         data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -121,7 +159,8 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     data : mapping
         What the TOML file holds.
     path : str
-        Of the file: named in errors, and its folder is where a URDF or a Python simulator is looked for.
+        Of the file: named in errors, and its folder is where a URDF or a Python simulator is looked
+        for.
 
     Returns
     -------
@@ -138,7 +177,9 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         if key:
             read.only(read.table(data, key), allowed, f"[{key}]")
     for key, column in read.table(data, "columns").items():
-        if not isinstance(column, str) and not (isinstance(column, list) and all(isinstance(name, str) for name in column)):
+        if not isinstance(column, str) and not (
+            isinstance(column, list) and all(isinstance(name, str) for name in column)
+        ):
             raise read.fail(f"[columns] {key}", "the name of a column, or a list of names", column)
     mechanism = read.table(data, "mechanism")
     kind = mechanism.get("kind")
@@ -147,23 +188,31 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     for key, needed in (("urdf", "file"), ("python", "entry")):
         if kind == key and not isinstance(mechanism.get(needed), str):
             raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
-    folder = Path(path).parent / str(mechanism.get("folder", ""))  # of the URDF or the Python module
+    # of the URDF or the Python module
+    folder = Path(path).parent / str(mechanism.get("folder", ""))
     parameters = read.table(mechanism, "parameters")
     known = PARAMETERS[kind]
     if known is not None:
         read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
     values = {
-        key: read.quantities(f"[mechanism.parameters] {key}", value) for key, value in parameters.items()
+        key: read.quantities(f"[mechanism.parameters] {key}", value)
+        for key, value in parameters.items()
     }
     for key in REQUIRED[kind]:
         if key not in values:
-            raise ModelError(f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs")
+            raise ModelError(
+                f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs"
+            )
         if key in ("inertia", "mass", "p1", "p2") and any(q.value <= 0 for q in values[key]):
-            raise read.fail(f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value)
+            raise read.fail(
+                f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value
+            )
     sample_time = data.get("sample_time")
     model = Model(
         name=str(data.get("name", Path(path).stem)),
-        sample_time=None if sample_time is None else read.number("sample_time", sample_time, positive=True),
+        sample_time=(
+            None if sample_time is None else read.number("sample_time", sample_time, positive=True)
+        ),
         kind=kind,
         mechanism=values,
         actuator=_actuator(read, read.table(data, "actuator")),
@@ -190,7 +239,9 @@ def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
         gain=tuple(q.value for q in gain),
         gain_free=bool(explicit),
         limit=read.numbers("[actuator] limit", data["limit"], least=0.0) if "limit" in data else (),
-        hold=read.number("[actuator] hold", data["hold"], positive=True) if "hold" in data else None,
+        hold=(
+            read.number("[actuator] hold", data["hold"], positive=True) if "hold" in data else None
+        ),
         delay=read.numbers("[actuator] delay", data.get("delay", 0.0), least=0.0)[0],
         matrix=read.matrix("[actuator] matrix", data["matrix"]) if "matrix" in data else (),
         unit=str(data.get("unit", "")),
@@ -202,9 +253,11 @@ def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
     if side not in ("motor", "load"):
         raise read.fail("[sensor] side", '"motor" or "load"', side)
     return Sensor(
-        resolution=read.numbers("[sensor] position_resolution", data["position_resolution"], least=0.0)
-        if "position_resolution" in data
-        else (),
+        resolution=(
+            read.numbers("[sensor] position_resolution", data["position_resolution"], least=0.0)
+            if "position_resolution" in data
+            else ()
+        ),
         matrix=read.matrix("[sensor] matrix", data["matrix"]) if "matrix" in data else (),
         offset=read.numbers("[sensor] offset", data["offset"]) if "offset" in data else (),
         side=side,

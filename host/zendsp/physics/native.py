@@ -1,4 +1,6 @@
-"""Builds the C of this room (kernel and filters, completed with the library of effects) and opens it through cffi."""
+"""Builds the C of this room (kernel and filters, completed with the library of effects) and opens
+it through cffi.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,16 @@ from zendsp.errors import ZendspError
 from zendsp.physics.effects import Effect, library
 from zendsp_isr.compiler import find_compiler
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=c11", "-fopenmp-simd")
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-shared",
+    "-fPIC",
+    "-std=c11",
+    "-fopenmp-simd",
+)
 
 CDEF = """
 typedef struct {
@@ -39,28 +50,40 @@ void zk_filter(int n, double T, const double *k1, const double *k2, const double
 void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k2, double *w);
 double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
                  double q0, double v0, double *work, double *out, double *var);
-"""
+"""  # noqa: E501
 
 LANES = 8  # parameter sets that ``zk_run_lanes`` takes at once
 
 _PLACES = {  # of an effect: the mark in observer.c, and what is done there for each lane
     "torque": ("FORCE", "EACH torque[l] += OF(fx_{name})(p, S, l);"),
     "viscous": ("FORCE", "EACH visc[l] += OF(fx_{name})(p, S, l);"),
-    "scale": ("FORCE", "EACH {{ const double c = OF(fx_{name})(p, S, l); scale[l] *= c; thick[l] *= c; }}"),
+    "scale": (
+        "FORCE",
+        "EACH {{ const double c = OF(fx_{name})(p, S, l); scale[l] *= c; thick[l] *= c; }}",
+    ),
     "dry_scale": ("FORCE", "EACH scale[l] *= OF(fx_{name})(p, S, l);"),
-    "drive": ("FORCE", "EACH {{ const double c = OF(fx_{name})(p, S, l, S->tau[l]); torque[l] += S->tau[l] - c; S->tau[l] = c; }}"),
+    "drive": (
+        "FORCE",
+        (
+            "EACH {{ const double c = OF(fx_{name})(p, S, l, S->tau[l]); torque[l] += S->tau[l] -"
+            " c; S->tau[l] = c; }}"
+        ),
+    ),
     "dry": ("DRY", "EACH level[l] += OF(fx_{name})(p, S, l, v[l] > 0 ? 1 : -1);"),
     "actuator": ("ACTUATOR", "EACH u[l] = OF(fx_{name})(p, S, l, u[l]);"),
     "sensor": ("SENSOR", "EACH out[l] += OF(fx_{name})(p, S, l);"),
     "setup": ("SETUP", "{c}"),
 }
-_LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}  # what is fetched where an effect's C names it
+# what is fetched where an effect's C names it
+_LOOKS = {r"\boqd*\b": "LOOK_AT((int)p[0]) ", r"\btemp\b": "FEEL "}
 _MARKS = {"drive": "drives", "sensor": "senses"}  # what else is done where a model has one
 _MORE = {"dry": ", int dir", "actuator": ", double u", "drive": ", double tau"}
 
 
 def source_text(effects: dict[str, Effect]) -> str:
-    """The complete C source for a library of effects; the index of an effect is its place in the mapping."""
+    """The complete C source for a library of effects; the index of an effect is its place in the
+    mapping.
+    """
     functions: list[str] = []
     cases: dict[str, list[str]] = {mark: [] for mark, _ in _PLACES.values()}
     for i, effect in enumerate(effects.values()):
@@ -76,7 +99,9 @@ def source_text(effects: dict[str, Effect]) -> str:
         if effect.site == "setup":
             continue
         head = f"(const double *p, const OF(state) *s, int l{_MORE.get(effect.site, '')})"
-        functions.append(f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}")
+        functions.append(
+            f"static inline double OF(fx_{effect.name}){head} {{ {_of_lane(effect)} }}"
+        )
     room = resources.files("zendsp.physics")
     observer = (room / "observer.c").read_text()
     for mark, lines in cases.items():
@@ -90,7 +115,10 @@ def _of_lane(effect: Effect) -> str:
     """The C of an effect with its parameters and its state taken from lane l."""
     other = re.search(r"\bp\b(?!\s*\[)|\bs\b(?!\s*->)", effect.c)
     if other:
-        raise ZendspError(f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1], … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau")
+        raise ZendspError(
+            f"effect {effect.name!r}: {other[0]!r} stands alone in {effect.c!r}; write p[0], p[1],"
+            " … and s->q, s->qd, s->qdd, s->t, s->temp, s->u, s->tau"
+        )
     body = re.sub(r"\bp\s*\[([^\]]+)\]", r"p[(\1) * LANES + l]", effect.c)
     return re.sub(r"\bs\s*->\s*(q|qd|qdd|u|tau|t|temp|oq|oqd|oqdd)\b", r"s->\1[l]", body)
 
@@ -109,7 +137,9 @@ def cache_folder() -> Path:
 def _machine() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next((line for line in lines if line.startswith(("flags", "Features"))), platform.processor())
+        return next(
+            (line for line in lines if line.startswith(("flags", "Features"))), platform.processor()
+        )
     except OSError:
         return platform.machine()
 
@@ -147,7 +177,10 @@ def build(source: str, flags: tuple[str, ...] = FLAGS) -> Path:
         code, out = Path(folder) / "physics.c", Path(folder) / "physics.so"
         code.write_text(source)
         run = subprocess.run(
-            [*compiler, *flags, str(code), "-o", str(out), "-lm"], capture_output=True, text=True, check=False
+            [*compiler, *flags, str(code), "-o", str(out), "-lm"],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if run.returncode:
             raise ZendspError(f"the C compiler refused the physics kernel:\n{run.stderr[-4000:]}")

@@ -1,7 +1,9 @@
-"""Each joint as a scalar system: its inertia and the torques that the measured motion of all joints makes known.
+"""Each joint as a scalar system: its inertia and the torques that the measured motion of all joints
+makes known.
 
-For joint i of M(q) q̈ + C q̇ + g = tau the terms in the other joints' accelerations, velocities and positions are computed from the
-measured motion; what is left is inertia_i(t) q̈_i + bias_i(t) = tau_i. Both are linear in the parameters of the mechanism.
+For joint i of M(q) q̈ + C q̇ + g = tau the terms in the other joints' accelerations, velocities and
+positions are computed from the measured motion; what is left is inertia_i(t) q̈_i + bias_i(t) =
+tau_i. Both are linear in the parameters of the mechanism.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Basis:
-    """Coefficients of one mechanism parameter in one joint: inertia and bias along the record, each (n,)."""
+    """Coefficients of one mechanism parameter in one joint: inertia and bias along the record, each
+    (n,).
+    """
 
     inertia: Array
     bias: Array
@@ -39,8 +43,8 @@ def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
     Returns
     -------
     list of dict
-        Key: parameter name, ``"fixed"`` for what no parameter scales. Gravity of rotary joints is not in here: the simulation
-        evaluates it on the predicted position.
+        Key: parameter name, ``"fixed"`` for what no parameter scales. Gravity of rotary joints is
+        not in here: the simulation evaluates it on the predicted position.
     """
     n = motion[0].shape[1]
     one, zero = np.ones(n), np.zeros(n)
@@ -74,7 +78,9 @@ def urdf_path(model: Model) -> str:
     """
     path = Path(model.file) if Path(model.file).is_absolute() else model.folder / model.file
     if not path.exists():
-        raise ModelError(f"[mechanism] file = {model.file!r}: no such file beside the model ({path})")
+        raise ModelError(
+            f"[mechanism] file = {model.file!r}: no such file beside the model ({path})"
+        )
     return str(path)
 
 

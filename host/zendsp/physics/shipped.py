@@ -6,7 +6,8 @@ from pathlib import Path
 
 
 def model_folder() -> Path:
-    """Folder of the given models: within the installed package, else ``examples/models`` of the source tree.
+    """Folder of the given models: within the installed package, else ``examples/models`` of the
+    source tree.
 
     Raises
     ------
@@ -18,4 +19,6 @@ def model_folder() -> Path:
     for folder in places:
         if folder.exists():
             return folder
-    raise FileNotFoundError(f"no example models in {' or '.join(map(str, places))}: install zendsp again")
+    raise FileNotFoundError(
+        f"no example models in {' or '.join(map(str, places))}: install zendsp again"
+    )

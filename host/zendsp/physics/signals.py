@@ -1,8 +1,10 @@
-"""What a position sensor really says: quantiser edges, noise variance per sample, and the smoothed motion behind them.
+"""What a position sensor really says: quantiser edges, noise variance per sample, and the smoothed
+motion behind them.
 
-While a joint crosses less than half a count per sample, a constant code says only that the position lies in an interval, and
-the moment at which the code changes says where it is to a fraction of a count: code changes are used as measurements, plateaus as
-intervals. Faster motion is treated as position plus white noise of variance resolution²/12.
+While a joint crosses less than half a count per sample, a constant code says only that the position
+lies in an interval, and the moment at which the code changes says where it is to a fraction of a
+count: code changes are used as measurements, plateaus as intervals. Faster motion is treated as
+position plus white noise of variance resolution²/12.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ EDGE_FLOOR = 0.05  # counts: no edge of a real encoder is known better
 
 @dataclass(frozen=True)
 class Measurement:
-    """Per sample: value, half width of the interval that says nothing, variance (negative: no information). Shapes (n,)."""
+    """Per sample: value, half width of the interval that says nothing, variance (negative: no
+    information). Shapes (n,).
+    """
 
     value: Array
     half: Array
@@ -33,7 +37,9 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Motion:
-    """Smoothed q, qd, qdd (3, n), their variances of q, qd and of the unexplained acceleration (3, n)."""
+    """Smoothed q, qd, qdd (3, n), their variances of q, qd and of the unexplained acceleration (3,
+    n).
+    """
 
     states: Array
     variances: Array
@@ -119,7 +125,8 @@ def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0)
 def smooth(measurement: Measurement, sample_time: float, known_acceleration: Array) -> Motion:
     """The motion behind the measurements, given the acceleration that is already known.
 
-    The rest of the acceleration is a random walk, whose strength maximises the likelihood of the measurements.
+    The rest of the acceleration is a random walk, whose strength maximises the likelihood of the
+    measurements.
 
     Parameters
     ----------
@@ -139,16 +146,31 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
     size = max(float(np.std(known_acceleration)), span)
     window = max(5, round(0.02 / sample_time))
     early = measurement.value[: 4 * window]
-    v0 = float(np.polyfit(np.arange(len(early)) * sample_time, early, 1)[0]) if len(early) > 3 else 0.0
+    v0 = (
+        float(np.polyfit(np.arange(len(early)) * sample_time, early, 1)[0])
+        if len(early) > 3
+        else 0.0
+    )
     work, out, var = np.empty(14 * n), np.empty((3, n)), np.empty((3, n))
     a = np.ascontiguousarray(known_acceleration)
     p = lib.doubles
 
     def run(strength: float) -> float:
         value: float = lib.lib.zf_smooth(
-            n, sample_time, strength, 3 * size, p(a), p(measurement.value), p(measurement.half), p(measurement.variance),
-            float(measurement.value[0]), v0, p(work), p(out), p(var),
-        )  # fmt: skip
+            n,
+            sample_time,
+            strength,
+            3 * size,
+            p(a),
+            p(measurement.value),
+            p(measurement.half),
+            p(measurement.variance),
+            float(measurement.value[0]),
+            v0,
+            p(work),
+            p(out),
+            p(var),
+        )
         return value
 
     grid = size * 10.0 ** np.arange(-2.0, 3.6, 0.5)
@@ -159,7 +181,8 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
 
 
 def noise_beside_quantisation(y: Array, resolution: float) -> float:
-    """Standard deviation of sensor noise that the resolution does not explain, from fourth differences where the motion is fast.
+    """Standard deviation of sensor noise that the resolution does not explain, from fourth
+    differences where the motion is fast.
 
     Parameters
     ----------
@@ -182,9 +205,11 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
             back = np.mean(flips[1:] * flips[:-1] < 0) if len(flips) > 20 else 0.0
             return 0.4 * resolution * float(back) if back > 0.25 else 0.0
         fourth = fourth[moving]
-        # differences of counts are whole numbers, and so would be their median: spread evenly over one count it is not
+        # differences of counts are whole numbers, and so would be their median: spread evenly over
+        # one count it is not
         fourth = fourth + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, len(fourth))
-    # 70 = sum of squared binomials of the fourth difference; median absolute deviation keeps impacts out. Sums of uniform errors have
-    # shorter tails than normal ones, which the median takes for up to a fifth more variance
+    # 70 = sum of squared binomials of the fourth difference; median absolute deviation keeps
+    # impacts out. Sums of uniform errors have shorter tails than normal ones, which the median
+    # takes for up to a fifth more variance
     spread = float(np.median(np.abs(fourth - np.median(fourth)))) / 0.6745 / np.sqrt(70)
     return float(np.sqrt(max(0.0, spread**2 - 1.2 * resolution**2 / 12)))

@@ -18,10 +18,17 @@ MAX_JOINTS, MAX_PARAMETERS, TREE_ROW = 8, 6, 28
 _CASES = {
     "torque": "case {i}: {{ zs o = s; {look} f->smooth += fx_{name}(p, &o); break; }}",
     "viscous": "case {i}: visc += fx_{name}(p, &w); break;",
-    "dry": "case {i}: f->dry_pos += fx_{name}(p, &s, 1); f->dry_neg += fx_{name}(p, &s, -1); break;",
-    "scale": "case {i}: {{ const double c = fx_{name}(p, &s); dry_scale *= c; visc_scale *= c; break; }}",
+    "dry": (
+        "case {i}: f->dry_pos += fx_{name}(p, &s, 1); f->dry_neg += fx_{name}(p, &s, -1); break;"
+    ),
+    "scale": (
+        "case {i}: {{ const double c = fx_{name}(p, &s); dry_scale *= c; visc_scale *= c; break; }}"
+    ),
     "dry_scale": "case {i}: dry_scale *= fx_{name}(p, &s); break;",
-    "drive": "case {i}: {{ const double c = fx_{name}(p, &s, s.tau); f->smooth += s.tau - c; s.tau = w.tau = c; break; }}",
+    "drive": (
+        "case {i}: {{ const double c = fx_{name}(p, &s, s.tau); f->smooth += s.tau - c; s.tau ="
+        " w.tau = c; break; }}"
+    ),
 }
 _LOOK = "{ const int k = S->j[(int)p[0]].motor; o.oq = x[k]; o.oqd = v[k]; o.oqdd = 0; }"
 _ACROSS = "case {i}: if ((int)p[1] == 0) S->across[joint][(int)p[0]] += p[2]; break;"
@@ -30,7 +37,15 @@ _HEADS = {
     "actuator": "(const double *p, const zs *s, double u)",
     "drive": "(const double *p, const zs *s, double tau)",
 }
-_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC", "-std=gnu11")
+_FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-shared",
+    "-fPIC",
+    "-std=gnu11",
+)
 
 CDEF = """
 typedef struct {
@@ -74,7 +89,7 @@ host *host_open(const char *path, int joints, double period, const double *count
                 const double *torque_max);
 int host_run(host *h, sim *S, int ticks, int decimation, int background, const host_channel *channel, int channels, double *out,
              volatile int32_t *progress);
-"""
+"""  # noqa: E501
 
 _TREE_ENTRY = """
 void sim_tree(int n, const double *tree, const double *gravity, const double *q, const double *qd, const double *qdd,
@@ -84,11 +99,12 @@ void sim_tree(int n, const double *tree, const double *gravity, const double *q,
     tree_torque(n, tree, &pose, gravity, qd, qdd, tau);
     tree_mass(n, tree, &pose, mass);
 }
-"""
+"""  # noqa: E501
 
 
 def source_text(effects: dict[str, Effect]) -> str:
-    """The complete C source for a library of effects; the index of an effect is its place in the mapping.
+    """The complete C source for a library of effects; the index of an effect is its place in the
+    mapping.
 
     Parameters
     ----------
@@ -103,7 +119,14 @@ def source_text(effects: dict[str, Effect]) -> str:
     ZendspError
         An effect whose site is unknown.
     """
-    parts: dict[str, list[str]] = {"FUNCTIONS": [], "FORCE": [], "ACTUATOR": [], "SENSOR": [], "SETUP": [], "ACROSS": []}
+    parts: dict[str, list[str]] = {
+        "FUNCTIONS": [],
+        "FORCE": [],
+        "ACTUATOR": [],
+        "SENSOR": [],
+        "SETUP": [],
+        "ACROSS": [],
+    }
     for i, effect in enumerate(effects.values()):
         if effect.site == "body":
             continue
@@ -112,10 +135,14 @@ def source_text(effects: dict[str, Effect]) -> str:
             continue
         head = _HEADS.get(effect.site, "(const double *p, const zs *s)")
         unused = "(void)p; (void)s; " + ("(void)dir; " if effect.site == "dry" else "")
-        parts["FUNCTIONS"].append(f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}")
+        parts["FUNCTIONS"].append(
+            f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}"
+        )
         if effect.site in _CASES:
             coupled = effect.name == "coupling"
-            parts["FORCE"].append(_CASES[effect.site].format(i=i, name=effect.name, look=_LOOK if coupled else ""))
+            parts["FORCE"].append(
+                _CASES[effect.site].format(i=i, name=effect.name, look=_LOOK if coupled else "")
+            )
             if coupled:
                 parts["ACROSS"].append(_ACROSS.format(i=i))
         elif effect.site == "actuator":
@@ -145,7 +172,9 @@ class SimulatorLibrary:
         self.ffi.cdef(CDEF)
         self.lib: Any = self.ffi.dlopen(str(build(source_text(effects), _FLAGS)))
         if self.lib.host_size() != self.ffi.sizeof("host"):
-            raise ZendspError("the simulator's C and its declaration in Python differ in the layout of 'host'")
+            raise ZendspError(
+                "the simulator's C and its declaration in Python differ in the layout of 'host'"
+            )
         self.index = {name: i for i, name in enumerate(effects)}
 
     def doubles(self, array: Any) -> Any:

@@ -36,7 +36,9 @@ INNER = 4  # integration steps per sample where nothing else is asked for
 def _tree(path: str, _changed: float) -> tuple[list[Body], Array]:
     bodies, gravity = read_urdf(path)
     if len(bodies) > MAX_JOINTS:
-        raise ModelError(f"{path}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}")
+        raise ModelError(
+            f"{path}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}"
+        )
     return bodies, gravity
 
 
@@ -78,7 +80,8 @@ def tree_of(model: Model) -> tuple[Array, Array]:
 
 
 def with_bodies(model: Model) -> Model:
-    """The model with its payloads taken into the parameters of its mechanism, where its kind has no links of its own.
+    """The model with its payloads taken into the parameters of its mechanism, where its kind has no
+    links of its own.
 
     Raises
     ------
@@ -101,19 +104,28 @@ def with_bodies(model: Model) -> Model:
         about_axis = mass * (x**2 + y**2) + term.value("inertia")
         if term.effect != "payload" or model.kind not in ("planar2r", "rotary") or y != 0.0:
             raise ModelError(
-                f"{model.name}: {term.effect} of joint {term.joint} with com_y = {y:g} m cannot be simulated with kind ="
-                f" {model.kind!r}: use a payload with com_y = 0, or a URDF"
+                f"{model.name}: {term.effect} of joint {term.joint} with com_y = {y:g} m cannot be"
+                f" simulated with kind = {model.kind!r}: use a payload with com_y = 0, or a URDF"
             )
         if model.kind == "rotary":
             add("inertia", term.joint, about_axis)
-            if per_joint(tuple(q.value for q in model.mechanism.get("gravity", ())), term.joint, 0.0) != 0:
+            if (
+                per_joint(
+                    tuple(q.value for q in model.mechanism.get("gravity", ())), term.joint, 0.0
+                )
+                != 0
+            ):
                 add("gravity", term.joint, -GRAVITY[2] * mass * x)
             continue
         l1 = per_joint(tuple(q.value for q in model.mechanism.get("l1", ())), 1, 0.0)
         if term.joint == 1:
             add("p1", 1, about_axis)
             continue
-        for key, value in (("p1", mass * l1**2 + about_axis), ("p2", about_axis), ("p3", mass * l1 * x)):
+        for key, value in (
+            ("p1", mass * l1**2 + about_axis),
+            ("p2", about_axis),
+            ("p3", mass * l1 * x),
+        ):
             add(key, 1, value)
     kept = tuple(t for t in model.terms if not any(t is term for term in terms))
     return replace(model, mechanism={k: tuple(v) for k, v in mechanism.items()}, terms=kept)
@@ -134,7 +146,9 @@ def _square(rows: tuple[tuple[float, ...], ...], n: int, what: str) -> Array:
         return np.eye(n)
     matrix = np.array(rows, dtype=np.float64)
     if matrix.shape != (n, n):
-        raise ModelError(f"{what} matrix is {matrix.shape[0]} x {matrix.shape[1]}; the machine has {n} joints")
+        raise ModelError(
+            f"{what} matrix is {matrix.shape[0]} x {matrix.shape[1]}; the machine has {n} joints"
+        )
     return matrix
 
 
@@ -173,21 +187,36 @@ class Plant:
         temperature: npt.ArrayLike | None = None,
     ) -> None:
         if model.kind not in KINDS:
-            raise ModelError(f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected {', '.join(KINDS)}")
+            raise ModelError(
+                f"{model.name}: kind = {model.kind!r} is simulated by its own function; expected"
+                f" {', '.join(KINDS)}"
+            )
         model = with_bodies(model)
         if not model.sample_time:
             raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
-        self.model, self.samples, self.period, self.inner = model, int(samples), float(model.sample_time), int(inner)
+        self.model, self.samples, self.period, self.inner = (
+            model,
+            int(samples),
+            float(model.sample_time),
+            int(inner),
+        )
         self.native: SimulatorLibrary = simulator_library()
         self._keep: list[Any] = []
         self.joints = joint_count(model)
         if self.joints > MAX_JOINTS:
-            raise ModelError(f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}")
+            raise ModelError(
+                f"{model.name}: {self.joints} joints; the simulator takes at most {MAX_JOINTS}"
+            )
         c = self.native.ffi.new("sim_config *")
         self._fill(c, position, velocity, t0)
-        warmth = np.atleast_1d(np.asarray([] if temperature is None else temperature, dtype=np.float64))
+        warmth = np.atleast_1d(
+            np.asarray([] if temperature is None else temperature, dtype=np.float64)
+        )
         if warmth.ndim != 1 or not np.isfinite(warmth).all():
-            raise ModelError(f"{model.name}: temperature has shape {warmth.shape}; expected finite numbers, one a sample")
+            raise ModelError(
+                f"{model.name}: temperature has shape {warmth.shape}; expected finite numbers, one"
+                " a sample"
+            )
         c.temperature, c.temperatures = self._pointer(warmth), len(warmth)
         self.config = c
         pointer = self.native.lib.sim_new(c, self.samples)
@@ -195,9 +224,17 @@ class Plant:
             raise ModelError(f"{model.name}: no memory for {samples} samples")
         self.pointer = self.native.ffi.gc(pointer, self.native.lib.sim_free)
 
-    def _fill(self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None, t0: float) -> None:
+    def _fill(
+        self, c: Any, position: npt.ArrayLike | None, velocity: npt.ArrayLike | None, t0: float
+    ) -> None:
         model, n = self.model, self.joints
-        c.joints, c.kind, c.inner, c.period, c.t0 = n, KINDS[model.kind], self.inner, self.period, t0
+        c.joints, c.kind, c.inner, c.period, c.t0 = (
+            n,
+            KINDS[model.kind],
+            self.inner,
+            self.period,
+            t0,
+        )
         c.load_sensor = int(model.sensor.side == "load")
         c.delay = model.actuator.delay
         c.hold = max(1, round((model.actuator.hold or self.period) / self.period))
@@ -216,28 +253,45 @@ class Plant:
             c.resolution[j] = per_joint(model.sensor.resolution, j + 1, 0.0)
             c.sensor_offset[j] = per_joint(model.sensor.offset, j + 1, 0.0)
         for name, start in (("q0", position), ("qd0", velocity)):
-            values = np.zeros(n) if start is None else np.broadcast_to(np.asarray(start, dtype=np.float64), (n,))
+            values = (
+                np.zeros(n)
+                if start is None
+                else np.broadcast_to(np.asarray(start, dtype=np.float64), (n,))
+            )
             setattr(c, name, values.tolist())
         c.command_matrix = _square(model.actuator.matrix, n, "[actuator]").ravel().tolist()
-        c.sensor_matrix = np.linalg.inv(_square(model.sensor.matrix, n, "[sensor]")).ravel().tolist()
+        c.sensor_matrix = (
+            np.linalg.inv(_square(model.sensor.matrix, n, "[sensor]")).ravel().tolist()
+        )
         self._effects(c)
 
     def _effects(self, c: Any) -> None:
         bodies = body_terms(self.model)
-        terms = sorted((t for t in kernel_terms(self.model) if t not in bodies), key=lambda term: term.joint)
+        terms = sorted(
+            (t for t in kernel_terms(self.model) if t not in bodies), key=lambda term: term.joint
+        )
         table = np.zeros((max(1, len(terms)), MAX_PARAMETERS))
-        kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(max(1, len(terms)), np.int32)
+        kinds, joints = np.zeros(max(1, len(terms)), np.int32), np.zeros(
+            max(1, len(terms)), np.int32
+        )
         for i, term in enumerate(terms):
             kinds[i], joints[i] = self.native.index[term.effect], term.joint - 1
             for k, parameter in enumerate(get_effect(term.effect).parameters):
                 value = term.value(parameter.name, parameter.default or 0.0)
                 if parameter.size == "joint":
                     if not 1 <= value <= self.joints:
-                        raise ModelError(f"{self.model.name}: {term.effect} {parameter.name} = {value:g}; expected 1 … {self.joints}")
+                        raise ModelError(
+                            f"{self.model.name}: {term.effect} {parameter.name} = {value:g};"
+                            f" expected 1 … {self.joints}"
+                        )
                     value -= 1
                 table[i, k] = value
         c.effects = len(terms)
-        c.effect, c.effect_joint, c.effect_p = self._pointer(kinds), self._pointer(joints), self._pointer(table)
+        c.effect, c.effect_joint, c.effect_p = (
+            self._pointer(kinds),
+            self._pointer(joints),
+            self._pointer(table),
+        )
 
     def _pointer(self, array: npt.NDArray[Any]) -> Any:
         array = np.ascontiguousarray(array)
@@ -247,18 +301,24 @@ class Plant:
     def measure(self) -> Array:
         """What the sensors say now, in their own coordinates, shape (joints,)."""
         measured, counts = np.empty(MAX_JOINTS), np.empty(MAX_JOINTS, np.int32)
-        self.native.lib.sim_measure(self.pointer, self.native.doubles(measured), self.native.ints(counts))
+        self.native.lib.sim_measure(
+            self.pointer, self.native.doubles(measured), self.native.ints(counts)
+        )
         return measured[: self.joints].copy()
 
     def recorded_command(self, command: Array) -> Array:
-        """The commands (n, joints) as their column holds them: shifted in time where the model says so."""
+        """The commands (n, joints) as their column holds them: shifted in time where the model says
+        so.
+        """
         n, out = len(command), command.copy()
         for j in range(self.joints):
             rows = float(self.native.lib.sim_column_late(self.pointer, j)) / self.period
             if rows:
                 more = int(abs(rows)) + 1  # rows before the first and after the last, like these
                 total = np.r_[0.0, np.cumsum(np.pad(command[:, j], more, mode="edge"))]
-                out[:, j] = np.diff(np.interp(np.arange(n + 1) + more - rows, np.arange(n + 2 * more + 1), total))
+                out[:, j] = np.diff(
+                    np.interp(np.arange(n + 1) + more - rows, np.arange(n + 2 * more + 1), total)
+                )
         return out
 
     def truth(self) -> tuple[Array, Array, Array]:
@@ -269,6 +329,10 @@ class Plant:
         return q, qd, torque
 
     def advance(self, command: npt.ArrayLike) -> bool:
-        """Let one sample pass under a command (joints,); False where the motion ran away or its samples are used up."""
-        u = np.ascontiguousarray(np.broadcast_to(np.asarray(command, dtype=np.float64), (self.joints,)))
+        """Let one sample pass under a command (joints,); False where the motion ran away or its
+        samples are used up.
+        """
+        u = np.ascontiguousarray(
+            np.broadcast_to(np.asarray(command, dtype=np.float64), (self.joints,))
+        )
         return int(self.native.lib.sim_advance(self.pointer, self.native.doubles(u))) == 0

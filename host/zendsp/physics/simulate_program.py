@@ -1,4 +1,6 @@
-"""A control program run against a simulated machine, in a child process that may crash or hang without harm."""
+"""A control program run against a simulated machine, in a child process that may crash or hang
+without harm.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ class Variable:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A run: columns by channel name (rows,) or (rows, m), units, parameters at the end, samples completed."""
+    """A run: columns by channel name (rows,) or (rows, m), units, parameters at the end, samples
+    completed.
+    """
 
     columns: Mapping[str, Array]
     units: Mapping[str, str]
@@ -64,7 +68,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Job:
-    """What the child is asked to do. ``defaults``: parameters set where the program has them and ``parameters`` does not name them."""
+    """What the child is asked to do. ``defaults``: parameters set where the program has them and
+    ``parameters`` does not name them.
+    """
 
     parameters: Mapping[str, Any]
     defaults: Mapping[str, Any]
@@ -100,7 +106,11 @@ def compile_program(program: Source, flags: Sequence[str] = ()) -> Build:
     encoded = {name: text.encode() for name, text in sources.items()}
     built = build("program", encoded, [source_root() / "include"], flags=tuple(flags))
     if built.path is None:
-        lines = [f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}" for m in built.messages if m.severity == "error"]
+        lines = [
+            f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}"
+            for m in built.messages
+            if m.severity == "error"
+        ]
         raise CompileFailed("\n".join(lines))
     return Build(built.path, sources, built.compiler, tuple(flags))
 
@@ -155,13 +165,21 @@ def run_program(build: Build, plant: Plant, job: Job, timeout_s: float) -> Outco
         _, status = os.waitpid(child, 0)
     tick = int(np.frombuffer(progress, np.int32, 1)[0])
     if answer is None:
-        raise RunnerDied(f"the program did not finish within {timeout_s:g} s; it was in sample {tick}: does a loop never end?")
+        raise RunnerDied(
+            f"the program did not finish within {timeout_s:g} s; it was in sample {tick}: does a"
+            " loop never end?"
+        )
     if os.WIFSIGNALED(status):
-        raise RunnerDied(f"the program crashed in sample {tick} (signal {signal.Signals(os.WTERMSIG(status)).name})")
+        raise RunnerDied(
+            f"the program crashed in sample {tick} (signal"
+            f" {signal.Signals(os.WTERMSIG(status)).name})"
+        )
     try:
         result = pickle.loads(answer)
     except (pickle.UnpicklingError, EOFError, AttributeError):
-        raise RunnerDied(f"the program ended its process in sample {tick} (did it call exit()?)") from None
+        raise RunnerDied(
+            f"the program ended its process in sample {tick} (did it call exit()?)"
+        ) from None
     if isinstance(result, ZendspError):
         raise result
     assert isinstance(result, Outcome)
@@ -215,21 +233,31 @@ class _Session:
         problem = self.native.ffi.string(self.host.problem).decode(errors="replace")
         if problem:
             raise CompileFailed(f"{next(iter(build.sources))}: {problem}")
-        self.unit = {"q": "m" if model.joint_kind(1) == "linear" else "rad", "tau": "N" if model.joint_kind(1) == "linear" else "N m"}
+        self.unit = {
+            "q": "m" if model.joint_kind(1) == "linear" else "rad",
+            "tau": "N" if model.joint_kind(1) == "linear" else "N m",
+        }
         text = self.native.ffi.string
         self.variables = {}
         self.entries = {}
         for k in range(self.host.variables):
             v = self.host.variable[k]
             name = text(v.name).decode()
-            self.variables[name] = Variable(name, text(v.unit).decode(errors="replace"), v.kind, v.length, v.columns)
+            self.variables[name] = Variable(
+                name, text(v.unit).decode(errors="replace"), v.kind, v.length, v.columns
+            )
             self.entries[name] = v
 
     def run(self, job: Job, progress: mmap.mmap) -> Outcome:
         for name, rows in job.tables.items():
             if name in self.variables and self.variables[name].kind == _TABLE:
                 self._load_table(name, rows)
-        self._write({**{name: value for name, value in job.defaults.items() if name in self.variables}, **job.parameters})
+        self._write(
+            {
+                **{name: value for name, value in job.defaults.items() if name in self.variables},
+                **job.parameters,
+            }
+        )
         ticks = self._ticks(job)
         columns, units, places = self._channels(job.channels)
         out = np.zeros((-(-ticks // job.decimation), len(places)))
@@ -237,10 +265,16 @@ class _Session:
         for k, (address, kind) in enumerate(places):
             channel[k].address, channel[k].type = address, kind
         done = self.native.lib.host_run(
-            self.host, self.plant.pointer, ticks, job.decimation, job.background, channel, len(places),
+            self.host,
+            self.plant.pointer,
+            ticks,
+            job.decimation,
+            job.background,
+            channel,
+            len(places),
             self.native.doubles(out) if out.size else self.native.ffi.NULL,
             self.native.ffi.cast("int32_t *", self.native.ffi.from_buffer(progress)),
-        )  # fmt: skip
+        )
         out = out[: self.host.rows]
         found: dict[str, Array] = {}
         first = 0
@@ -256,7 +290,11 @@ class _Session:
         approach = self._value("approach_time") if "approach_time" in self.variables else 0.0
         rows = max((len(t) for t in job.tables.values()), default=0)
         length = rows / float(job.defaults.get("row_rate", 1.0 / self.plant.period))
-        ticks = round((approach + length + 0.5) / self.plant.period) if rows else round(10.0 / self.plant.period)
+        ticks = (
+            round((approach + length + 0.5) / self.plant.period)
+            if rows
+            else round(10.0 / self.plant.period)
+        )
         return min(ticks, self.plant.samples)
 
     def _pointer(self, name: str) -> Any:
@@ -279,12 +317,21 @@ class _Session:
         v = self.variables[name]
         rows = np.ascontiguousarray(np.asarray(rows, dtype=np.float64).reshape(len(rows), -1))
         if rows.shape[1] != v.columns:
-            raise VariableError(f"{name}: the program's table has {v.columns} columns, the reference {rows.shape[1]}")
+            raise VariableError(
+                f"{name}: the program's table has {v.columns} columns, the reference"
+                f" {rows.shape[1]}"
+            )
         if len(rows) > v.length:
-            raise VariableError(f"{name}: {len(rows)} rows; the program's table holds at most {v.length}")
+            raise VariableError(
+                f"{name}: {len(rows)} rows; the program's table holds at most {v.length}"
+            )
         self.keep.append(rows)
         entry = self.native.ffi.cast("isr_table *", self.entries[name].address)
-        entry.data, entry.rows, entry.version = self.native.doubles(rows), len(rows), entry.version + 1
+        entry.data, entry.rows, entry.version = (
+            self.native.doubles(rows),
+            len(rows),
+            entry.version + 1,
+        )
 
     def _write(self, given: Mapping[str, Any]) -> None:
         wrong = []
@@ -292,7 +339,10 @@ class _Session:
             v = self.variables.get(name)
             if v is None or v.kind == _SIGNAL:
                 known = ", ".join(n for n, w in self.variables.items() if w.kind == _PARAMETER)
-                wrong.append(f"{name}: {'a signal, not a parameter' if v else 'no such parameter'}; the program has {known}")
+                wrong.append(
+                    f"{name}: {'a signal, not a parameter' if v else 'no such parameter'}; the"
+                    f" program has {known}"
+                )
                 continue
             if v.kind == _TABLE:
                 self._load_table(name, np.asarray(value, dtype=np.float64))
@@ -308,12 +358,17 @@ class _Session:
         except (TypeError, ValueError):
             return [f"{v.name}: {value!r} is not a number"]
         if entry.type != 4 and np.asarray(value).dtype.kind == "b":
-            return [f"{v.name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"]
+            return [
+                f"{v.name}: {value!r} is true or false, not a number; write 1 or 0 if that is meant"
+            ]
         if len(numbers) != v.length:
             return [f"{v.name}: {len(numbers)} numbers given, it has {v.length}"]
         bad = ~((numbers >= entry.minimum) & (numbers <= entry.maximum))
         if bad.any():
-            return [f"{v.name}: {numbers[bad][0]:g} is outside {entry.minimum:g} … {entry.maximum:g} {v.unit}".rstrip()]
+            return [
+                f"{v.name}: {numbers[bad][0]:g} is outside {entry.minimum:g} … {entry.maximum:g}"
+                f" {v.unit}".rstrip()
+            ]
         if entry.type in (3, 4) and (numbers != np.round(numbers)).any():
             return [f"{v.name}: {numbers[0]:g} is not a whole number"]
         pointer = self._pointer(v.name)
@@ -321,15 +376,26 @@ class _Session:
             pointer[k] = bool(x) if entry.type == 4 else int(x) if entry.type == 3 else float(x)
         return []
 
-    def _channels(self, wanted: Sequence[str] | None) -> tuple[dict[str, int], dict[str, str], list[tuple[Any, int]]]:
+    def _channels(
+        self, wanted: Sequence[str] | None
+    ) -> tuple[dict[str, int], dict[str, str], list[tuple[Any, int]]]:
         ffi, host, n = self.native.ffi, self.host, self.plant.joints
         q, tau = self.unit["q"], self.unit["tau"]
         own: dict[str, tuple[Any, int, str]] = {
-            "tick": (ffi.addressof(host, "tick"), 1, ""), "t": (ffi.addressof(host, "t"), 1, "s"), "enc": (host.enc, n, "counts"),
-            "aout": (host.io.aout, n, "mV"), "measured": (host.measured, n, q), "plant_q": (host.q, n, q),
-            "plant_qd": (host.qd, n, f"{q}/s"), "plant_torque": (host.torque, n, tau),
-        }  # fmt: skip
-        names = list(wanted) if wanted is not None else [v.name for v in self.variables.values() if v.kind == _SIGNAL]
+            "tick": (ffi.addressof(host, "tick"), 1, ""),
+            "t": (ffi.addressof(host, "t"), 1, "s"),
+            "enc": (host.enc, n, "counts"),
+            "aout": (host.io.aout, n, "mV"),
+            "measured": (host.measured, n, q),
+            "plant_q": (host.q, n, q),
+            "plant_qd": (host.qd, n, f"{q}/s"),
+            "plant_torque": (host.torque, n, tau),
+        }
+        names = (
+            list(wanted)
+            if wanted is not None
+            else [v.name for v in self.variables.values() if v.kind == _SIGNAL]
+        )
         columns: dict[str, int] = {}
         units: dict[str, str] = {}
         places: list[tuple[Any, int]] = []
@@ -338,12 +404,19 @@ class _Session:
             if base in self.variables and self.variables[base].kind != _TABLE:
                 v = self.variables[base]
                 kind = self.entries[base].type
-                start, size, length, unit = int(ffi.cast("uintptr_t", self.entries[base].address)), _TYPES[kind][1], v.length, v.unit
+                start, size, length, unit = (
+                    int(ffi.cast("uintptr_t", self.entries[base].address)),
+                    _TYPES[kind][1],
+                    v.length,
+                    v.unit,
+                )
             elif base in own:
                 pointer, length, unit = own[base]
                 start, size, kind = int(ffi.cast("uintptr_t", pointer)), 8, 1
             else:
-                known = ", ".join([*(k for k, v in self.variables.items() if v.kind != _TABLE), *own])
+                known = ", ".join(
+                    [*(k for k, v in self.variables.items() if v.kind != _TABLE), *own]
+                )
                 raise AcquisitionError(f"no channel {name!r}; there are {known}")
             if element is not None and not 0 <= element < length:
                 raise AcquisitionError(f"no channel {name!r}: {base} has {length} elements")

@@ -1,4 +1,5 @@
-"""Simulation on the host: the user's C code, or a controller of the model's, against the model of a machine. No target, no network.
+"""Simulation on the host: the user's C code, or a controller of the model's, against the model of a
+machine. No target, no network.
 
 Nothing is random and nothing depends on the clock: the same input gives the same recording.
 """
@@ -50,8 +51,9 @@ def simulate(
 ) -> Recording:
     """Run a control program, as it is, against the host's model of a machine.
 
-    The order within a sample is that of a target: sensors, user code, one sample of motion. ``[actuator] delay`` of the model says
-    when a command acts; a machine on a target has one sample.
+    The order within a sample is that of a target: sensors, user code, one sample of motion.
+    ``[actuator] delay`` of the model says when a command acts; a machine on a target has one
+    sample.
 
     Parameters
     ----------
@@ -59,15 +61,16 @@ def simulate(
         C code written for ``isr.h``; it runs in a child process.
     model : Model, or path of a model file
     reference : Reference, or path of a reference file, optional
-        Goes into the program's tables ``ref`` and ``ref_tau``; ``use_table`` and ``row_rate`` are set where
-        the program has them.
+        Goes into the program's tables ``ref`` and ``ref_tau``; ``use_table`` and ``row_rate`` are
+        set where the program has them.
     seconds : float, optional
         Default: approach, reference and half a second; 10 s where there is no reference.
     parameters : mapping of name to value, optional
         Set after ``UserInit``, checked against the declared limits.
     channels : sequence of str, optional
-        As in an acquisition: variables, elements "q[0]", and tick, t, enc, aout, measured, plant_q, plant_qd, plant_torque (the true
-        motion, which no target can give). Default: every SIGNAL of the program.
+        As in an acquisition: variables, elements "q[0]", and tick, t, enc, aout, measured, plant_q,
+        plant_qd, plant_torque (the true motion, which no target can give). Default: every SIGNAL of
+        the program.
     position, velocity : array_like, shape (joints,), optional
         Start, rad or m, and per s. Default: at rest in the first row of the reference, or at 0.
     inner : int
@@ -77,8 +80,9 @@ def simulate(
     flags : sequence of str
         Further flags for the compiler, as "-DN=1".
     check : bool
-        Repeat with half the step until no position changes by more than one count of its sensor (1e-5 of a rad or m where it is
-        continuous); ``extra["step_check"]`` tells what was found, with ``"converged": False`` where even 256 steps a sample differ.
+        Repeat with half the step until no position changes by more than one count of its sensor
+        (1e-5 of a rad or m where it is continuous); ``extra["step_check"]`` tells what was found,
+        with ``"converged": False`` where even 256 steps a sample differ.
     background : int
         How many times ``UserBackground`` is called between two samples.
     timeout : float
@@ -98,41 +102,74 @@ def simulate(
     --------
     >>> import zendsp
     >>> rec = zendsp.simulate("pd.c", "examples/models/imi_planar.toml", seconds=2.0)  # doctest: +SKIP
-    """
+    """  # noqa: E501
     model = load_model(model) if not isinstance(model, Model) else model
     planned = load_reference(reference) if isinstance(reference, str | Path) else reference
     if planned is not None and planned.joints != joint_count(model):
-        raise ModelError(f"{model.name} has {joint_count(model)} joints, the reference {planned.joints}")
+        raise ModelError(
+            f"{model.name} has {joint_count(model)} joints, the reference {planned.joints}"
+        )
     build = compile_program(program, flags)
     tables = planned.tables() if planned is not None else {}
-    defaults = {"use_table": True, "row_rate": round(1.0 / planned.sample_time)} if planned is not None else {}
+    defaults = (
+        {"use_table": True, "row_rate": round(1.0 / planned.sample_time)}
+        if planned is not None
+        else {}
+    )
     if position is None and planned is not None:
         position = planned.q[0]
-    longest = seconds if seconds is not None else min(_LONGEST_S, 70.0 + (planned.duration if planned else 0.0))
+    longest = (
+        seconds
+        if seconds is not None
+        else min(_LONGEST_S, 70.0 + (planned.duration if planned else 0.0))
+    )
 
     def run(steps: int, wanted: Sequence[str] | None) -> Outcome:
-        plant = Plant(model, round(longest / (model.sample_time or 1.0)) + 2, inner=steps, position=position, velocity=velocity)
+        plant = Plant(
+            model,
+            round(longest / (model.sample_time or 1.0)) + 2,
+            inner=steps,
+            position=position,
+            velocity=velocity,
+        )
         job = Job(dict(parameters or {}), defaults, tables, seconds, wanted, decimation, background)
         return run_program(build, plant, job, timeout)
 
     began = time.time()
     extra: dict[str, Any] = {"simulation": {"inner": inner, "model": model_text(model)}}
     if check:
-        inner, extra["step_check"] = _converge(model, inner, lambda steps: run(steps, ["plant_q"]).columns["plant_q"])
+        inner, extra["step_check"] = _converge(
+            model, inner, lambda steps: run(steps, ["plant_q"]).columns["plant_q"]
+        )
         extra["simulation"]["inner"] = inner
     outcome = run(inner, channels)
     if not outcome.columns:
         raise RecordingError("the program declares no SIGNAL: name channels, for example plant_q")
     return Recording.from_columns(
-        outcome.columns, sample_time=(model.sample_time or 0.0) * decimation, units=outcome.units, decimation=decimation,
-        parameters=outcome.parameters, sources=dict(build.sources), compiler=build.compiler, flags=build.flags, machine=model.name,
-        target="simulation", created=began, extra=extra,
-    )  # fmt: skip
+        outcome.columns,
+        sample_time=(model.sample_time or 0.0) * decimation,
+        units=outcome.units,
+        decimation=decimation,
+        parameters=outcome.parameters,
+        sources=dict(build.sources),
+        compiler=build.compiler,
+        flags=build.flags,
+        machine=model.name,
+        target="simulation",
+        created=began,
+        extra=extra,
+    )
 
 
-def _converge(model: Model, inner: int, positions: Callable[[int], Array]) -> tuple[int, dict[str, Any]]:
-    """Double the steps until the positions stand still to one count; the count that suffices, and what was found."""
-    allowed = np.array([per_joint(model.sensor.resolution, j + 1, 0.0) or 1e-5 for j in range(joint_count(model))])
+def _converge(
+    model: Model, inner: int, positions: Callable[[int], Array]
+) -> tuple[int, dict[str, Any]]:
+    """Double the steps until the positions stand still to one count; the count that suffices, and
+    what was found.
+    """
+    allowed = np.array(
+        [per_joint(model.sensor.resolution, j + 1, 0.0) or 1e-5 for j in range(joint_count(model))]
+    )
     last = positions(inner)
     changes = []
     while True:
@@ -165,12 +202,15 @@ def simulate_loop(
     ----------
     model : Model, or path of a model file
     reference : Reference or array_like, shape (N,) or (N, joints), optional
-        Positions, one row a sample (a Reference is interpolated); the last row is held. The torque of a Reference is fed forward (in command units).
+        Positions, one row a sample (a Reference is interpolated); the last row is held. The torque
+        of a Reference is fed forward (in command units).
     controller : mapping or callable, optional
-        A mapping as the model's ``[controller]``: kind "pd", kp, kd, and where wanted ki, cutoff (Hz, of the speed filter, 0: none).
-        Default: the model's own. A callable (t, r, y) → command is called once a sample (slower).
+        A mapping as the model's ``[controller]``: kind "pd", kp, kd, and where wanted ki, cutoff
+        (Hz, of the speed filter, 0: none). Default: the model's own. A callable (t, r, y) → command
+        is called once a sample (slower).
     command : array_like, shape (N,) or (N, joints), optional
-        The command itself, open loop; with a reference or a controller beside it, what is added to the controller's.
+        The command itself, open loop; with a reference or a controller beside it, what is added to
+        the controller's.
     seconds : float, optional
         Default: as long as the longer of reference and command.
     position, velocity : array_like, shape (joints,), optional
@@ -185,8 +225,9 @@ def simulate_loop(
     Returns
     -------
     Recording
-        Under the names of the model's ``[columns]`` (else position, command, reference): what the sensor said, the command, the
-        reference, the temperature where it was given; and plant_q, plant_qd, plant_torque, the truth.
+        Under the names of the model's ``[columns]`` (else position, command, reference): what the
+        sensor said, the command, the reference, the temperature where it was given; and plant_q,
+        plant_qd, plant_torque, the truth.
 
     Raises
     ------
@@ -201,7 +242,7 @@ def simulate_loop(
     >>> rec = simulate_loop(bench, [0.5], seconds=1.0)
     >>> round(float(rec["plant_q"][-1]), 2)
     0.5
-    """
+    """  # noqa: E501
     model = load_model(model) if not isinstance(model, Model) else model
     if not model.sample_time:
         raise ModelError(f"{model.name}: lacks sample_time, which a simulation needs")
@@ -210,22 +251,37 @@ def simulate_loop(
     if command is not None:
         extra_rows = np.asarray(command, dtype=np.float64).reshape(-1, n)
         feed = extra_rows if feed is None else feed + _stretch(extra_rows, len(feed), hold=False)
-    law = controller if controller is not None else {} if reference is None and command is not None else model.controller
+    law = (
+        controller
+        if controller is not None
+        else {} if reference is None and command is not None else model.controller
+    )
     open_loop = (not callable(law) and not law) or mode == "torque"
     if open_loop and feed is None:
-        raise ModelError(f"{model.name}: has no [controller] and no command was given: there is nothing to drive it")
+        raise ModelError(
+            f"{model.name}: has no [controller] and no command was given: there is nothing to"
+            " drive it"
+        )
     rows = max(len(r) if r is not None else 1, len(feed) if feed is not None else 1)
     if seconds is not None:
         rows = max(1, round(seconds / model.sample_time))
     start = position if position is not None else (r[0] if r is not None else None)
     if start is not None and model.sensor.matrix:
-        start = np.array(model.sensor.matrix) @ np.broadcast_to(np.asarray(start, dtype=np.float64), (n,)) + np.array(model.sensor.offset or (0.0,))
+        start = np.array(model.sensor.matrix) @ np.broadcast_to(
+            np.asarray(start, dtype=np.float64), (n,)
+        ) + np.array(model.sensor.offset or (0.0,))
     rr = _stretch(r if r is not None else np.zeros((1, n)), rows, hold=True)
     ff = _stretch(feed if feed is not None else np.zeros((1, n)), rows, hold=False)
 
     def run(steps: int) -> dict[str, Array]:
-        plant = Plant(model, rows + 1, inner=steps, position=start, velocity=velocity, temperature=temperature)
-        out = _python_loop(plant, law, rr, ff) if callable(law) else _c_loop(plant, {} if open_loop else law, rr, ff)
+        plant = Plant(
+            model, rows + 1, inner=steps, position=start, velocity=velocity, temperature=temperature
+        )
+        out = (
+            _python_loop(plant, law, rr, ff)
+            if callable(law)
+            else _c_loop(plant, {} if open_loop else law, rr, ff)
+        )
         return {**out, "command": plant.recorded_command(out["command"])}
 
     extra: dict[str, Any] = {"simulation": {"inner": inner, "model": model_text(model)}}
@@ -239,7 +295,9 @@ def simulate_loop(
     return _recording(model, out, rr if r is not None else None, extra)
 
 
-def _reference_rows(reference: Any, n: int, sample_time: float) -> tuple[Array | None, Array | None, str]:
+def _reference_rows(
+    reference: Any, n: int, sample_time: float
+) -> tuple[Array | None, Array | None, str]:
     if reference is None:
         return None, None, ""
     if isinstance(reference, str | Path):
@@ -248,10 +306,15 @@ def _reference_rows(reference: Any, n: int, sample_time: float) -> tuple[Array |
         if reference.joints != n:
             raise ModelError(f"the model has {n} joints, the reference {reference.joints}")
         if abs(reference.sample_time - sample_time) < 1e-9:
-            return np.array(reference.q), None if reference.tau is None else np.array(reference.tau), reference.mode
+            return (
+                np.array(reference.q),
+                None if reference.tau is None else np.array(reference.tau),
+                reference.mode,
+            )
         t = np.arange(round(reference.duration / sample_time) + 1) * sample_time
         q = np.stack([np.interp(t, reference.t, column) for column in reference.q.T], axis=1)
-        row = np.minimum((t / reference.sample_time + 1e-9).astype(int), reference.samples - 1)  # a torque is held
+        # a torque is held
+        row = np.minimum((t / reference.sample_time + 1e-9).astype(int), reference.samples - 1)
         return q, None if reference.tau is None else reference.tau[row], reference.mode
     return np.asarray(reference, dtype=np.float64).reshape(-1, n), None, "position"
 
@@ -267,39 +330,69 @@ def _stretch(rows: Array, count: int, *, hold: bool) -> Array:
 
 
 def _gains(law: Mapping[str, Any], key: str, n: int) -> Array:
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(law.get(key, 0.0), dtype=np.float64), (n,)))
+    return np.ascontiguousarray(
+        np.broadcast_to(np.asarray(law.get(key, 0.0), dtype=np.float64), (n,))
+    )
 
 
 def _c_loop(plant: Plant, law: Mapping[str, Any], r: Array, ff: Array) -> dict[str, Array]:
     if law and law.get("kind", "pd") not in ("pd", "pid"):
-        raise ModelError(f"[controller] kind = {law.get('kind')!r}: expected \"pd\", or give a function (t, r, y) -> command")
+        raise ModelError(
+            f"[controller] kind = {law.get('kind')!r}: expected \"pd\", or give a function (t, r,"
+            " y) -> command"
+        )
     n, d = plant.joints, plant.native.doubles
     out = {name: np.zeros_like(r) for name in ("measured", "command", "q", "qd", "torque")}
-    limit = np.array([plant.config.limit[j] for j in range(n)]) if not plant.model.actuator.matrix else np.zeros(n)
+    limit = (
+        np.array([plant.config.limit[j] for j in range(n)])
+        if not plant.model.actuator.matrix
+        else np.zeros(n)
+    )
     r, ff = np.ascontiguousarray(r), np.ascontiguousarray(ff)
     gains = [_gains(law, key, n) for key in ("kp", "kd", "ki")]
     done = plant.native.lib.sim_loop(
-        plant.pointer, len(r), d(r), d(ff), *(d(g) for g in gains), float(law.get("cutoff", 0.0)), d(limit),
+        plant.pointer,
+        len(r),
+        d(r),
+        d(ff),
+        *(d(g) for g in gains),
+        float(law.get("cutoff", 0.0)),
+        d(limit),
         *(d(out[name]) for name in ("measured", "command", "q", "qd", "torque")),
-    )  # fmt: skip
+    )
     return {name: values[:done] for name, values in out.items()}
 
 
 def _python_loop(plant: Plant, law: Controller, r: Array, ff: Array) -> dict[str, Array]:
-    rows: dict[str, list[Array]] = {name: [] for name in ("measured", "command", "q", "qd", "torque")}
+    rows: dict[str, list[Array]] = {
+        name: [] for name in ("measured", "command", "q", "qd", "torque")
+    }
     for k in range(len(r)):
         y = plant.measure()
         q, qd, _ = plant.truth()
-        u = np.broadcast_to(np.asarray(law(k * plant.period, r[k], y), dtype=np.float64), (plant.joints,)) + ff[k]
+        u = (
+            np.broadcast_to(
+                np.asarray(law(k * plant.period, r[k], y), dtype=np.float64), (plant.joints,)
+            )
+            + ff[k]
+        )
         going = plant.advance(u)
-        for name, value in (("measured", y), ("command", u), ("q", q), ("qd", qd), ("torque", plant.truth()[2])):
+        for name, value in (
+            ("measured", y),
+            ("command", u),
+            ("q", q),
+            ("qd", qd),
+            ("torque", plant.truth()[2]),
+        ):
             rows[name].append(value)
         if not going:
             break
     return {name: np.array(values) for name, values in rows.items()}
 
 
-def _recording(model: Model, out: dict[str, Array], r: Array | None, extra: dict[str, Any]) -> Recording:
+def _recording(
+    model: Model, out: dict[str, Array], r: Array | None, extra: dict[str, Any]
+) -> Recording:
     linear = model.joint_kind(1) == "linear"
     unit, torque = ("m", "N") if linear else ("rad", "N m")
     columns: dict[str, Array] = {}
@@ -311,7 +404,9 @@ def _recording(model: Model, out: dict[str, Array], r: Array | None, extra: dict
             for j, name in enumerate(names):
                 columns[name], units[name] = values[:, j], unit
         else:
-            columns[str(names)], units[str(names)] = values if values.shape[1] > 1 else values[:, 0], unit
+            columns[str(names)], units[str(names)] = (
+                values if values.shape[1] > 1 else values[:, 0]
+            ), unit
 
     put("position", out["measured"], unit)
     put("command", out["command"], model.actuator.unit or torque)
@@ -319,8 +414,19 @@ def _recording(model: Model, out: dict[str, Array], r: Array | None, extra: dict
         put("reference", r[: len(out["measured"])], unit)
     if "temperature" in out:
         put("temperature", out["temperature"], "°C")
-    for name, key, u in (("plant_q", "q", unit), ("plant_qd", "qd", f"{unit}/s"), ("plant_torque", "torque", torque)):
+    for name, key, u in (
+        ("plant_q", "q", unit),
+        ("plant_qd", "qd", f"{unit}/s"),
+        ("plant_torque", "torque", torque),
+    ):
         columns[name], units[name] = out[key] if out[key].shape[1] > 1 else out[key][:, 0], u
     columns, units = gather_vectors(columns, units)
-    rec = Recording.from_columns(columns, sample_time=model.sample_time, units=units, machine=model.name, target="simulation", extra=extra)
+    rec = Recording.from_columns(
+        columns,
+        sample_time=model.sample_time,
+        units=units,
+        machine=model.name,
+        target="simulation",
+        extra=extra,
+    )
     return replace(rec, created=time.time())

@@ -33,7 +33,8 @@ class Body:
 
 @dataclass(frozen=True)
 class LinkMotion:
-    """How each link moves, in its own frame; every list has one entry a link, vectors are (n, 3)."""
+    """How each link moves, in its own frame; every list has one entry a link, vectors are (n, 3).
+    """
 
     turn: list[Array]  # of the link in its parent's frame, (3, 3) or (n, 3, 3)
     place: list[Array]  # of its origin in its parent's frame, m
@@ -42,8 +43,12 @@ class LinkMotion:
     push: list[Array]  # acceleration of its origin less gravity, m/s^2
 
 
-def link_motion(bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, qdd: Array) -> LinkMotion:
-    """Motion of every link for a motion of the joints (n, joints); gravity in the base's frame, m/s^2."""
+def link_motion(
+    bodies: Sequence[Body], gravity: Array, q: Array, qd: Array, qdd: Array
+) -> LinkMotion:
+    """Motion of every link for a motion of the joints (n, joints); gravity in the base's frame,
+    m/s^2.
+    """
     n = len(q)
     m = LinkMotion([], [], [], [], [])
     zero = np.zeros((n, 3))
@@ -135,8 +140,8 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
         parent, child = (joint.find(tag).attrib["link"] for tag in ("parent", "child"))  # type: ignore[union-attr]
         if parent not in links or child not in links or child in carried:
             raise ModelError(
-                f"{path}: joint {joint.attrib['name']!r} joins {parent!r} and {child!r}: each must be"
-                " a link of the file, and no link may hang on two joints"
+                f"{path}: joint {joint.attrib['name']!r} joins {parent!r} and {child!r}: each must"
+                " be a link of the file, and no link may hang on two joints"
             )
         children[parent].append(joint)
         carried.add(child)
@@ -157,17 +162,30 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
                 continue
             if kind not in ("revolute", "prismatic"):
                 raise ModelError(
-                    f"{path}: joint {joint.attrib['name']!r} is {kind}: use revolute with limits, prismatic or fixed"
+                    f"{path}: joint {joint.attrib['name']!r} is {kind}: use revolute with limits,"
+                    " prismatic or fixed"
                 )
             if joint.find("limit") is None or joint.find("mimic") is not None:
-                raise ModelError(f"{path}: joint {joint.attrib['name']!r} needs <limit> and no <mimic>")
+                raise ModelError(
+                    f"{path}: joint {joint.attrib['name']!r} needs <limit> and no <mimic>"
+                )
             found = joint.find("axis")
             axis = _numbers("1 0 0" if found is None else found.attrib["xyz"])
             length = float(np.linalg.norm(axis))
             if not length > 0.0:
                 raise ModelError(f"{path}: joint {joint.attrib['name']!r} has an axis of no length")
             bodies.append(
-                Body(index, kind == "prismatic", axis / length, turn, at, 0.0, np.zeros(3), np.zeros((3, 3)), child)
+                Body(
+                    index,
+                    kind == "prismatic",
+                    axis / length,
+                    turn,
+                    at,
+                    0.0,
+                    np.zeros(3),
+                    np.zeros((3, 3)),
+                    child,
+                )
             )
             visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
 
@@ -187,7 +205,9 @@ def _joined(b: Body, mass: float, com: Array, inertia: Array) -> Body:
 
 
 def about(mass: float, d: Array, inertia: Array) -> Array:
-    """Inertia about a point that is ``d`` away from the centre of mass; ``inertia`` is about that centre."""
+    """Inertia about a point that is ``d`` away from the centre of mass; ``inertia`` is about that
+    centre.
+    """
     return np.asarray(inertia + mass * (float(d @ d) * np.eye(3) - np.outer(d, d)))
 
 

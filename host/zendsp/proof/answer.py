@@ -1,4 +1,6 @@
-"""What a diagnosis answered, read from ``report.json`` strictly by the contract of docs/diagnosis.md."""
+"""What a diagnosis answered, read from ``report.json`` strictly by the contract of
+docs/diagnosis.md.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,8 @@ class Region:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The smallest size of an effect that the recording would have shown, as the report states it."""
+    """The smallest size of an effect that the recording would have shown, as the report states it.
+    """
 
     joint: int
     effect: str
@@ -71,7 +74,8 @@ class Answer:
     refinements: tuple[Finding, ...] = ()
     smallest: tuple[Smallest, ...] = ()
     cpu: float = math.nan  # CPU seconds of the command and its children
-    untouched: tuple[float, float] = (math.nan, math.nan)  # error of the calibrated and of the improved model
+    # error of the calibrated and of the improved model
+    untouched: tuple[float, float] = (math.nan, math.nan)
 
     def to_json(self) -> dict[str, Any]:
         """Plain tables for a results file."""
@@ -79,7 +83,9 @@ class Answer:
 
     @staticmethod
     def from_json(table: Mapping[str, Any]) -> Answer:
-        regions = tuple(Region(r["joint"], r["variable"], tuple(r["interval"])) for r in table["regions"])
+        regions = tuple(
+            Region(r["joint"], r["variable"], tuple(r["interval"])) for r in table["regions"]
+        )
         made = {
             "findings": tuple(kept_finding(f) for f in table["findings"]),
             "refinements": tuple(kept_finding(f) for f in table["refinements"]),
@@ -140,7 +146,11 @@ def read_finding(table: Mapping[str, Any], where: str) -> Finding:
         confidence,
         tuple(names(need(table, "indistinguishable", where))),
         tuple(names(need(table, "replaces", where))),
-        f"{table['law']}, from joint {table['from_joint']}" if {"law", "from_joint"} <= set(table) else "",
+        (
+            f"{table['law']}, from joint {table['from_joint']}"
+            if {"law", "from_joint"} <= set(table)
+            else ""
+        ),
         str(table.get("mechanism", "")),
         str(table.get("body", "")),
     )
@@ -148,7 +158,9 @@ def read_finding(table: Mapping[str, Any], where: str) -> Finding:
 
 def read_findings(report: Mapping[str, Any], key: str) -> tuple[Finding, ...]:
     """Every finding below one key of the report."""
-    return tuple(read_finding(f, f"{key}[{i}]") for i, f in enumerate(need(report, key, "the report")))
+    return tuple(
+        read_finding(f, f"{key}[{i}]") for i, f in enumerate(need(report, key, "the report"))
+    )
 
 
 def names(entries: Sequence[Any]) -> list[str]:
@@ -170,7 +182,9 @@ def read_report(path: Path, seconds: float) -> Answer:
         raise ContractError(f"{path}: no readable report.json: {error}") from error
     verdict = need(table, "verdict", "the report")
     if verdict not in VERDICTS:
-        raise ContractError(f"report.json: verdict is {verdict!r}, expected one of {', '.join(VERDICTS)}")
+        raise ContractError(
+            f"report.json: verdict is {verdict!r}, expected one of {', '.join(VERDICTS)}"
+        )
     findings = read_findings(table, "findings")
     if verdict == "complete" and findings:
         raise ContractError("report.json: verdict is complete but there are findings")
@@ -178,7 +192,9 @@ def read_report(path: Path, seconds: float) -> Answer:
         raise ContractError("report.json: verdict is missing but there is no finding")
     where = need(table, "where", "the report")
     regions = tuple(
-        Region(int(r["joint"]), str(r["variable"]), (float(r["interval"][0]), float(r["interval"][1])))
+        Region(
+            int(r["joint"]), str(r["variable"]), (float(r["interval"][0]), float(r["interval"][1]))
+        )
         for r in need(where, "state", "where")
     )
     times = tuple((float(a), float(b)) for a, b in need(where, "time", "where"))

@@ -85,7 +85,8 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     check(d, untouched)
     resolution = np.array([float(j["resolution"]) for j in d.joints])
     train, held, untouched = (
-        logged(d, r, resolution, np.random.default_rng(rng.integers(2**63))) for r in (train, held, untouched)
+        logged(d, r, resolution, np.random.default_rng(rng.integers(2**63)))
+        for r in (train, held, untouched)
     )
     return Case(train, held, model, truth, form, d.layout, untouched, files)
 
@@ -106,7 +107,9 @@ def record(d: Draft, shape: str, rng: Rng, *, quiet: bool = False, heldout: bool
         feed[:, 0] = open_loop_command(t, d, rng)
     else:
         for i in range(d.n):
-            reference[:, i] = d.centre[i] + make_reference(shape, t, d.amplitude[i], d.speed[i], rng)
+            reference[:, i] = d.centre[i] + make_reference(
+                shape, t, d.amplitude[i], d.speed[i], rng
+            )
         if d.kind == "urdf":
             feed = gravity_torque(d, reference)
         if d.feedforward:
@@ -132,17 +135,23 @@ def clean(d: Draft) -> Draft:
     """The draft without the keys that are not the simulator's."""
     from dataclasses import replace
 
-    return replace(d, joints=[{k: v for k, v in j.items() if k != "nuisance_scale"} for j in d.joints])
+    return replace(
+        d, joints=[{k: v for k, v in j.items() if k != "nuisance_scale"} for j in d.joints]
+    )
 
 
 def open_loop_command(t: Array, d: Draft, rng: Rng) -> Array:
-    """In the manner of facts/pendulum.toml: a slow rise and two sines, below what would turn it over."""
+    """In the manner of facts/pendulum.toml: a slow rise and two sines, below what would turn it
+    over.
+    """
     g = d.parameters.get("gravity", 0.2)
     w = np.array([rng.uniform(0.6, 2.0), rng.uniform(9, 15), rng.uniform(20, 30)])
     size = g * np.array([rng.uniform(0.3, 0.5), rng.uniform(0.1, 0.35), rng.uniform(0.2, 0.6)])
     phase = rng.uniform(0, 2 * np.pi, 3)
     rise = g * rng.uniform(-0.3, 0.3) * (1 - np.exp(-1.8 * t))
-    return np.asarray((size * np.sin(np.outer(t, w) + phase)).sum(1) * np.minimum(1.0, t / 0.5) + rise)
+    return np.asarray(
+        (size * np.sin(np.outer(t, w) + phase)).sum(1) * np.minimum(1.0, t / 0.5) + rise
+    )
 
 
 def gravity_torque(d: Draft, reference: Array) -> Array:
@@ -152,7 +161,9 @@ def gravity_torque(d: Draft, reference: Array) -> Array:
 
 
 def feedforward(d: Draft, reference: Array) -> Array:
-    """Inverse dynamics of the reference with the true inertial figures, as a good engineer would add."""
+    """Inverse dynamics of the reference with the true inertial figures, as a good engineer would
+    add.
+    """
     acc = np.gradient(np.gradient(reference, d.sample_time, axis=0), d.sample_time, axis=0)
     inertia, gravity = d.parameters["inertia"], d.parameters["gravity"]
     return np.asarray((inertia * acc + gravity * np.sin(reference)) / d.stated_gain[0])
@@ -166,13 +177,17 @@ def wander(t: Array, rng: Rng) -> Array:
 
 
 def scales_of(d: Draft, r: Run) -> list[Scale]:
-    """Motion that a perfect sensor would show at the middle of each hold interval, and the stated actuator's torque."""
+    """Motion that a perfect sensor would show at the middle of each hold interval, and the stated
+    actuator's torque.
+    """
     lag = round(d.known_delay / d.sample_time)
     v = 0.5 * (r.v[1:] + r.v[:-1])
     q = 0.5 * (r.q[1:] + r.q[:-1])
     a = np.diff(r.v, axis=0) / d.sample_time
     u = np.concatenate([np.zeros((lag, d.n)), r.command])[: len(r.command) - 1]
-    e, angle = (np.array([j.get(k, 0.0) for j in d.joints]) for k in ("eccentricity", "eccentricity_phase"))
+    e, angle = (
+        np.array([j.get(k, 0.0) for j in d.joints]) for k in ("eccentricity", "eccentricity_phase")
+    )
     a = (
         a * (1 + e * np.cos(q + angle)) - e * np.sin(q + angle) * v**2
     )  # in the sensor's coordinates, as data have them
@@ -196,7 +211,8 @@ def check(d: Draft, r: Run) -> None:
     """Refuse runs that no laboratory would keep."""
     for i in range(d.n):
         limit = d.joints[i]["limit"]
-        often = 0.2 if d.joints[i].get("saturation") else 0.01  # a loop that is short of torque winds up
+        # a loop that is short of torque winds up
+        often = 0.2 if d.joints[i].get("saturation") else 0.01
         if np.mean(np.abs(r.command[:, i]) >= 0.999 * limit) > often:
             raise Unusable("the command sits at its limit")
         if np.max(np.abs(r.v[:, i])) > 4 * d.speed[i] or np.ptp(r.q[:, i]) > 8 * d.amplitude[i]:
@@ -216,7 +232,9 @@ def oracle_of(d: Draft, c: Concealed, scales: list[Scale]) -> dict[str, Any]:
         "innovation_ratio": round(look.innovation_ratio, 6),
         "log_likelihood": round(look.log_likelihood, 2),
         "detectable": look.detectable,
-        "inseparable": inseparable(d, joint, scales, judge, c.effect) if alone and look.detectable else {},
+        "inseparable": (
+            inseparable(d, joint, scales, judge, c.effect) if alone and look.detectable else {}
+        ),
     }
 
 
@@ -224,7 +242,9 @@ def truth_of(d: Draft, request: Request, scales: list[Scale]) -> dict[str, Any]:
     """What is sealed."""
     seen = [oracle_of(d, c, scales) for c in d.concealed]
     verdict = (
-        "complete" if not d.concealed else "unexplained" if d.concealed[0].effect == "foreign" else "missing"
+        "complete"
+        if not d.concealed
+        else "unexplained" if d.concealed[0].effect == "foreign" else "missing"
     )
     return {
         "kind": request.kind,

@@ -31,7 +31,8 @@ class Case:
     form: str
     layout: str  # of the files: see Draft.layout
     untouched: Run  # of the same machine; no diagnosis ever sees it
-    files: dict[str, str] = field(default_factory=dict)  # what the model names besides, by file name
+    # what the model names besides, by file name
+    files: dict[str, str] = field(default_factory=dict)
 
 
 class Unusable(RuntimeError):

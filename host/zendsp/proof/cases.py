@@ -1,4 +1,6 @@
-"""``python -m zendsp.proof.cases``: writes concealed cases, and their truth apart from them, sealed by hash."""
+"""``python -m zendsp.proof.cases``: writes concealed cases, and their truth apart from them, sealed
+by hash.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,18 @@ from zendsp.proof.machines import MACHINES
 from zendsp.proof.seal import digest, seal, write_truth
 
 SIZES = (1.0, 0.3, 0.1)
-# what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have no command to saturate
+# what cannot be put on a machine: coupling needs two joints, eccentricity a turn, open loops have
+# no command to saturate
 UNFIT = {
     "rotary": {"coupling"},
-    "pendulum": {"coupling", "encoder_eccentricity", "saturation", "dead_zone", "elasticity", "backlash"},
+    "pendulum": {
+        "coupling",
+        "encoder_eccentricity",
+        "saturation",
+        "dead_zone",
+        "elasticity",
+        "backlash",
+    },
     "linear": {"coupling", "encoder_eccentricity", "gravity", "torque_gain"},
     "planar2r": {"encoder_eccentricity", "torque_gain", "inertia", "gravity"},
     "urdf": {
@@ -90,7 +100,8 @@ def plan(kind: str, machine: str, seed: int, count: int, sizes: tuple[float, ...
 
 
 def write_case(order: Order) -> str:
-    """Make and write one case, unless its truth is there already; returns one line for the terminal.
+    """Make and write one case, unless its truth is there already; returns one line for the
+    terminal.
 
     A request whose draws make no sensible recording is left out: a campaign does not end with it.
     """
@@ -109,13 +120,22 @@ def write_case(order: Order) -> str:
     if case.layout != "none":
         (train if case.layout == "joint" else heldout).append(
             save(
-                folder, "second" if case.layout == "joint" else "heldout", case.form, case.heldout, columns
+                folder,
+                "second" if case.layout == "joint" else "heldout",
+                case.form,
+                case.heldout,
+                columns,
             ).name
         )
     (folder / "model.toml").write_text(toml(case.model), encoding="utf-8")
     for file, content in case.files.items():
         (folder / file).write_text(content, encoding="utf-8")
-    listing = {"train": train, "heldout": heldout, "model": "model.toml", "joints": case.train.q.shape[1]}
+    listing = {
+        "train": train,
+        "heldout": heldout,
+        "model": "model.toml",
+        "joints": case.train.q.shape[1],
+    }
     (folder / "case.json").write_text(json.dumps(listing) + "\n", encoding="utf-8")
     hidden = Path(order.truth)
     hidden.mkdir(parents=True, exist_ok=True)
@@ -129,7 +149,13 @@ def write_case(order: Order) -> str:
 
 
 def write_all(
-    requests: list[Request], cases: Path, truth: Path, *, first: int = 1, jobs: int = 1, scheduler: str = ""
+    requests: list[Request],
+    cases: Path,
+    truth: Path,
+    *,
+    first: int = 1,
+    jobs: int = 1,
+    scheduler: str = "",
 ) -> str:
     """Write every case and seal the truth; returns the hash of the list of seals.
 
@@ -152,18 +178,31 @@ def write_all(
 @click.option("--count", type=int, default=0, help="How many; 0: each effect once at each size.")
 @click.option("--kind", type=click.Choice(sorted(KINDS)), required=True)
 @click.option("--machine", type=click.Choice(sorted(MACHINES)), default="rotary", show_default=True)
-@click.option("--sizes", default="1,0.3,0.1", show_default=True, help="Knobs of size, comma separated.")
+@click.option(
+    "--sizes", default="1,0.3,0.1", show_default=True, help="Knobs of size, comma separated."
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the cases.")
 @click.option(
-    "--truth", type=click.Path(path_type=Path), help="Folder of the truth; default: truth_OUT beside OUT."
+    "--truth",
+    type=click.Path(path_type=Path),
+    help="Folder of the truth; default: truth_OUT beside OUT.",
 )
 @click.option("--jobs", type=int, default=1, show_default=True)
 def main(
-    seed: int, count: int, kind: str, machine: str, sizes: str, out: Path, truth: Path | None, jobs: int
+    seed: int,
+    count: int,
+    kind: str,
+    machine: str,
+    sizes: str,
+    out: Path,
+    truth: Path | None,
+    jobs: int,
 ) -> None:
     """Write concealed cases under OUT (added to what is there) and the truth apart."""
     truth = truth or out.parent / f"truth_{out.name}"
-    numbers = [int(p.name.removeprefix("case_")) for p in out.glob("case_*")] if out.exists() else []
+    numbers = (
+        [int(p.name.removeprefix("case_")) for p in out.glob("case_*")] if out.exists() else []
+    )
     requests = plan(kind, machine, seed, count, tuple(float(s) for s in sizes.split(",")))
     stamp = write_all(requests, out, truth, first=max(numbers, default=0) + 1, jobs=jobs)
     print(f"{len(requests)} cases in {out}; truth sealed in {truth}: {stamp}")

@@ -1,4 +1,6 @@
-"""Child processes of the proof: each ends with its parent, within its time, and its CPU seconds are known."""
+"""Child processes of the proof: each ends with its parent, within its time, and its CPU seconds are
+known.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ POLL = 0.02  # s, between two looks at a child
 
 
 def die_with(parent: int) -> None:
-    """Have the kernel end this process when `parent` ends, however that ends (Linux; elsewhere nothing happens).
+    """Have the kernel end this process when `parent` ends, however that ends (Linux; elsewhere
+    nothing happens).
 
     Parameters
     ----------
@@ -39,7 +42,10 @@ def die_with(parent: int) -> None:
 
 def command(*words: str) -> tuple[str, ...]:
     """``zendsp WORDS…`` as a process that ends with this one."""
-    code = f"from zendsp.proof.children import die_with; die_with({os.getpid()}); from zendsp.cli import main; main()"
+    code = (
+        f"from zendsp.proof.children import die_with; die_with({os.getpid()}); from zendsp.cli"
+        " import main; main()"
+    )
     return (sys.executable, "-c", code, *words)
 
 
@@ -67,7 +73,9 @@ _lock = threading.Lock()
 
 
 def run(line: Sequence[str], out: Path, limit: float) -> Ended:
-    """Run a command to its end or for `limit` seconds; its output goes to stdout.txt and stderr.txt under `out`."""
+    """Run a command to its end or for `limit` seconds; its output goes to stdout.txt and stderr.txt
+    under `out`.
+    """
     out.mkdir(parents=True, exist_ok=True)
     # small matrices in many processes: more threads of the linear algebra only wait for each other
     env = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -117,7 +125,9 @@ def end_all() -> None:
 
 @contextmanager
 def workers(pool: AbstractContextManager[Executor]) -> Iterator[Executor]:
-    """The executor of `pool`; an exception drops what waits and ends what runs before the block is left."""
+    """The executor of `pool`; an exception drops what waits and ends what runs before the block is
+    left.
+    """
     with pool as executor:
         try:
             yield executor

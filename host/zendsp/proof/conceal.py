@@ -1,4 +1,6 @@
-"""The ways in which physics is concealed: each kind of case prepares a draft and then hides something in it."""
+"""The ways in which physics is concealed: each kind of case prepares a draft and then hides
+something in it.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ NEEDS_REVERSALS = {"presliding", "backlash", "stribeck", "hysteresis", "elastici
 
 
 class Hide(Protocol):
-    def __call__(self, d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None: ...
+
+    def __call__(
+        self, d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng
+    ) -> None: ...
 
 
 class Prepare(Protocol):
@@ -86,7 +91,9 @@ def hide_pair(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng)
     other = pick_joint(d, rng)
     d.concealed.append(EFFECTS[first](d, joint, scales[joint], size, rng))
     kept = set(d.terms[other])
-    d.concealed.append(EFFECTS[second](d, other, scales[other], size * 0.7 if size == 1.0 else size, rng))
+    d.concealed.append(
+        EFFECTS[second](d, other, scales[other], size * 0.7 if size == 1.0 else size, rng)
+    )
     d.terms[other] &= kept
 
 
@@ -114,7 +121,9 @@ def prepare_nuisance(d: Draft, effect: str, rng: Rng) -> None:
 
 
 def prepare_hard(d: Draft, effect: str, rng: Rng) -> None:
-    """A poorer laboratory: short or long runs, slow sampling, a coarse noisy sensor, nuisances, fewer recordings."""
+    """A poorer laboratory: short or long runs, slow sampling, a coarse noisy sensor, nuisances,
+    fewer recordings.
+    """
     no_preparation(d, effect, rng)
     d.nuisance = float(np.exp(rng.uniform(np.log(0.001), np.log(0.004))))
     d.seconds = float(rng.choice([8.0, 12.0, 30.0]))
@@ -129,7 +138,10 @@ def prepare_hard(d: Draft, effect: str, rng: Rng) -> None:
     d.noise = float(rng.choice([0.0, 0.5, 1.0]))
     d.show_controller, d.velocity_filter = False, 0.006
     # half a count must not shake the motor by more than a twentieth of its limit
-    d.kd = [min(k, 0.05 * j["limit"] * 0.006 / j["resolution"]) for k, j in zip(d.kd, d.joints, strict=True)]
+    d.kd = [
+        min(k, 0.05 * j["limit"] * 0.006 / j["resolution"])
+        for k, j in zip(d.kd, d.joints, strict=True)
+    ]
 
 
 def hide_foreign(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:
@@ -147,7 +159,9 @@ def hide_behind(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rn
     s = scales[joint]
     # a big one that is not of the concealed one's own family
     choice = (
-        "quadratic_drag" if effect in ("stiffness", "cubic_stiffness", "gravity", "ripple") else "stiffness"
+        "quadratic_drag"
+        if effect in ("stiffness", "cubic_stiffness", "gravity", "ripple")
+        else "stiffness"
     )
     if choice == "stiffness":
         k = 3 * share(s, 1.0, rng) / float(np.sqrt(np.mean(s.q**2)))
@@ -166,7 +180,12 @@ def prepare_part(d: Draft, effect: str, rng: Rng) -> None:
     d.train_shape = d.heldout_shape = "mostly_fast"
 
 
-REPLACEMENTS = ("viscous_for_coulomb", "viscous_for_coulomb_drag", "coulomb_for_viscous", "drag_for_viscous")
+REPLACEMENTS = (
+    "viscous_for_coulomb",
+    "viscous_for_coulomb_drag",
+    "coulomb_for_viscous",
+    "drag_for_viscous",
+)
 
 
 def hide_replacement(d: Draft, effect: str, size: float, scales: list[Scale], rng: Rng) -> None:

@@ -15,11 +15,14 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-# below the data folder: file -> SHA-256 of what this project was measured on; of what is in it where it is compressed
+# below the data folder: file -> SHA-256 of what this project was measured on; of what is in it
+# where it is compressed
 FILES = {
     "emps": {
         "emps/DATA_EMPS.mat": "6cf6814ae14618795da0101aae2bb97ff0c6351b0501b5492751b02b07facf7e",
-        "emps/DATA_EMPS_PULSES.mat": "0eab75bb1f6b16228ee78791343a88bf9bfd9a51036ac9807d7b5fc11c0e1704",
+        "emps/DATA_EMPS_PULSES.mat": (
+            "0eab75bb1f6b16228ee78791343a88bf9bfd9a51036ac9807d7b5fc11c0e1704"
+        ),
     },
     "single_pendulum": {
         "single_pendulum/SinglePendulumDataForParameterEstimation.mat": (
@@ -27,15 +30,22 @@ FILES = {
         ),
     },
     "tx40": {
-        "tx40/pos_read_data.csv.gz": "5cc1cecc1024ef0e331d0caba06f689456ab789ec3f1e904599c0a8be5c27bc8",
+        "tx40/pos_read_data.csv.gz": (
+            "5cc1cecc1024ef0e331d0caba06f689456ab789ec3f1e904599c0a8be5c27bc8"
+        ),
         "tx40/curr_data.csv.gz": "f4592f4ba4db42f5d7625688986be25b575ca34d0504b27979ca6b0276bd3af9",
         "tx40/tx40.urdf": "8d678db7e0ff23f5004050cefe2bbda6ca7e00c1b0e707b05f792e7522900453",
     },
 }
 SOURCES = {
     "emps": "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS)",
-    "single_pendulum": "github.com/dynamicslab/MultiArm-Pendulum (MIT), ParameterEstimation/SinglePendulum",
-    "tx40": "github.com/thanhndv212/figaroh-examples, staubli_tx40 (Apache-2.0); compress the tables with gzip, take the visual and collision elements out of the URDF",
+    "single_pendulum": (
+        "github.com/dynamicslab/MultiArm-Pendulum (MIT), ParameterEstimation/SinglePendulum"
+    ),
+    "tx40": (
+        "github.com/thanhndv212/figaroh-examples, staubli_tx40 (Apache-2.0); compress the tables"
+        " with gzip, take the visual and collision elements out of the URDF"
+    ),
 }
 _EMPS = "https://drive.google.com/uc?export=download&id=1zwoXYa9-3f8NQ0ohzmjpF7UxbNgRTHkS"
 _TX40 = "https://raw.githubusercontent.com/thanhndv212/figaroh-examples/541a2ec01529eef2dfbdd65bb768d2cfe5af1962/examples/staubli_tx40/data/"
@@ -86,7 +96,8 @@ def content_hash(path: Path) -> str:
 def fetch(machine: str, data: Path, tell: Callable[[str], None] = lambda _line: None) -> list[str]:
     """Download what is absent and has an address; returns what could not be had, and why.
 
-    Nothing gets into the data folder unless its hash is the known one. Needs a network and pooch (``pip install 'zendsp[data]'``).
+    Nothing gets into the data folder unless its hash is the known one. Needs a network and pooch
+    (``pip install 'zendsp[data]'``).
     """
     trouble = []
     with tempfile.TemporaryDirectory() as folder:  # an archive of two files is loaded once
@@ -99,7 +110,11 @@ def fetch(machine: str, data: Path, tell: Callable[[str], None] = lambda _line: 
                 _fetch_one(name, FILES[machine][name], data / name, Path(folder))
             except (ImportError, OSError, ValueError) as error:
                 host = urlsplit(ADDRESSES[name]).hostname
-                reason = f"{host} cannot be reached" if isinstance(error, OSError) and "Max retries" in str(error) else error
+                reason = (
+                    f"{host} cannot be reached"
+                    if isinstance(error, OSError) and "Max retries" in str(error)
+                    else error
+                )
                 trouble.append(f"{name}: {reason}; get it from {SOURCES[machine]}")
     return trouble
 
@@ -153,7 +168,9 @@ def pendulum(data: Path, out: Path) -> Recordings:
     table = loadmat(data / next(iter(FILES["single_pendulum"])), squeeze_me=True)
     made: dict[str, list[Path]] = {"id": [], "vad": []}
     for group, paths in made.items():
-        for k, (t, y) in enumerate(zip(table[f"Time_{group}"], table[f"Y_{group}"], strict=True), 1):
+        for k, (t, y) in enumerate(
+            zip(table[f"Time_{group}"], table[f"Y_{group}"], strict=True), 1
+        ):
             path = out / f"{'id' if group == 'id' else 'val'}_{k}.npz"
             np.savez_compressed(path, t=t - t[0], q=y[0] - np.pi, qd=y[1])
             paths.append(path)
@@ -161,10 +178,11 @@ def pendulum(data: Path, out: Path) -> Recordings:
 
 
 def tx40(data: Path, out: Path) -> Recordings:
-    """Motor positions and torques from 5 kHz to 1 kHz: low-pass run both ways, then every fifth sample.
+    """Motor positions and torques from 5 kHz to 1 kHz: low-pass run both ways, then every fifth
+    sample.
 
-    The filter's ends are padded with the data's own continuation: `scipy.signal.decimate` pads with zeros, which tears the
-    first and last rows away from a joint that does not stand at zero.
+    The filter's ends are padded with the data's own continuation: `scipy.signal.decimate` pads with
+    zeros, which tears the first and last rows away from a joint that does not stand at zero.
     """
     from scipy.signal import butter, sosfiltfilt
 

@@ -1,4 +1,6 @@
-"""One case while it is being made: the true machine, the model that will be given, and what is concealed."""
+"""One case while it is being made: the true machine, the model that will be given, and what is
+concealed.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +34,11 @@ class Concealed:
     joint: int  # 1-based
     parameters: dict[str, tuple[float, str]]  # name -> (value, unit)
     size: float  # knob: 1, 0.3, 0.1
-    accepted: list[str] = field(default_factory=list)  # exact aliases: same equation of motion by algebra
+    # exact aliases: same equation of motion by algebra
+    accepted: list[str] = field(default_factory=list)
     accepted_joints: list[int] = field(default_factory=list)
-    unscored: list[str] = field(default_factory=list)  # parameters that the given structure cannot separate
+    # parameters that the given structure cannot separate
+    unscored: list[str] = field(default_factory=list)
     note: str = ""
     where: list[dict[str, Any]] = field(default_factory=list)  # places that a locator should show
     mechanisms: list[str] = field(default_factory=list)  # right besides the effect's own
@@ -76,16 +80,20 @@ class Draft:
     disturbance: list[tuple[int, Array]] = field(
         default_factory=list
     )  # (joint 0-based, torque over t / seconds)
-    replaces: list[str] = field(default_factory=list)  # terms of the given model that the truth does not have
-    layout: str = "heldout"  # | none: the last third is held out | joint: both recordings are for training
+    # terms of the given model that the truth does not have
+    replaces: list[str] = field(default_factory=list)
+    # | none: the last third is held out | joint: both recordings are for training
+    layout: str = "heldout"
     nuisance: float = 0.0  # slow random torque, share of the torque's RMS
-    nuisance_torque: dict[int, Array] = field(default_factory=dict)  # of the training run, by joint (0-based)
+    # of the training run, by joint (0-based)
+    nuisance_torque: dict[int, Array] = field(default_factory=dict)
     noise: float = 0.0  # share of the resolution
     train_shape: str = "multisine"
     heldout_shape: str = "sines"
     down: tuple[float, float, float] = (0.0, 0.0, -9.81)
     centre: list[float] = field(default_factory=lambda: [0.0] * 7)  # of the motion, per joint
-    stated_gain: list[float] = field(default_factory=list)  # torque per command unit that the model states
+    # torque per command unit that the model states
+    stated_gain: list[float] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)  # of the logger: see zendsp.proof.measure
     also_true: set[str] = field(default_factory=set)  # names that may stand beside the truth
     notes: list[str] = field(default_factory=list)
@@ -98,8 +106,11 @@ class Draft:
         """The machine to simulate."""
         joints = tuple(JointTruth(**changes) for changes in self.joints)
         fastest = max([0.0] + [j.trans_stiffness / max(j.motor_inertia, 1e-12) for j in joints])
-        # ten steps a radian of the stiffest spring, and never coarser than 20 us (chains: 50 us, they are smooth)
-        step = min(5e-5 if self.kind == "urdf" else 2e-5, 0.1 / np.sqrt(fastest) if fastest else 1.0)
+        # ten steps a radian of the stiffest spring, and never coarser than 20 us (chains: 50 us,
+        # they are smooth)
+        step = min(
+            5e-5 if self.kind == "urdf" else 2e-5, 0.1 / np.sqrt(fastest) if fastest else 1.0
+        )
         return MachineTruth(
             self.kind,
             joints,
@@ -136,7 +147,9 @@ class Draft:
 
 @dataclass(frozen=True)
 class Scale:
-    """Sizes of one joint's motion without the concealed effect: what an effect's size is measured against."""
+    """Sizes of one joint's motion without the concealed effect: what an effect's size is measured
+    against.
+    """
 
     torque: float  # RMS of the motor torque, N m
     peak: float  # of the torque

@@ -1,4 +1,6 @@
-"""What the makers of concealed effects share: sizes, units, friction of a draft, and how a maker enters a table."""
+"""What the makers of concealed effects share: sizes, units, friction of a draft, and how a maker
+enters a table.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ def effect(table: dict[str, Maker], name: str) -> Callable[[Maker], Maker]:
 
 
 def share(scale: Scale, size: float, rng: Rng) -> float:
-    """Torque of an effect: a fifth of the torque's RMS times the knob, spread by 30 % either way."""
+    """Torque of an effect: a fifth of the torque's RMS times the knob, spread by 30 % either way.
+    """
     return float(0.2 * size * scale.torque * rng.uniform(0.7, 1.3))
 
 
@@ -53,7 +56,9 @@ def at_rest(joint: int) -> list[dict[str, object]]:
     return [{"variable": "velocity", "joint": joint + 1, "value": 0.0}]
 
 
-def set_friction(d: Draft, joint: int, *, coulomb: float | None = None, viscous: float | None = None) -> None:
+def set_friction(
+    d: Draft, joint: int, *, coulomb: float | None = None, viscous: float | None = None
+) -> None:
     if coulomb is not None:
         d.joints[joint].update(coulomb_pos=coulomb, coulomb_neg=coulomb)
     if viscous is not None:

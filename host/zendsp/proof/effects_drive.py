@@ -25,7 +25,11 @@ def _ripple(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     return Concealed(
         "ripple",
         joint + 1,
-        {"order": (order, f"1/{length(d)}"), "amplitude": (amplitude, unit(d)), "phase": (phase, "rad")},
+        {
+            "order": (order, f"1/{length(d)}"),
+            "amplitude": (amplitude, unit(d)),
+            "phase": (phase, "rad"),
+        },
         size,
         unscored=["phase"],
     )
@@ -114,7 +118,8 @@ def _coupling(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
     other = int(rng.choice([i for i in (joint - 1, joint + 1) if 0 <= i < d.n]))
     law = str(rng.choice(["inertia", "coriolis", "viscous", "coulomb"]))
     torque = share(s, size, rng)
-    # s is the joint that suffers; its neighbour's motion is of the same order by construction of the references
+    # s is the joint that suffers; its neighbour's motion is of the same order by construction of
+    # the references
     size_of = {
         "inertia": float(np.std(s.a)),
         "coriolis": float(np.mean(s.v**2)),
@@ -122,7 +127,12 @@ def _coupling(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
         "coulomb": 1.0,
     }
     c = torque / size_of[law]
-    per = {"inertia": "kg m^2", "coriolis": "N m s^2/rad^2", "viscous": "N m s/rad", "coulomb": "N m"}[law]
+    per = {
+        "inertia": "kg m^2",
+        "coriolis": "N m s^2/rad^2",
+        "viscous": "N m s/rad",
+        "coulomb": "N m",
+    }[law]
     d.couplings.append(CouplingTruth(joint, other, law, c))
     joints = [joint + 1]
     if law == "inertia":  # a shared rotor acts on both
@@ -149,7 +159,8 @@ def add_disturbance(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Co
     torque *= 5 * share(s, size, rng)
     d.disturbance.append((joint, torque))
     where = [
-        round(float(v) * d.seconds, 3) for v in (x[np.abs(torque) > 0].min(), x[np.abs(torque) > 0].max())
+        round(float(v) * d.seconds, 3)
+        for v in (x[np.abs(torque) > 0].min(), x[np.abs(torque) > 0].max())
     ]
     return Concealed(
         "disturbance",

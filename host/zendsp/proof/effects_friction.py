@@ -62,7 +62,10 @@ def _viscous_asymmetry(d: Draft, joint: int, s: Scale, size: float, rng: Rng) ->
     d.joints[joint].update(viscous_pos=pos, viscous_neg=neg)
     u = unit(d, per=" s/rad")
     return Concealed(
-        "viscous_asymmetry", joint + 1, {"coefficient_pos": (pos, u), "coefficient_neg": (neg, u)}, size
+        "viscous_asymmetry",
+        joint + 1,
+        {"coefficient_pos": (pos, u), "coefficient_neg": (neg, u)},
+        size,
     )
 
 
@@ -93,7 +96,10 @@ def _presliding(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
     return Concealed(
         "presliding",
         joint + 1,
-        {"stiffness": (stiffness, unit(d, per="/rad")), "damping": (damping, unit(d, per=" s/rad"))},
+        {
+            "stiffness": (stiffness, unit(d, per="/rad")),
+            "damping": (damping, unit(d, per=" s/rad")),
+        },
         size,
         unscored=["damping"],
         where=at_rest(joint),
@@ -104,7 +110,9 @@ def _presliding(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
 def _drag(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     c = share(s, size, rng) / float(np.sqrt(np.mean(s.v**4)))
     d.joints[joint]["drag"] = c
-    return Concealed("quadratic_drag", joint + 1, {"coefficient": (c, unit(d, per=" s^2/rad^2"))}, size)
+    return Concealed(
+        "quadratic_drag", joint + 1, {"coefficient": (c, unit(d, per=" s^2/rad^2"))}, size
+    )
 
 
 @effect(MAKERS, "load_friction")

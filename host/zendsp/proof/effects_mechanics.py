@@ -1,11 +1,22 @@
-"""Concealed mechanics: gravity, springs, inertia, transmissions with a spring or a gap, hysteresis."""
+"""Concealed mechanics: gravity, springs, inertia, transmissions with a spring or a gap, hysteresis.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from zendsp.proof.draft import Concealed, Draft, Scale
-from zendsp.proof.effect_kit import Maker, Rng, at_rest, effect, either, inertia_of, length, share, unit
+from zendsp.proof.effect_kit import (
+    Maker,
+    Rng,
+    at_rest,
+    effect,
+    either,
+    inertia_of,
+    length,
+    share,
+    unit,
+)
 
 MAKERS: dict[str, Maker] = {}
 
@@ -92,7 +103,11 @@ def _elasticity(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Concea
     split(d, joint, load, k, damping, 0.0)
     u = {"stiffness": (k, unit(d, per="/rad")), "damping": (damping, unit(d, per=" s/rad"))}
     return Concealed(
-        "elasticity", joint + 1, {**u, "load_inertia": load_unit(d, load)}, size, unscored=["damping"]
+        "elasticity",
+        joint + 1,
+        {**u, "load_inertia": load_unit(d, load)},
+        size,
+        unscored=["damping"],
     )
 
 
@@ -104,7 +119,11 @@ def _backlash(d: Draft, joint: int, s: Scale, size: float, rng: Rng) -> Conceale
     hz = rng.uniform(30.0, 60.0)
     k = (2 * np.pi * hz) ** 2 * load * (total - load) / total
     split(d, joint, load, k, 2 * 0.1 * np.sqrt(k * load * (total - load) / total), gap)
-    u = {"gap": (gap, length(d)), "stiffness": (k, unit(d, per="/rad")), "load_inertia": load_unit(d, load)}
+    u = {
+        "gap": (gap, length(d)),
+        "stiffness": (k, unit(d, per="/rad")),
+        "load_inertia": load_unit(d, load),
+    }
     return Concealed("backlash", joint + 1, u, size, unscored=["stiffness"], where=at_rest(joint))
 
 
@@ -115,7 +134,9 @@ def load_unit(d: Draft, load: float) -> tuple[float, str]:
 def split(d: Draft, joint: int, load: float, k: float, damping: float, gap: float) -> None:
     """Divide one inertia into motor and load with a spring between them; the rigid total stays."""
     motor = inertia_of(d, joint) - load
-    d.joints[joint].update(trans_stiffness=k, trans_damping=damping, trans_gap=gap, motor_inertia=motor)
+    d.joints[joint].update(
+        trans_stiffness=k, trans_damping=damping, trans_gap=gap, motor_inertia=motor
+    )
     d.joints[joint]["extra_inertia"] = d.joints[joint].get("extra_inertia", 0.0) - motor
 
 

@@ -23,7 +23,9 @@ def columns_of(names: dict[str, str], joints: int, split: bool) -> dict[str, Any
     """The ``[columns]`` table: one name, or one a joint where vectors are split."""
     if joints == 1 or not split:
         return dict(names)
-    return {k: v if k == "time" else [f"{v}{i + 1}" for i in range(joints)] for k, v in names.items()}
+    return {
+        k: v if k == "time" else [f"{v}{i + 1}" for i in range(joints)] for k, v in names.items()
+    }
 
 
 def recording(run: Run, columns: dict[str, Any]) -> dict[str, Any]:
@@ -42,7 +44,9 @@ def recording(run: Run, columns: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_recording(path: Path, table: dict[str, Any]) -> None:
-    """Write `table` in the format that the suffix names; ``.mat`` is v5 here, see :func:`write_hdf`."""
+    """Write `table` in the format that the suffix names; ``.mat`` is v5 here, see
+    :func:`write_hdf`.
+    """
     if path.suffix == ".npz":
         np.savez_compressed(path, **table)
     elif path.suffix == ".mat":
@@ -62,7 +66,14 @@ def write_recording(path: Path, table: dict[str, Any]) -> None:
         head = ",".join(table)
         values = np.stack(list(table.values()), 1)
         # a clock that counts from 1970 needs its sixteen digits; the first column is the time
-        np.savetxt(path, values, fmt=["%.16g"] + ["%.10g"] * (values.shape[1] - 1), delimiter=",", header=head, comments="")
+        np.savetxt(
+            path,
+            values,
+            fmt=["%.16g"] + ["%.10g"] * (values.shape[1] - 1),
+            delimiter=",",
+            header=head,
+            comments="",
+        )
 
 
 def write_hdf(path: Path, table: dict[str, Any]) -> None:
@@ -107,7 +118,9 @@ def scalar(value: Any) -> str:
 
 def toml(table: dict[str, Any]) -> str:
     """The given model as TOML text: tables one level deep, parameters as inline tables."""
-    lines = [f"{k} = {scalar(plain(v))}" for k, v in table.items() if not isinstance(v, dict | list)]
+    lines = [
+        f"{k} = {scalar(plain(v))}" for k, v in table.items() if not isinstance(v, dict | list)
+    ]
     for key, value in table.items():
         if isinstance(value, dict):
             inner = {k: v for k, v in value.items() if k != "parameters"}

@@ -1,6 +1,8 @@
-"""Torques without a law in the contract: forty-two forms of position, speed, time and the motor's torque.
+"""Torques without a law in the contract: forty-two forms of position, speed, time and the motor's
+torque.
 
-A form says which mechanisms may be named for it (with ``unknown`` as the law); naming a law is wrong.
+A form says which mechanisms may be named for it (with ``unknown`` as the law); naming a law is
+wrong.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ RUBS = (DRY, FLUID)  # friction that differs along the travel: by what law of sp
 
 @dataclass(frozen=True)
 class Frame:
-    """Where and how fast a joint moves: middle, half width, RMS and peak speed; and how long it does."""
+    """Where and how fast a joint moves: middle, half width, RMS and peak speed; and how long it
+    does.
+    """
 
     middle: float
     half: float
@@ -117,9 +121,11 @@ plain(
     lambda x, w, t, u: cos(4 * x) * abs(w),
 )
 plain(
-    "cosqv2", "an inertia that varies along the travel, in its Coriolis torque alone", (FLUID, PLACE, "inertia"),
+    "cosqv2",
+    "an inertia that varies along the travel, in its Coriolis torque alone",
+    (FLUID, PLACE, "inertia"),
     lambda x, w, t, u: cos(5 * x) * w * w,
-)  # fmt: skip
+)
 plain(
     "expqv",
     "damping that grows steeply along the travel",
@@ -364,7 +370,8 @@ class Drawn:
 
 
 def draw(name: str, s: Scale, sample_time: float, seconds: float, size: float, rng: Rng) -> Drawn:
-    """A form scaled so that its RMS along the undisturbed motion `s` is `size` of the torque's RMS."""
+    """A form scaled so that its RMS along the undisturbed motion `s` is `size` of the torque's RMS.
+    """
     form = FORMS[name]
     frame = Frame(0.5 * float(s.q.max() + s.q.min()), 0.5 * s.reach, s.v_rms, s.v_peak, seconds)
     fresh = form.make(frame, rng)

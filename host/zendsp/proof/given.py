@@ -1,4 +1,6 @@
-"""The model that is given: wrong by a few percent, its friction fitted without the concealed effect."""
+"""The model that is given: wrong by a few percent, its friction fitted without the concealed
+effect.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def inertial_torque(d: Draft, parameters: dict[str, float], scales: list[Scale])
 
 
 def given_parameters(d: Draft, rng: np.random.Generator) -> dict[str, float]:
-    """True inertial figures with errors of 3 % (none where the draft says exact or the figure is fixed)."""
+    """True inertial figures with errors of 3 % (none where the draft says exact or the figure is
+    fixed).
+    """
     out = {}
     for name, value in d.parameters.items():
         wrong = 1 + 0.03 * rng.standard_normal()
@@ -52,7 +56,9 @@ def given_parameters(d: Draft, rng: np.random.Generator) -> dict[str, float]:
 def fit_terms(
     d: Draft, parameters: dict[str, float], scales: list[Scale], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
-    """Friction of the given laws by least squares on the true motion, wrong inertia and concealed effect included."""
+    """Friction of the given laws by least squares on the true motion, wrong inertia and concealed
+    effect included.
+    """
     out: list[dict[str, Any]] = []
     inertial = inertial_torque(d, parameters, scales)
     for i, s in enumerate(scales):
@@ -108,7 +114,10 @@ def model_file(
             entry["free"] = False
         entries[key] = entry
     if d.kind == "planar2r":
-        entries["l1"], entries["l2"] = {"value": 0.36, "free": False}, {"value": 0.34, "free": False}
+        entries["l1"], entries["l2"] = {"value": 0.36, "free": False}, {
+            "value": 0.34,
+            "free": False,
+        }
     table["mechanism"] = {"kind": d.kind}
     if d.kind == "urdf":
         table["mechanism"]["file"] = "arm.urdf"
@@ -119,7 +128,9 @@ def model_file(
         entry = {"kind": term.kind, "joint": term.joint, **term.extra}
         for key, value in term.values.items():
             wrong = (
-                1.0 if d.exact or key in ("order", "neutral", "phase") else 1 + 0.03 * rng.standard_normal()
+                1.0
+                if d.exact or key in ("order", "neutral", "phase")
+                else 1 + 0.03 * rng.standard_normal()
             )
             entry[key] = {"value": value * wrong}
         table["effect"].append(entry)

@@ -1,8 +1,9 @@
 """Implants: a known torque, computed from the recorded motion, added to a real recording's command.
 
-If M qdd + ... = K u holds on the real machine, then M qdd + ... + e = K (u + e / K) holds for a machine with the effect e too:
-exact truth, real sensor, real noise. Valid where joints are rigid. The given model is the one that the diagnosis itself
-found for the unaltered recording, so that nothing else is left to find.
+If M qdd + ... = K u holds on the real machine, then M qdd + ... + e = K (u + e / K) holds for a
+machine with the effect e too: exact truth, real sensor, real noise. Valid where joints are rigid.
+The given model is the one that the diagnosis itself found for the unaltered recording, so that
+nothing else is left to find.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class Implant:
 
     @property
     def above(self) -> bool | None:
-        """Larger than what the report says that the recording would have shown; None where it states no size."""
+        """Larger than what the report says that the recording would have shown; None where it
+        states no size.
+        """
         size = self.parameters.get(SIZE[self.effect], math.nan)
         stated = [s.size for s in self.answer.smallest if s.effect == self.effect]
         return abs(size) > min(stated) if stated else None
@@ -69,14 +72,19 @@ def middle_motion(q: Array, dt: float) -> tuple[Array, Array]:
     return smooth + 0.5 * dt * v, v + 0.5 * dt * np.gradient(v, dt)
 
 
-def parameters_for(effect: str, size: float, q: Array, v: Array, command: Array) -> dict[str, float]:
+def parameters_for(
+    effect: str, size: float, q: Array, v: Array, command: Array
+) -> dict[str, float]:
     """Sizes on the training recording; the leading parameter first."""
     force = SHARE * size * GAIN * float(np.sqrt(np.mean(command**2)))
     neutral = float(q.mean())
     if effect == "stiffness":
         return {"coefficient": force / float(np.std(q)), "neutral": neutral}
     if effect == "cubic_stiffness":
-        return {"coefficient": force / float(np.sqrt(np.mean((q - neutral) ** 6))), "neutral": neutral}
+        return {
+            "coefficient": force / float(np.sqrt(np.mean((q - neutral) ** 6))),
+            "neutral": neutral,
+        }
     if effect == "quadratic_drag":
         return {"coefficient": force / float(np.sqrt(np.mean(v**4)))}
     if effect == "ripple":  # not the screw's own orders
@@ -94,13 +102,16 @@ def torque(effect: str, p: dict[str, float], q: Array, v: Array) -> Array:
         return np.asarray(p["coefficient"] * v * np.abs(v))
     if effect == "ripple":
         return np.asarray(p["amplitude"] * np.sin(p["order"] * q + p["phase"]))
-    return np.asarray(p["amplitude"] * np.sin(2 * np.pi * q / p["period"] + p["phase"]) * np.sign(v))
+    return np.asarray(
+        p["amplitude"] * np.sin(2 * np.pi * q / p["period"] + p["phase"]) * np.sign(v)
+    )
 
 
 def put_in(
     source: Path, target: Path, effect: str, parameters: dict[str, float] | None, size: float
 ) -> dict[str, float]:
-    """Copy an EMPS recording with the effect in it; sizes are drawn from it where none are given."""
+    """Copy an EMPS recording with the effect in it; sizes are drawn from it where none are given.
+    """
     table = loadmat(source, squeeze_me=True)
     q, v = middle_motion(np.asarray(table["qm"], float), 1e-3)
     command = np.asarray(table["vir"], float)
@@ -115,7 +126,8 @@ def put_in(
 def run_implants(
     data: Path, out: Path, limit: float, quick: bool, jobs: int, tell: Callable[[str], None]
 ) -> list[Implant]:
-    """Every implant on EMPS, ``jobs`` at a time; a run that was interrupted goes on where it stopped.
+    """Every implant on EMPS, ``jobs`` at a time; a run that was interrupted goes on where it
+    stopped.
 
     Raises
     ------
@@ -143,7 +155,9 @@ def run_implants(
         tell(implant_line(done))
         return done
 
-    wanted = [(e, x) for e in (EFFECTS[:2] if quick else EFFECTS) for x in (SIZES[:1] if quick else SIZES)]
+    wanted = [
+        (e, x) for e in (EFFECTS[:2] if quick else EFFECTS) for x in (SIZES[:1] if quick else SIZES)
+    ]
     with workers(threads(jobs)) as pool:
         return list(pool.map(lambda case: one(*case), wanted))
 
@@ -180,13 +194,18 @@ def implant_line(i: Implant) -> str:
 
 
 def implant_lines(done: list[Implant]) -> list[str]:
-    """One line per implant and a total; where reports state what they would have seen, the implants above that."""
-    lines = [*map(implant_line, done), f"implants named first: {sum(i.named for i in done)} of {len(done)}"]
+    """One line per implant and a total; where reports state what they would have seen, the implants
+    above that.
+    """
+    lines = [
+        *map(implant_line, done),
+        f"implants named first: {sum(i.named for i in done)} of {len(done)}",
+    ]
     above = [i for i in done if i.above]
     if any(i.above is not None for i in done):
         complete = sum(i.answer.verdict == "complete" for i in above)
         lines.append(
-            f"above the size that the report states as seen: {sum(i.named for i in above)} of {len(above)} named first, "
-            f"{complete} called complete"
+            f"above the size that the report states as seen: {sum(i.named for i in above)} of"
+            f" {len(above)} named first, {complete} called complete"
         )
     return lines

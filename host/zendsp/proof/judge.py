@@ -1,4 +1,6 @@
-"""Compares one answer with one sealed truth: by mechanism, by law, and by what is named beyond the truth."""
+"""Compares one answer with one sealed truth: by mechanism, by law, and by what is named beyond the
+truth.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ SURE = 0.8
 # error of the improved model over that of the calibrated one, above which untouched data are worse
 WORSE = 1.02
 
-# of the RMS torque: what a refit leaves of a foreign torque, below which "complete" is no wrong answer
+# of the RMS torque: what a refit leaves of a foreign torque, below which "complete" is no wrong
+# answer
 FAINTEST = 0.01
 
 Effect = Mapping[str, Any]  # one effect of a sealed truth
@@ -111,7 +114,9 @@ def assigned(findings: Sequence[Finding], effects: Sequence[Effect]) -> dict[int
 
 
 def refined(answer: Answer, effects: Sequence[Effect], found: Mapping[int, int]) -> set[int]:
-    """Truths that stand among the refinements beside a larger one of their mechanism that was found."""
+    """Truths that stand among the refinements beside a larger one of their mechanism that was
+    found.
+    """
     out = set()
     for t, effect in enumerate(effects):
         beside = any(
@@ -127,7 +132,8 @@ def refined(answer: Answer, effects: Sequence[Effect], found: Mapping[int, int])
 def rightness(
     findings: Sequence[Finding], effects: Sequence[Effect], also_true: set[str]
 ) -> list[str]:
-    """Of each finding: "law" where its law is right, "mechanism" where only that is, "" beyond the truth.
+    """Of each finding: "law" where its law is right, "mechanism" where only that is, "" beyond the
+    truth.
 
     A second finding of a mechanism that acts once is beyond the truth, unless its law is right too.
     """
@@ -211,7 +217,8 @@ def describe(answer: Answer) -> str:
 
 
 def overlooked(effects: Sequence[Effect], answer: Answer) -> bool | None:
-    """Called complete, though an effect is larger than the report says that the recording would have shown.
+    """Called complete, though an effect is larger than the report says that the recording would
+    have shown.
 
     None where the report states no size for any of them.
     """
@@ -230,7 +237,9 @@ def overlooked(effects: Sequence[Effect], answer: Answer) -> bool | None:
 
 
 def worsened(answer: Answer) -> bool | None:
-    """Whether what was found makes the untouched recording worse; None where nothing was, or it was not tried."""
+    """Whether what was found makes the untouched recording worse; None where nothing was, or it was
+    not tried.
+    """
     calibrated, improved = answer.untouched
     if not answer.findings or math.isnan(calibrated) or math.isnan(improved):
         return None
@@ -286,7 +295,9 @@ def of_nothing(answer: Answer, also_true: set[str]) -> dict[str, Any]:
 
 
 def of_foreign(answer: Answer, effects: Sequence[Effect], also_true: set[str]) -> dict[str, Any]:
-    """Answers about a torque without a law: unexplained, or a mechanism that acts with no law claimed."""
+    """Answers about a torque without a law: unexplained, or a mechanism that acts with no law
+    claimed.
+    """
     right = [f.effect in also_true or held_back(f, effects) for f in answer.findings]
     said = answer.verdict == "unexplained" or bool(answer.findings)
     plain = max(e.get("oracle", {}).get("torque_share", 1.0) for e in effects) >= FAINTEST

@@ -74,7 +74,8 @@ def rotary(rng: Rng) -> Draft:
 
 
 def linear(rng: Rng) -> Draft:
-    """A ball-screw axis in the manner of EMPS: voltage command, force = 35.15 N/V, PD of high gain."""
+    """A ball-screw axis in the manner of EMPS: voltage command, force = 35.15 N/V, PD of high gain.
+    """
     mass = 95.11 * rng.uniform(0.6, 1.4)
     gain = 35.15 * rng.uniform(0.8, 1.2)
     speed = rng.uniform(0.15, 0.5)
@@ -110,7 +111,9 @@ def linear(rng: Rng) -> Draft:
 
 
 def pendulum(rng: Rng) -> Draft:
-    """The bar on a brushed motor of facts/pendulum.toml: open loop, or PD with kp = 1.2, kv = 0.005."""
+    """The bar on a brushed motor of facts/pendulum.toml: open loop, or PD with kp = 1.2, kv =
+    0.005.
+    """
     inertia = 0.2 * 0.17**2 / 3 * rng.uniform(1.0, 1.25)
     gravity = 0.2 * 9.81 * 0.085 * rng.uniform(0.95, 1.05)
     coulomb, viscous = rng.uniform(0.005, 0.02), rng.uniform(2e-4, 8e-4)

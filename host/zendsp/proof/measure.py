@@ -32,7 +32,9 @@ def repeated(run: Run, rng: Rng) -> Run:
 
 
 def stale(run: Run, rng: Rng) -> Run:
-    """One position in two hundred was not read anew: it is the one before, with the stamp of its row."""
+    """One position in two hundred was not read anew: it is the one before, with the stamp of its
+    row.
+    """
     rows = np.arange(run.time.size)
     rows[1:] -= rng.random(rows.size - 1) < 0.005
     return replace(run, measured=run.measured[rows])
@@ -101,6 +103,7 @@ def apply_faults(run: Run, faults: Sequence[str], sample_time: float, rng: Rng) 
 
 
 def format_of(rng: Rng) -> tuple[str, bool]:
-    """A file format that keeps what the case is about, and whether vectors are split into columns."""
+    """A file format that keeps what the case is about, and whether vectors are split into columns.
+    """
     form = str(rng.choice(("csv", "npz", "mat", "parquet")))
     return form, form in ("csv", "parquet") or bool(rng.random() < 0.5)

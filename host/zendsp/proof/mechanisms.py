@@ -1,26 +1,43 @@
-"""The contract's table of mechanisms and their laws, written down for the judge apart from the diagnosis."""
+"""The contract's table of mechanisms and their laws, written down for the judge apart from the
+diagnosis.
+"""
 
 from __future__ import annotations
 
 LAWS: dict[str, tuple[str, ...]] = {
     "dry_friction": (
-        "coulomb", "coulomb_asymmetry", "stribeck", "presliding", "hysteresis", "load_friction",
-        "position_friction", "friction_drift", "friction_temperature",
+        "coulomb",
+        "coulomb_asymmetry",
+        "stribeck",
+        "presliding",
+        "hysteresis",
+        "load_friction",
+        "position_friction",
+        "friction_drift",
+        "friction_temperature",
     ),
     "fluid_friction": ("viscous", "viscous_asymmetry", "quadratic_drag"),
     "transmission": ("elasticity", "stiffening", "backlash", "transmission_error"),
     "position_torque": ("gravity", "stiffness", "cubic_stiffness", "ripple"),
     "inertia": ("inertia", "payload", "body", "base_tilt", "coupling"),
     "actuator": (
-        "torque_gain", "gain_drift", "torque_offset", "dead_zone", "saturation", "voltage_limit", "lag", "delay",
+        "torque_gain",
+        "gain_drift",
+        "torque_offset",
+        "dead_zone",
+        "saturation",
+        "voltage_limit",
+        "lag",
+        "delay",
     ),
     "measurement": ("encoder_eccentricity", "sensor_harmonic", "position_filter", "column_shift"),
     "disturbance": ("disturbance",),
-}  # fmt: skip
+}
 MECHANISM = {law: mechanism for mechanism, laws in LAWS.items() for law in laws}
 # findings about the robot as a whole: a body is named, and any joint that it loads may be
 BODILY = ("payload", "body", "base_tilt")
-# laws that contain a simpler one as a special case: the truth with needless parameters, and no other name for it
+# laws that contain a simpler one as a special case: the truth with needless parameters, and no
+# other name for it
 NEEDLESS: dict[str, tuple[str, ...]] = {
     "viscous": ("viscous_asymmetry", "friction_drift"),
     "coulomb": (
@@ -36,13 +53,28 @@ NEEDLESS: dict[str, tuple[str, ...]] = {
 }
 # the parameter that is an effect's size, where it grows with the torque that the effect makes
 SIZE: dict[str, str] = {
-    "coulomb": "level", "viscous": "coefficient", "quadratic_drag": "coefficient", "load_friction": "coefficient",
-    "position_friction": "amplitude", "gravity": "torque", "stiffness": "coefficient",
-    "cubic_stiffness": "coefficient", "ripple": "amplitude", "inertia": "amount", "payload": "mass",
-    "torque_gain": "ratio", "torque_offset": "level", "dead_zone": "width", "lag": "time_constant", "delay": "time",
-    "encoder_eccentricity": "amplitude", "sensor_harmonic": "amplitude", "position_filter": "time_constant",
-    "column_shift": "time", "backlash": "gap",
-}  # fmt: skip
+    "coulomb": "level",
+    "viscous": "coefficient",
+    "quadratic_drag": "coefficient",
+    "load_friction": "coefficient",
+    "position_friction": "amplitude",
+    "gravity": "torque",
+    "stiffness": "coefficient",
+    "cubic_stiffness": "coefficient",
+    "ripple": "amplitude",
+    "inertia": "amount",
+    "payload": "mass",
+    "torque_gain": "ratio",
+    "torque_offset": "level",
+    "dead_zone": "width",
+    "lag": "time_constant",
+    "delay": "time",
+    "encoder_eccentricity": "amplitude",
+    "sensor_harmonic": "amplitude",
+    "position_filter": "time_constant",
+    "column_shift": "time",
+    "backlash": "gap",
+}
 
 
 def mechanism_of(effect: str, stated: str = "") -> str:

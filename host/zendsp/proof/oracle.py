@@ -1,8 +1,9 @@
 """How visible a concealed effect is, measured from the truth alone and before any diagnosis runs.
 
-The given structure is refitted by least squares to the true motion (no sensor noise, no differentiation of counts). What
-the refit leaves, as a torque, is passed through the error dynamics of the steady Kalman observer that the sensor deserves;
-the variance that it adds to the innovations, over the variance that noise gives them, says what any method could see.
+The given structure is refitted by least squares to the true motion (no sensor noise, no
+differentiation of counts). What the refit leaves, as a torque, is passed through the error dynamics
+of the steady Kalman observer that the sensor deserves; the variance that it adds to the
+innovations, over the variance that noise gives them, says what any method could see.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from scipy.signal import lfilter
 from zendsp.proof.draft import Array, Draft, Scale
 from zendsp.proof.given import TRUTH, feature, inertial_torque
 
-# torque that no method can expect to model: hold, sampling, rounding; share of the torque's RMS per sample
+# torque that no method can expect to model: hold, sampling, rounding; share of the torque's RMS per
+# sample
 PROCESS = 0.003
-# log-likelihood ratio above which an effect counts as detectable: 60 leaves room for two parameters, the refit,
-# a held-out test at z = 4 (8) and innovations that are correlated over some samples
+# log-likelihood ratio above which an effect counts as detectable: 60 leaves room for two
+# parameters, the refit, a held-out test at z = 4 (8) and innovations that are correlated over some
+# samples
 DETECTABLE = 60.0
 
 
@@ -37,7 +40,9 @@ class Visibility:
 
 
 def free_columns(d: Draft, joint: int, scales: list[Scale]) -> Array:
-    """Torque per unit of every free parameter of the given model that is linear, (rows, parameters)."""
+    """Torque per unit of every free parameter of the given model that is linear, (rows,
+    parameters).
+    """
     s = scales[joint]
     columns = []
     for name in d.parameters:
@@ -72,7 +77,9 @@ def fixed_torque(d: Draft, joint: int, scales: list[Scale]) -> Array:
 
 
 class Judge:
-    """Measures what torques are left over on one joint, after the refit of the given model's free parameters."""
+    """Measures what torques are left over on one joint, after the refit of the given model's free
+    parameters.
+    """
 
     def __init__(self, d: Draft, joint: int, scales: list[Scale], inertia: float) -> None:
         self.scale = scales[joint]
@@ -81,10 +88,14 @@ class Judge:
         free = free_columns(d, joint, scales)[self.slides]
         q, r = np.linalg.qr(free / (np.sqrt(np.mean(free**2, 0)) + 1e-300))
         self.basis = q[:, np.abs(np.diag(r)) > 1e-9 * np.sqrt(len(q))]
-        self.numerator, self.denominator, self.variance = observer(d, joint, inertia, self.scale.torque)
+        self.numerator, self.denominator, self.variance = observer(
+            d, joint, inertia, self.scale.torque
+        )
 
     def rest(self, drive: Array, extra: Array | None = None) -> Array:
-        """`drive` less what the fixed part, the free parameters and the columns `extra` explain; zero where at rest."""
+        """`drive` less what the fixed part, the free parameters and the columns `extra` explain;
+        zero where at rest.
+        """
         target = self.project((drive - self.fixed)[self.slides, None])
         if extra is not None:
             columns = self.project(extra[self.slides])
@@ -109,13 +120,21 @@ class Judge:
 
 
 def observer(d: Draft, joint: int, inertia: float, rms: float) -> tuple[Array, Array, float]:
-    """The steady Kalman observer as a filter from torque to innovation, and the innovation's variance from noise."""
+    """The steady Kalman observer as a filter from torque to innovation, and the innovation's
+    variance from noise.
+    """
     noise = d.joints[joint]["resolution"] ** 2 * (1 / 12 + d.noise**2)
-    return steady_observer(d.sample_time, inertia, noise, rms * float(np.hypot(PROCESS, d.nuisance)))
+    return steady_observer(
+        d.sample_time, inertia, noise, rms * float(np.hypot(PROCESS, d.nuisance))
+    )
 
 
-def steady_observer(dt: float, inertia: float, noise: float, sigma: float) -> tuple[Array, Array, float]:
-    """The same for a position noise of variance `noise` and a torque noise of deviation `sigma` per sample."""
+def steady_observer(
+    dt: float, inertia: float, noise: float, sigma: float
+) -> tuple[Array, Array, float]:
+    """The same for a position noise of variance `noise` and a torque noise of deviation `sigma` per
+    sample.
+    """
     a = np.array([[1.0, dt], [0.0, 1.0]])
     b = np.array([[0.5 * dt**2], [dt]]) / inertia
     c = np.array([[1.0, 0.0]])

@@ -17,15 +17,23 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[s
 
 
 def beside(ours: Sequence[Judgement], peers: Mapping[str, Sequence[Judgement]]) -> list[list[str]]:
-    """Headline rows of every method on the same cases, one column each; ours for each reality apart."""
+    """Headline rows of every method on the same cases, one column each; ours for each reality
+    apart.
+    """
     columns = [headline(j) for j in (*parts(ours).values(), *peers.values())]
-    return [[row[0].strip(), row[2], *(c[i][1] for c in columns)] for i, row in enumerate(columns[0])]
+    return [
+        [row[0].strip(), row[2], *(c[i][1] for c in columns)] for i, row in enumerate(columns[0])
+    ]
 
 
 def parts(ours: Sequence[Judgement]) -> dict[str, Sequence[Judgement]]:
     """Our columns: one, or one for each reality."""
     groups = by_reality(ours)
-    return {"zendsp": ours} if len(groups) < 2 else {f"zendsp, {name}": group for name, group in groups.items()}
+    return (
+        {"zendsp": ours}
+        if len(groups) < 2
+        else {f"zendsp, {name}": group for name, group in groups.items()}
+    )
 
 
 def proof_page(
@@ -41,8 +49,14 @@ def proof_page(
     lines = [
         "# Proof",
         "",
-        f"Measured on {day} by `{command}` on {platform.machine()}, Python {platform.python_version()}.",
-        f"{len(ours)} cases, simulated by code that shares nothing with the diagnosis. The truth was sealed before the first",
+        (
+            f"Measured on {day} by `{command}` on {platform.machine()}, Python"
+            f" {platform.python_version()}."
+        ),
+        (
+            f"{len(ours)} cases, simulated by code that shares nothing with the diagnosis. The"
+            " truth was sealed before the first"
+        ),
         f"diagnosis ran; SHA-256 of the list of seals: `{stamp}`.",
         "",
         "## Scoreboard",
@@ -50,10 +64,22 @@ def proof_page(
         *markdown_table(["", "wanted", *parts(ours), *peers], beside(ours, peers)),
         *[f"- {note}" for note in notes],
         "",
-        "The mechanism is right when the first finding's mechanism acts on the joint, or the body, that it names. A law is right",
-        "when it is the concealed effect's, on the right joint, when its first finding's set of names",
-        "that it cannot tell apart holds it, or when the recording itself cannot tell the two apart (by algebra, or measured by",
-        "an oracle that sees the true motion). Detectable: the best refit of the incomplete model leaves at least 60 of",
+        (
+            "The mechanism is right when the first finding's mechanism acts on the joint, or the"
+            " body, that it names. A law is right"
+        ),
+        (
+            "when it is the concealed effect's, on the right joint, when its first finding's set of"
+            " names"
+        ),
+        (
+            "that it cannot tell apart holds it, or when the recording itself cannot tell the two"
+            " apart (by algebra, or measured by"
+        ),
+        (
+            "an oracle that sees the true motion). Detectable: the best refit of the incomplete"
+            " model leaves at least 60 of"
+        ),
         "log-likelihood in the innovations of a steady observer.",
         "",
         "## By effect and size",
@@ -68,7 +94,10 @@ def proof_page(
     lines += markdown_table(["machine, kind", *(f"x{s:g}" for s in sizes)], rows)
     lines += ["## Stated confidence against hit rate", ""]
     for name, group in parts(ours).items():
-        rows = [[f"{a:.1f} to {b:.1f}", str(n), f"{s:.3f}", f"{h:.3f}"] for a, b, n, s, h in reliability(group)]
+        rows = [
+            [f"{a:.1f} to {b:.1f}", str(n), f"{s:.3f}", f"{h:.3f}"]
+            for a, b, n, s, h in reliability(group)
+        ]
         lines += markdown_table([f"stated ({name})", "findings", "mean stated", "right"], rows)
     wrong = failures(ours)
     lines += [

@@ -1,9 +1,11 @@
 """What others' methods answer on the same cases: sparse regression of the torque residual.
 
-Each peer gets the best that its kind can have: positions filtered without phase at 20 Hz and differentiated, the command with
-the hold's half sample and the stated delay taken out, columns and torque put through one more filter together, as robot
-identification does, the given model's free parameters projected out before the search (calibrate, then test), a library of the contract's effects with the measured command left
-out, sizes chosen on the held-out recording, and "nothing" as one of the choices.
+Each peer gets the best that its kind can have: positions filtered without phase at 20 Hz and
+differentiated, the command with the hold's half sample and the stated delay taken out, columns and
+torque put through one more filter together, as robot identification does, the given model's free
+parameters projected out before the search (calibrate, then test), a library of the contract's
+effects with the measured command left out, sizes chosen on the held-out recording, and "nothing" as
+one of the choices.
 """
 
 from __future__ import annotations
@@ -129,18 +131,30 @@ def split_model(model: dict[str, Any], m: Motion, joint: int) -> tuple[Array, Ar
 
 
 def library(m: Motion, joint: int, reach: float, fast: float) -> list[tuple[str, Array]]:
-    """(effect, column) of every effect that a regression can carry; sizes of shape parameters are typical ones."""
+    """(effect, column) of every effect that a regression can carry; sizes of shape parameters are
+    typical ones.
+    """
     q, v, a, tau, rate = (x[:, joint] for x in (m.q, m.v, m.a, m.tau, m.tau_rate))
     sign, one = np.sign(v), np.ones_like(q)
     out = [
-        ("viscous", v), ("coulomb", sign), ("viscous_asymmetry", np.abs(v)), ("torque_offset", one),
-        ("quadratic_drag", v * np.abs(v)), ("load_friction", np.abs(tau) * sign), ("stiffness", q),
-        ("cubic_stiffness", q**3), ("gravity", np.sin(q)), ("gravity", np.cos(q)), ("inertia", a),
-        ("delay", rate), ("dead_zone", np.sign(tau)), ("elasticity", np.gradient(np.gradient(a, m.t), m.t)),
+        ("viscous", v),
+        ("coulomb", sign),
+        ("viscous_asymmetry", np.abs(v)),
+        ("torque_offset", one),
+        ("quadratic_drag", v * np.abs(v)),
+        ("load_friction", np.abs(tau) * sign),
+        ("stiffness", q),
+        ("cubic_stiffness", q**3),
+        ("gravity", np.sin(q)),
+        ("gravity", np.cos(q)),
+        ("inertia", a),
+        ("delay", rate),
+        ("dead_zone", np.sign(tau)),
+        ("elasticity", np.gradient(np.gradient(a, m.t), m.t)),
         ("friction_drift", sign * (1 - np.exp(-m.t / (0.25 * m.t[-1])))),
         ("encoder_eccentricity", np.cos(q) * a - np.sin(q) * v**2),
         ("encoder_eccentricity", np.sin(q) * a + np.cos(q) * v**2),
-    ]  # fmt: skip
+    ]
     out += [("stribeck", sign * np.exp(-((v / (x * fast)) ** 2))) for x in (0.1, 0.2)]
     out += [("presliding", bristle(q, x * reach)) for x in (0.002, 0.01)]
     out += [("hysteresis", bouc_wen(q, x * reach)) for x in (0.03, 0.1)]
@@ -160,7 +174,8 @@ def library(m: Motion, joint: int, reach: float, fast: float) -> list[tuple[str,
 
 @dataclass(frozen=True)
 class Problem:
-    """Regression of one joint, the given model's free columns projected out; columns of unit RMS."""
+    """Regression of one joint, the given model's free columns projected out; columns of unit RMS.
+    """
 
     joint: int
     names: tuple[str, ...]
@@ -227,7 +242,9 @@ def stlsq(p: Problem) -> Path_:
 
 
 def frols(p: Problem, terms: int = 6) -> Path_:
-    """Forward regression by orthogonal least squares and error reduction ratio (Chen, Billings, Luo 1989)."""
+    """Forward regression by orthogonal least squares and error reduction ratio (Chen, Billings, Luo
+    1989).
+    """
     basis: list[Array] = []
     chosen: list[int] = []
     rest = p.x.copy()
@@ -251,7 +268,9 @@ METHODS: dict[str, Callable[[Problem], Path_]] = {"PySINDy STLSQ": stlsq, "FROLS
 
 
 def choose(p: Problem, path: Path_) -> tuple[float, list[str]]:
-    """Best model of a path on the held-out recording: (share of it explained, effects by weight); none is a choice."""
+    """Best model of a path on the held-out recording: (share of it explained, effects by weight);
+    none is a choice.
+    """
     base = float(np.mean(p.y_test**2)) + 1e-300
     best: tuple[float, list[str]] = (0.0, [])
     for coef, order in sorted(path, key=lambda entry: int(np.count_nonzero(entry[0]))):
@@ -268,7 +287,8 @@ def ask_peer(method: str, folder: Path) -> Answer:
 
     begin = time.perf_counter()
     try:
-        with threadpool_limits(1):  # its matrices are small: threads would only wait for one another, ten times as long
+        # its matrices are small: threads would only wait for one another, ten times as long
+        with threadpool_limits(1):
             solved = [(p, choose(p, METHODS[method](p))) for p in problems(folder)]
     except ValueError as error:
         return Answer("", trouble=str(error))
@@ -293,7 +313,9 @@ def available() -> dict[str, str]:
 
 
 def sysidentpy_trouble() -> str:
-    """Why SysIdentPy's own FROLS cannot be used with the NumPy that is installed; empty where it can."""
+    """Why SysIdentPy's own FROLS cannot be used with the NumPy that is installed; empty where it
+    can.
+    """
     try:
         from sysidentpy.basis_function import Polynomial
         from sysidentpy.model_structure_selection import FROLS

@@ -131,8 +131,8 @@ def prepare(folder: Path, wanted: Sequence[Request], jobs: int, scheduler: str =
         kept = json.loads(note.read_text(encoding="utf-8"))
         if kept["requests"] != asked:
             raise FileExistsError(
-                f"{folder} holds another run (other seed, realities, --quick, --sample or version); "
-                "give another folder or remove it"
+                f"{folder} holds another run (other seed, realities, --quick, --sample or version);"
+                " give another folder or remove it"
             )
         if kept["stamp"]:
             return Prepared(folder, str(kept["stamp"]))

@@ -1,4 +1,5 @@
-"""Real machines: models that lack the physics, their recordings, and what was published about them."""
+"""Real machines: models that lack the physics, their recordings, and what was published about them.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +21,16 @@ class Machine:
 
     name: str
     published: str  # what the publication says, for the eye
-    compare: str  # model file of the published model, to simulate beside ours; "" where there is none
+    # model file of the published model, to simulate beside ours; "" where there is none
+    compare: str
     promises: tuple[tuple[str, Callable[[Answer], bool]], ...]
 
 
 def names(answer: Answer, effect: str, joint: int = 1) -> bool:
     """The answer names `effect` on `joint`, or a set that holds it."""
     return any(
-        f.joint == joint and (f.effect == effect or effect in f.indistinguishable) for f in answer.findings
+        f.joint == joint and (f.effect == effect or effect in f.indistinguishable)
+        for f in answer.findings
     )
 
 
@@ -50,7 +53,8 @@ def wrist_coupling(answer: Answer) -> bool:
 MACHINES = (
     Machine(
         "emps",
-        "mass 95.11 kg, viscous 203.5 N s/m, Coulomb 20.39 N, offset -3.165 N; asymmetric: 166.7 / 240.4 N s/m, 20.1 / 20.6 N",
+        "mass 95.11 kg, viscous 203.5 N s/m, Coulomb 20.39 N, offset -3.165 N; asymmetric: 166.7 /"
+        " 240.4 N s/m, 20.1 / 20.6 N",
         "emps_published.toml",
         (
             ("Coulomb friction", dry_friction),
@@ -70,10 +74,14 @@ MACHINES = (
     ),
     Machine(
         "tx40",
-        "Coulomb 7.14, 8.26, 6.34, 2.48, 3.03, 0.282 N m; wrist coupling inertia 0.00964 kg m^2, viscous 0.616, Coulomb 1.95",
+        "Coulomb 7.14, 8.26, 6.34, 2.48, 3.03, 0.282 N m; wrist coupling inertia 0.00964 kg m^2,"
+        " viscous 0.616, Coulomb 1.95",
         "",
         (
-            *((f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j)) for j in range(1, 7)),
+            *(
+                (f"Coulomb friction of axis {j}", lambda a, j=j: dry_friction(a, j))
+                for j in range(1, 7)
+            ),
             ("wrist coupling of axes 5 and 6", wrist_coupling),
         ),
     ),
@@ -87,7 +95,8 @@ class Seen:
     machine: str
     answer: Answer
     kept: tuple[tuple[str, bool], ...]
-    published_heldout: float | None  # held-out error of the published model, in the report's quantity
+    # held-out error of the published model, in the report's quantity
+    published_heldout: float | None
     absent: str = ""  # why there was nothing to run on
     altered: tuple[str, ...] = ()  # files that are not those of the published figures
 
@@ -107,7 +116,9 @@ def diagnose(model: Path, recordings: Recordings, out: Path, limit: float) -> An
 def given_heldout(out: Path) -> float | None:
     """Held-out error of the model as it was given, from a report."""
     try:
-        value = json.loads((out / "report.json").read_text(encoding="utf-8"))["fit"]["heldout"]["given"]
+        value = json.loads((out / "report.json").read_text(encoding="utf-8"))["fit"]["heldout"][
+            "given"
+        ]
     except (OSError, KeyError, json.JSONDecodeError):
         return None
     return float(value) if isinstance(value, int | float) else None
@@ -147,12 +158,18 @@ def lines_of(machine: Machine, seen: Seen) -> list[str]:
         gone = f"  (replaces {', '.join(f.replaces)})" if f.replaces else ""
         detail = f" ({f.detail})" if f.detail else ""
         out.append(f"  found: {f.effect} on joint {f.joint}{detail}: {values}{gone}")
-    held = f"  held out: calibrated {a.calibrated:.4g}, improved {a.improved:.4g}, noise {a.noise_floor:.2g}"
+    held = (
+        f"  held out: calibrated {a.calibrated:.4g}, improved {a.improved:.4g}, noise"
+        f" {a.noise_floor:.2g}"
+    )
     beaten = ""
     if seen.published_heldout is not None:
         beaten = f"; published model as given {seen.published_heldout:.4g}"
     out.append(held + beaten)
-    out += [f"  {name} is not the file of the published figures (its hash differs)" for name in seen.altered]
+    out += [
+        f"  {name} is not the file of the published figures (its hash differs)"
+        for name in seen.altered
+    ]
     out += [f"  {'yes' if ok else 'NO '}  {what}" for what, ok in seen.kept]
     return out
 

@@ -24,7 +24,9 @@ def scaled(t: Array, shape: Array, amplitude: float, speed: float) -> Array:
 
 
 def multisine(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
-    """Eight to fourteen lines between 0.1 and 2.5 Hz, random phases, amplitudes falling with frequency."""
+    """Eight to fourteen lines between 0.1 and 2.5 Hz, random phases, amplitudes falling with
+    frequency.
+    """
     f = np.exp(rng.uniform(np.log(0.1), np.log(2.5), rng.integers(8, 15)))
     weight = f ** rng.uniform(-1.3, -0.6)
     phase = rng.uniform(0, 2 * np.pi, f.size)
@@ -36,7 +38,10 @@ def sines(t: Array, amplitude: float, speed: float, rng: np.random.Generator) ->
     f = np.array([0.17, 0.43, 1.1]) * rng.uniform(0.8, 1.25, 3)
     phase = rng.uniform(0, 2 * np.pi, 3)
     return scaled(
-        t, (np.array([1.0, 0.6, 0.25]) * np.sin(2 * np.pi * np.outer(t, f) + phase)).sum(1), amplitude, speed
+        t,
+        (np.array([1.0, 0.6, 0.25]) * np.sin(2 * np.pi * np.outer(t, f) + phase)).sum(1),
+        amplitude,
+        speed,
     )
 
 
@@ -55,7 +60,9 @@ def chirp(t: Array, amplitude: float, speed: float, rng: np.random.Generator) ->
     return scaled(t, np.sin(angle) * np.minimum(1.0, 0.4 / f), amplitude, speed)
 
 
-def moves(t: Array, amplitude: float, speed: float, rng: np.random.Generator, rest: float = 0.3) -> Array:
+def moves(
+    t: Array, amplitude: float, speed: float, rng: np.random.Generator, rest: float = 0.3
+) -> Array:
     """Point to point with trapezoidal speed, random goals, a rest after each."""
     out = np.zeros_like(t)
     now, clock, dt = 0.0, 0.4, t[1] - t[0]
@@ -77,7 +84,8 @@ def moves(t: Array, amplitude: float, speed: float, rng: np.random.Generator, re
 def triangles(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
     """Constant speeds in both directions, another speed every swing, corners rounded over 60 ms.
 
-    No swing lasts longer than 2.5 s, so that slow swings are short and every run has many reversals.
+    No swing lasts longer than 2.5 s, so that slow swings are short and every run has many
+    reversals.
     """
     knots, places, side = [0.0, 0.4], [0.0, 0.0], 1.0
     while knots[-1] < t[-1]:
@@ -96,7 +104,8 @@ def triangles(t: Array, amplitude: float, speed: float, rng: np.random.Generator
 
 
 def steps(t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
-    """Random levels, each held for about a second, through a second-order filter of the generator."""
+    """Random levels, each held for about a second, through a second-order filter of the generator.
+    """
     levels = rng.uniform(-amplitude, amplitude, 200)
     index = np.minimum((t / rng.uniform(0.8, 1.5)).astype(int), 199)
     raw = levels[index] * (t > 0.4)
@@ -140,7 +149,9 @@ SHAPES: dict[str, Shape] = {
 RICH = ("multisine", "multisine", "sines", "triangles", "chirp", "moves")
 
 
-def make_reference(name: str, t: Array, amplitude: float, speed: float, rng: np.random.Generator) -> Array:
+def make_reference(
+    name: str, t: Array, amplitude: float, speed: float, rng: np.random.Generator
+) -> Array:
     """One joint's reference by name, starting at rest.
 
     Parameters

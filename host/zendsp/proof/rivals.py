@@ -1,7 +1,9 @@
-"""Which other effects this very recording cannot tell from the concealed one, by the truth and physics alone.
+"""Which other effects this very recording cannot tell from the concealed one, by the truth and
+physics alone.
 
-Every rival is refitted together with all free parameters of the given model to the true motion. A rival that leaves less
-than a detectable remainder explains the recording as well as the truth does, and naming it is no error.
+Every rival is refitted together with all free parameters of the given model to the true motion. A
+rival that leaves less than a detectable remainder explains the recording as well as the truth does,
+and naming it is no error.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from zendsp.proof.oracle import DETECTABLE, Judge
 
 @dataclass(frozen=True)
 class Rival:
-    """Columns to add to the refit, or another torque of the actuator, for one value of a shape parameter."""
+    """Columns to add to the refit, or another torque of the actuator, for one value of a shape
+    parameter.
+    """
 
     columns: Callable[[float], Array] | None = None
     drive: Callable[[float], Array] | None = None
@@ -57,7 +61,9 @@ def bouc_wen(q: Array, bend: float) -> Array:
 
 
 def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[tuple[str, Rival]]:
-    """Every rival that has a torque along the recorded motion; springs and gaps behind the sensor have none."""
+    """Every rival that has a torque along the recorded motion; springs and gaps behind the sensor
+    have none.
+    """
     s = scales[joint]
     q, v, a, sign, one = s.q, s.v, s.a, np.sign(s.v), np.ones_like(s.q)
     t = np.arange(q.size) * d.sample_time
@@ -76,11 +82,16 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
     yield (
         "stribeck",
         Rival(
-            lambda x: stack(sign, sign * np.exp(-((v / x) ** 2))), grid=spaced(0.02 * s.v_rms, s.v_rms, 10)
+            lambda x: stack(sign, sign * np.exp(-((v / x) ** 2))),
+            grid=spaced(0.02 * s.v_rms, s.v_rms, 10),
         ),
     )
-    yield "presliding", Rival(lambda x: stack(sign, bristle(q, x)), grid=spaced(1e-3 * reach, 0.1 * reach, 8))
-    yield "hysteresis", Rival(lambda x: stack(bouc_wen(q, x)), grid=spaced(3e-3 * reach, 0.2 * reach, 7))
+    yield "presliding", Rival(
+        lambda x: stack(sign, bristle(q, x)), grid=spaced(1e-3 * reach, 0.1 * reach, 8)
+    )
+    yield "hysteresis", Rival(
+        lambda x: stack(bouc_wen(q, x)), grid=spaced(3e-3 * reach, 0.2 * reach, 7)
+    )
     yield (
         "position_friction",
         Rival(lambda x: stack(sign, sign * np.sin(x * q), sign * np.cos(x * q)), grid=turns),
@@ -99,7 +110,9 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
     if d.kind != "linear":
         yield (
             "encoder_eccentricity",
-            Rival(lambda _: stack(np.cos(q) * a - np.sin(q) * v**2, np.sin(q) * a + np.cos(q) * v**2)),
+            Rival(
+                lambda _: stack(np.cos(q) * a - np.sin(q) * v**2, np.sin(q) * a + np.cos(q) * v**2)
+            ),
         )
     yield (
         "delay",
@@ -112,9 +125,14 @@ def rivals(d: Draft, joint: int, scales: list[Scale], judge: Judge) -> Iterator[
     peak = float(np.max(np.abs(s.drive)))
     yield (
         "dead_zone",
-        Rival(drive=lambda x: s.drive - np.clip(s.drive, -x, x), grid=spaced(1e-3 * peak, 0.3 * peak, 9)),
+        Rival(
+            drive=lambda x: s.drive - np.clip(s.drive, -x, x),
+            grid=spaced(1e-3 * peak, 0.3 * peak, 9),
+        ),
     )
-    yield "saturation", Rival(drive=lambda x: np.clip(s.drive, -x, x), grid=spaced(0.2 * peak, peak, 9))
+    yield "saturation", Rival(
+        drive=lambda x: np.clip(s.drive, -x, x), grid=spaced(0.2 * peak, peak, 9)
+    )
 
 
 def lagged(drive: Array, seconds: float, dt: float) -> Array:
@@ -128,7 +146,9 @@ def lagged(drive: Array, seconds: float, dt: float) -> Array:
 
 
 def remainder(judge: Judge, rival: Rival) -> float:
-    """Log-likelihood that is still missing with the best shape of a rival; smaller is a better rival."""
+    """Log-likelihood that is still missing with the best shape of a rival; smaller is a better
+    rival.
+    """
 
     def at(x: float) -> float:
         extra = rival.columns(x) if rival.columns else None
@@ -144,8 +164,11 @@ def remainder(judge: Judge, rival: Rival) -> float:
     return float(min(scores[best], found.fun))
 
 
-def inseparable(d: Draft, joint: int, scales: list[Scale], judge: Judge, truth: str) -> dict[str, float]:
-    """Names of the rivals that leave nothing detectable, with the log-likelihood that each leaves."""
+def inseparable(
+    d: Draft, joint: int, scales: list[Scale], judge: Judge, truth: str
+) -> dict[str, float]:
+    """Names of the rivals that leave nothing detectable, with the log-likelihood that each leaves.
+    """
     out = {}
     for name, rival in rivals(d, joint, scales, judge):
         if name == truth or name in NEEDLESS.get(truth, ()):

@@ -82,7 +82,8 @@ def run_proof(
     for name, answer in asked:
         given[name] = answer
         tell(
-            f"[{len(given)}/{len(folders)}] {name} {answer.seconds:.1f} s {answer.trouble or answer.verdict}"
+            f"[{len(given)}/{len(folders)}] {name} {answer.seconds:.1f} s"
+            f" {answer.trouble or answer.verdict}"
         )
     tried: dict[str, dict[str, Answer]] = {}
     troubles = available() if with_peers else {}
@@ -104,7 +105,8 @@ def run_proof(
     notes = [f"{m}: {words}" for m, words in troubles.items() if words]
     if with_peers and (words := sysidentpy_trouble()):
         notes.append(
-            f"SysIdentPy's own FROLS does not run with the installed NumPy ({words}); FROLS is ours, by the textbook."
+            f"SysIdentPy's own FROLS does not run with the installed NumPy ({words}); FROLS is"
+            " ours, by the textbook."
         )
     if peers:
         notes.append("The peers know one-joint and planar mechanisms; on arms they give no answer.")

@@ -1,7 +1,9 @@
-"""``python -m zendsp.proof.score CASES TRUTH``: runs the command on every case and prints the scoreboard.
+"""``python -m zendsp.proof.score CASES TRUTH``: runs the command on every case and prints the
+scoreboard.
 
-The diagnosis is a separate process that sees the recordings and the model, never the truth; a run that was interrupted
-goes on where it stopped (``--out`` keeps one line per finished case beside it).
+The diagnosis is a separate process that sees the recordings and the model, never the truth; a run
+that was interrupted goes on where it stopped (``--out`` keeps one line per finished case beside
+it).
 """
 
 from __future__ import annotations
@@ -26,12 +28,23 @@ from zendsp.proof.seal import BrokenSeal, open_truth
 
 # rooms below zendsp/ whose code gives the answers
 JUDGED = (
-    "diagnosis", "physics", "recording", "reference", "cli/diagnose.py", "proof/answer.py", "proof/untouched.py",
-)  # fmt: skip
+    "diagnosis",
+    "physics",
+    "recording",
+    "reference",
+    "cli/diagnose.py",
+    "proof/answer.py",
+    "proof/untouched.py",
+)
 
 
 def diagnose(
-    folder: Path, out: Path, limit: float, *, hidden: Path | None = None, command: Sequence[str] = ()
+    folder: Path,
+    out: Path,
+    limit: float,
+    *,
+    hidden: Path | None = None,
+    command: Sequence[str] = (),
 ) -> Answer:
     """Run the command on one case within `limit` seconds; never raises for what the command does.
 
@@ -50,7 +63,10 @@ def diagnose(
     """
     listing = json.loads((folder / "case.json").read_text(encoding="utf-8"))
     model = folder / listing["model"]
-    line = [*(command or children.command("diagnose")), *(str(folder / name) for name in listing["train"])]
+    line = [
+        *(command or children.command("diagnose")),
+        *(str(folder / name) for name in listing["train"]),
+    ]
     line += ["--model", str(model)]
     for name in listing["heldout"]:
         line += ["--heldout", str(folder / name)]
@@ -78,7 +94,9 @@ def asked(line: Sequence[str], out: Path, limit: float) -> Answer:
 
 
 def tried(recording: Path, model: Path, out: Path, limit: float) -> tuple[float, float]:
-    """Error of the calibrated and of the improved model on a recording that the diagnosis never saw; NaN where unknown."""
+    """Error of the calibrated and of the improved model on a recording that the diagnosis never
+    saw; NaN where unknown.
+    """
     words = (str(recording), str(model), str(out / "calibrated.toml"), str(out / "model.toml"))
     spot = out / "untouched"
     ended = children.run(children.module("zendsp.proof.untouched", *words), spot, limit)
@@ -99,12 +117,16 @@ def identity(*rooms: str) -> str:
         base = root / room
         for path in sorted(base.rglob("*")) if base.is_dir() else [base]:
             if path.suffix in (".py", ".c", ".h"):
-                digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+                digest.update(
+                    path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes()
+                )
     return digest.hexdigest()[:16]
 
 
 def known_answers(path: Path, code: str = "") -> dict[str, Answer]:
-    """Answers of an interrupted run, one JSON line each; a line cut short, or of other code, is left out."""
+    """Answers of an interrupted run, one JSON line each; a line cut short, or of other code, is
+    left out.
+    """
     out: dict[str, Answer] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:
@@ -126,7 +148,8 @@ def answers(
     code: str = "",
     scheduler: str = "",
 ) -> Iterator[tuple[str, Answer]]:
-    """Yield (case, answer) as they come, those of an earlier run first; each new one is kept on disk at once.
+    """Yield (case, answer) as they come, those of an earlier run first; each new one is kept on
+    disk at once.
 
     `jobs` at a time on this machine, or as the Dask cluster of `scheduler` has workers.
     """
@@ -142,7 +165,9 @@ def answers(
         for future in as_completed(running):
             name, answer = running[future], future.result()
             with log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"case": name, "code": code, "answer": answer.to_json()}) + "\n")
+                file.write(
+                    json.dumps({"case": name, "code": code, "answer": answer.to_json()}) + "\n"
+                )
             yield name, answer
 
 
@@ -150,7 +175,9 @@ def write_results(path: Path, judged: Sequence[Judgement], stamp: str) -> None:
     """The judgements and the headline as JSON."""
     table = {
         "seals": stamp,
-        "headline": [{"what": w.strip(), "measured": m, "wanted": x} for w, m, x in headline(judged)],
+        "headline": [
+            {"what": w.strip(), "measured": m, "wanted": x} for w, m, x in headline(judged)
+        ],
         "cases": [asdict(j) for j in judged],
     }
     path.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
@@ -161,12 +188,18 @@ def write_results(path: Path, judged: Sequence[Judgement], stamp: str) -> None:
 @click.argument("truth", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--jobs", type=int, default=2, show_default=True)
 @click.option(
-    "--only", default="", help="Words; only cases whose truth has one as kind, machine, effect or name."
+    "--only",
+    default="",
+    help="Words; only cases whose truth has one as kind, machine, effect or name.",
 )
 @click.option("--limit", type=float, default=120.0, show_default=True, help="Seconds per case.")
 @click.option("--fresh", is_flag=True, help="Forget the answers of an earlier run.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("results.json"), show_default=True)
-def main(cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bool, out: Path) -> None:
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("results.json"), show_default=True
+)
+def main(
+    cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bool, out: Path
+) -> None:
     """Diagnose every case under CASES and compare with the sealed TRUTH."""
     try:
         truths = open_truth(truth)
@@ -176,7 +209,8 @@ def main(cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bo
     chosen = [
         name
         for name, t in sorted(truths.items())
-        if not wanted or wanted & {t["kind"], t["machine"], name, *(e["effect"] for e in t["effects"])}
+        if not wanted
+        or wanted & {t["kind"], t["machine"], name, *(e["effect"] for e in t["effects"])}
     ]
     if fresh:
         out.with_suffix(".jsonl").unlink(missing_ok=True)
@@ -188,7 +222,8 @@ def main(cases: Path, truth: Path, jobs: int, only: str, limit: float, fresh: bo
         judged.append(j)
         mark = "FAIL" if failures([j]) else "ok"
         print(
-            f"[{count}/{len(chosen)}] {name} {answer.seconds:5.1f} s {mark:4} {j.said[:110]}", file=sys.stderr
+            f"[{count}/{len(chosen)}] {name} {answer.seconds:5.1f} s {mark:4} {j.said[:110]}",
+            file=sys.stderr,
         )
     judged.sort(key=lambda j: j.case)
     write_results(out, judged, str(truth))

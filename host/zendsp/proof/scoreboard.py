@@ -36,7 +36,9 @@ def shown(good: int, total: int) -> str:
 
 def percentile(values: Sequence[float], share: float) -> float:
     ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, math.ceil(share * len(ordered)) - 1)] if ordered else math.nan
+    return (
+        ordered[min(len(ordered) - 1, math.ceil(share * len(ordered)) - 1)] if ordered else math.nan
+    )
 
 
 def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
@@ -52,30 +54,70 @@ def headline(judged: Sequence[Judgement]) -> list[tuple[str, str, str]]:
     failed = [j for j in judged if j.trouble]
     answered = [j for j in judged if not j.trouble]
     return [
-        ("mechanism first, on its joint or body", shown(*rate(j.mechanism for j in named)), ">= 97 %"),
+        (
+            "mechanism first, on its joint or body",
+            shown(*rate(j.mechanism for j in named)),
+            ">= 97 %",
+        ),
         ("law first (or the set that holds it)", shown(*rate(j.law for j in named)), ">= 92 %"),
         ("  of one effect alone", shown(*rate(j.named for j in singles)), ">= 95 %"),
         ("  the very name", shown(*rate(j.strict for j in singles)), ""),
         ("  mean size of the set", f"{mean([j.set_size for j in singles if j.named]):.2f}", ""),
         ("all of several effects", shown(*rate(j.both for j in judged)), ">= 85 %"),
         ("wrong term replaced", shown(*rate(j.replaced for j in judged)), ">= 85 %"),
-        ("false alarms", f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}", "<= 2 %"),
+        (
+            "false alarms",
+            f"{shown(alarms, quiet)}, 95 % bound {upper_bound(alarms, quiet):.1%}",
+            "<= 2 %",
+        ),
         ("foreign torque: no law claimed", shown(*rate(j.refused for j in judged)), ">= 90 %"),
-        ("names beyond the truth, per case with an effect", f"{mean([j.extra for j in judged if j.effects]):.2f}", "<= 0.1"),
-        ("names beyond the truth, per case of any kind", f"{mean([j.extra for j in judged]):.2f}", ""),
-        ("cases with a wrong name stated at 80 % or more", shown(*rate(j.sure_wrong for j in answered)), "<= 2 %"),
-        ("called complete above the size stated as seen", shown(*rate(j.missed for j in judged)), "0"),
+        (
+            "names beyond the truth, per case with an effect",
+            f"{mean([j.extra for j in judged if j.effects]):.2f}",
+            "<= 0.1",
+        ),
+        (
+            "names beyond the truth, per case of any kind",
+            f"{mean([j.extra for j in judged]):.2f}",
+            "",
+        ),
+        (
+            "cases with a wrong name stated at 80 % or more",
+            shown(*rate(j.sure_wrong for j in answered)),
+            "<= 2 %",
+        ),
+        (
+            "called complete above the size stated as seen",
+            shown(*rate(j.missed for j in judged)),
+            "0",
+        ),
         ("findings that make untouched data worse", shown(*rate(j.worse for j in judged)), "0"),
-        ("parameter error, median", f"{statistics.median(errors):.2%}" if errors else "-", "<= 3 %"),
+        (
+            "parameter error, median",
+            f"{statistics.median(errors):.2%}" if errors else "-",
+            "<= 3 %",
+        ),
         ("90 % intervals hold the truth", shown(*covered), "85-95 %"),
-        ("stated confidence less hit rate, mean", f"{100 * gap:.1f} points" if math.isfinite(gap) else "-", "<= 5 points"),
-        ("  in the worst tenth of 20 or more", f"{100 * worst:.1f} points" if math.isfinite(worst) else "-", "<= 5 points"),
-        ("gap to the noise closed, held out, median", f"{statistics.median(gaps):.1%}" if gaps else "-", ">= 90 %"),
+        (
+            "stated confidence less hit rate, mean",
+            f"{100 * gap:.1f} points" if math.isfinite(gap) else "-",
+            "<= 5 points",
+        ),
+        (
+            "  in the worst tenth of 20 or more",
+            f"{100 * worst:.1f} points" if math.isfinite(worst) else "-",
+            "<= 5 points",
+        ),
+        (
+            "gap to the noise closed, held out, median",
+            f"{statistics.median(gaps):.1%}" if gaps else "-",
+            ">= 90 %",
+        ),
         ("place found", shown(*rate(j.localised for j in judged)), ""),
         ("seconds, median / 95 %", spread([j.seconds for j in judged]), ""),
         ("CPU seconds, median / 95 %", spread([j.cpu for j in judged]), ""),
         ("no answer (error, time limit, broken report)", shown(len(failed), len(judged)), "0"),
-    ]  # fmt: skip
+    ]
 
 
 def spread(values: Sequence[float]) -> str:
@@ -108,14 +150,21 @@ def missed_marks(judged: Sequence[Judgement], marks: Marks | None = None) -> lis
         ("mechanism first", [j.mechanism for j in judged if j.detectable], marks.mechanism, True),
         ("false alarms", [j.alarm for j in judged], marks.alarms, False),
         ("foreign torque without a law claimed", [j.refused for j in judged], marks.refused, True),
-        ("cases with a wrong name stated as sure", [j.sure_wrong for j in answered], marks.sure_wrong, False),
+        (
+            "cases with a wrong name stated as sure",
+            [j.sure_wrong for j in answered],
+            marks.sure_wrong,
+            False,
+        ),
         ("findings that make untouched data worse", [j.worse for j in judged], marks.worse, False),
     )
     out = []
     for what, values, mark, least in rates:
         good, total = rate(values)
         if total and (good < mark * total if least else good > mark * total):
-            out.append(f"{what}: {shown(good, total)}, {'at least' if least else 'at most'} {mark:.0%}")
+            out.append(
+                f"{what}: {shown(good, total)}, {'at least' if least else 'at most'} {mark:.0%}"
+            )
     extra = mean([j.extra for j in answered])
     if extra > marks.extra:
         out.append(f"names beyond the truth, per case: {extra:.2f}, at most {marks.extra:g}")
@@ -124,7 +173,10 @@ def missed_marks(judged: Sequence[Judgement], marks: Marks | None = None) -> lis
 
 def by_reality(judged: Sequence[Judgement]) -> dict[str, list[Judgement]]:
     """The judgements of each reality, by its name."""
-    return {name: [j for j in judged if j.reality == name] for name in sorted({j.reality for j in judged})}
+    return {
+        name: [j for j in judged if j.reality == name]
+        for name in sorted({j.reality for j in judged})
+    }
 
 
 def mean(values: Sequence[float]) -> float:
@@ -151,7 +203,9 @@ def reliability(judged: Sequence[Judgement]) -> list[tuple[float, float, int, fl
 
 
 def calibration_gap(judged: Sequence[Judgement]) -> float:
-    """Mean of |stated - hit rate| over the bins, weighted by their counts (expected calibration error)."""
+    """Mean of |stated - hit rate| over the bins, weighted by their counts (expected calibration
+    error).
+    """
     bins = reliability(judged)
     total = sum(b[2] for b in bins)
     return sum(b[2] * abs(b[3] - b[4]) for b in bins) / total if total else math.nan
@@ -197,7 +251,8 @@ def failures(judged: Sequence[Judgement]) -> list[str]:
             right = " (mechanism right)" if j.mechanism and not j.law else ""
             worse = " (untouched data worse)" if j.worse else ""
             out.append(
-                f"{j.case} {j.machine} {j.kind} x{j.size:g}{faint}: truth {truth}; said {j.said}{right}{worse}"
+                f"{j.case} {j.machine} {j.kind} x{j.size:g}{faint}: truth {truth}; said"
+                f" {j.said}{right}{worse}"
             )
     return out
 
@@ -212,7 +267,9 @@ def text(judged: Sequence[Judgement], title: str) -> str:
     if len(groups) > 1:
         lines.append(f"  {'':<{width}}  " + "".join(f"{name:<34} " for name in groups))
     for k, (what, _, wanted) in enumerate(heads[0]):
-        lines.append(f"  {what:<{width}}  " + "".join(f"{head[k][1]:<34} " for head in heads) + wanted)
+        lines.append(
+            f"  {what:<{width}}  " + "".join(f"{head[k][1]:<34} " for head in heads) + wanted
+        )
     sizes = sorted({j.size for j in judged if j.kind in SINGLE_KINDS}, reverse=True)
     lines += ["", "  named first, by effect and size: " + "  ".join(f"x{s:g}" for s in sizes)]
     for name, *cells in table_of(judged, lambda j: j.effects[0], sizes):

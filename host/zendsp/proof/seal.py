@@ -1,4 +1,6 @@
-"""The truth of each case as JSON, sealed by hash before any diagnosis runs and checked when it is opened."""
+"""The truth of each case as JSON, sealed by hash before any diagnosis runs and checked when it is
+opened.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def digest(path: Path) -> str:
 
 
 def seal(folder: Path) -> str:
-    """Write the hash of every truth file; returns the hash of that list, the one figure to write down."""
+    """Write the hash of every truth file; returns the hash of that list, the one figure to write
+    down.
+    """
     lines = [f"{digest(path)}  {path.name}\n" for path in sorted(folder.glob("*.json"))]
     (folder / SEALS).write_text("".join(lines), encoding="utf-8")
     return digest(folder / SEALS)
@@ -44,7 +48,8 @@ def open_truth(folder: Path, expected: str | None = None) -> dict[str, dict[str,
     ----------
     folder : Path
     expected : str, optional
-        What :func:`seal` returned; with it, rewriting both a truth and the list of seals is noticed too.
+        What :func:`seal` returned; with it, rewriting both a truth and the list of seals is noticed
+        too.
 
     Raises
     ------
@@ -53,11 +58,16 @@ def open_truth(folder: Path, expected: str | None = None) -> dict[str, dict[str,
     """
     listed = folder / SEALS
     if not listed.exists():
-        raise BrokenSeal(f"{folder} holds no {SEALS}: the truth was never sealed; make the cases again")
+        raise BrokenSeal(
+            f"{folder} holds no {SEALS}: the truth was never sealed; make the cases again"
+        )
     if expected is not None and digest(listed) != expected:
-        raise BrokenSeal(f"{listed} was rewritten: its hash is {digest(listed)}, sealed was {expected}")
+        raise BrokenSeal(
+            f"{listed} was rewritten: its hash is {digest(listed)}, sealed was {expected}"
+        )
     seals = {
-        line.split("  ")[1]: line.split("  ")[0] for line in listed.read_text(encoding="utf-8").splitlines()
+        line.split("  ")[1]: line.split("  ")[0]
+        for line in listed.read_text(encoding="utf-8").splitlines()
     }
     present = {path.name: path for path in folder.glob("*.json")}
     if set(present) != set(seals):

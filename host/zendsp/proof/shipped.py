@@ -1,4 +1,5 @@
-"""Cases on the machines that ship with zendsp as C: their own integrator, friction, drives and encoders.
+"""Cases on the machines that ship with zendsp as C: their own integrator, friction, drives and
+encoders.
 
 A machine is opened through ``machine.h`` and stepped sample by sample, with friction set to plain,
 so that what it conceals is all that the given model lacks.
@@ -65,7 +66,8 @@ class Rig:
 
     def inertia(self, joint: int) -> float:
         """What a motor feels of its joint, kg m²."""
-        return list(self.figures.values())[joint]  # the first figure of each model is its first joint's
+        # the first figure of each model is its first joint's
+        return list(self.figures.values())[joint]
 
 
 def planar() -> Rig:
@@ -80,9 +82,21 @@ def planar() -> Rig:
 def pendulum() -> Rig:
     """A bar on a motor whose current loop takes two samples, which its model does not have."""
     return Rig(
-        "pendulum", "rotary", {"inertia": 2.07e-3, "gravity": 0.16677}, {}, (0.005,), (0.1,), (0.8,),
-        4096.0, (1.2,), (0.02,), 30.0, (2.0,), (7.0,), ("lag", "delay"),
-    )  # fmt: skip
+        "pendulum",
+        "rotary",
+        {"inertia": 2.07e-3, "gravity": 0.16677},
+        {},
+        (0.005,),
+        (0.1,),
+        (0.8,),
+        4096.0,
+        (1.2,),
+        (0.02,),
+        30.0,
+        (2.0,),
+        (7.0,),
+        ("lag", "delay"),
+    )
 
 
 RIGS: dict[str, Callable[[], Rig]] = {"c_planar": planar, "c_pendulum": pendulum}
@@ -91,7 +105,9 @@ Law = Callable[[Rig, int, Scale, float, Rng], Values]
 
 
 def share_of_speed(power: int) -> Law:
-    return lambda r, j, s, x, rng: {"coefficient": x * s.torque / float(np.sqrt(np.mean(s.v ** (2 * power))))}
+    return lambda r, j, s, x, rng: {
+        "coefficient": x * s.torque / float(np.sqrt(np.mean(s.v ** (2 * power))))
+    }
 
 
 def middle(s: Scale) -> float:
@@ -101,12 +117,20 @@ def middle(s: Scale) -> float:
 def elastic(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
     load = 0.4 * r.inertia(j)
     stiffness = load * (2 * np.pi * rng.uniform(4.0, 8.0)) ** 2
-    return {"stiffness": stiffness, "damping": 0.06 * float(np.sqrt(stiffness * load)), "load_inertia": load}
+    return {
+        "stiffness": stiffness,
+        "damping": 0.06 * float(np.sqrt(stiffness * load)),
+        "load_inertia": load,
+    }
 
 
 def gap(r: Rig, j: int, s: Scale, x: float, rng: Rng) -> Values:
     load = 0.4 * r.inertia(j)
-    return {"gap": 0.1 * x * s.reach, "stiffness": load * (2 * np.pi * 25.0) ** 2, "load_inertia": load}
+    return {
+        "gap": 0.1 * x * s.reach,
+        "stiffness": load * (2 * np.pi * 25.0) ** 2,
+        "load_inertia": load,
+    }
 
 
 # parameters in the machine's order, by effect; sizes are shares of the RMS torque
@@ -114,30 +138,55 @@ LAWS: dict[str, Law] = {
     "quadratic_drag": share_of_speed(2),
     "load_friction": lambda r, j, s, x, rng: {"coefficient": x},
     "position_friction": lambda r, j, s, x, rng: {
-        "amplitude": 1.4 * x * s.torque, "period": s.reach * rng.uniform(0.3, 0.7), "phase": rng.uniform(-3, 3)},
+        "amplitude": 1.4 * x * s.torque,
+        "period": s.reach * rng.uniform(0.3, 0.7),
+        "phase": rng.uniform(-3, 3),
+    },
     "stribeck": lambda r, j, s, x, rng: {
-        "breakaway": r.coulomb[j] + 2 * x * s.torque, "velocity": rng.uniform(0.1, 0.3) * s.v_rms},
-    "friction_drift": lambda r, j, s, x, rng: {"ratio": rng.uniform(0.5, 1.0), "time_constant": rng.uniform(3.0, 8.0)},
+        "breakaway": r.coulomb[j] + 2 * x * s.torque,
+        "velocity": rng.uniform(0.1, 0.3) * s.v_rms,
+    },
+    "friction_drift": lambda r, j, s, x, rng: {
+        "ratio": rng.uniform(0.5, 1.0),
+        "time_constant": rng.uniform(3.0, 8.0),
+    },
     "stiffness": lambda r, j, s, x, rng: {
-        "coefficient": x * s.torque / float(np.std(s.q)), "neutral": middle(s) + rng.uniform(-0.3, 0.3) * s.reach},
+        "coefficient": x * s.torque / float(np.std(s.q)),
+        "neutral": middle(s) + rng.uniform(-0.3, 0.3) * s.reach,
+    },
     "cubic_stiffness": lambda r, j, s, x, rng: {
-        "coefficient": x * s.torque / float(np.sqrt(np.mean((s.q - middle(s)) ** 6))), "neutral": middle(s)},
+        "coefficient": x * s.torque / float(np.sqrt(np.mean((s.q - middle(s)) ** 6))),
+        "neutral": middle(s),
+    },
     "hysteresis": lambda r, j, s, x, rng: {
-        "force": 1.4 * x * s.torque, "stiffness": 1.4 * x * s.torque / (rng.uniform(0.05, 0.12) * s.reach), "exponent": 1.0},
+        "force": 1.4 * x * s.torque,
+        "stiffness": 1.4 * x * s.torque / (rng.uniform(0.05, 0.12) * s.reach),
+        "exponent": 1.0,
+    },
     "ripple": lambda r, j, s, x, rng: {
-        "order": float(rng.integers(5, 25)), "amplitude": 1.4 * x * s.torque, "phase": rng.uniform(-3, 3)},
+        "order": float(rng.integers(5, 25)),
+        "amplitude": 1.4 * x * s.torque,
+        "phase": rng.uniform(-3, 3),
+    },
     "inertia": lambda r, j, s, x, rng: {"amount": x * s.torque / float(np.std(s.a))},
     "torque_gain": lambda r, j, s, x, rng: {"ratio": -0.07},
-    "torque_offset": lambda r, j, s, x, rng: {"level": x * s.torque * float(rng.choice([-1.0, 1.0]))},
+    "torque_offset": lambda r, j, s, x, rng: {
+        "level": x * s.torque * float(rng.choice([-1.0, 1.0]))
+    },
     "dead_zone": lambda r, j, s, x, rng: {"width": x * s.torque},
-    "saturation": lambda r, j, s, x, rng: {"level": float(np.quantile(np.abs(s.command), 1 - 0.2 * x))},
+    "saturation": lambda r, j, s, x, rng: {
+        "level": float(np.quantile(np.abs(s.command), 1 - 0.2 * x))
+    },
     "lag": lambda r, j, s, x, rng: {"time_constant": rng.uniform(0.005, 0.012)},
     "delay": lambda r, j, s, x, rng: {"time": float(rng.integers(3, 8)) * PERIOD},
     "elasticity": elastic,
     "backlash": gap,
     "disturbance": lambda r, j, s, x, rng: {
-        "level": 2 * x * s.torque, "begin": rng.uniform(5.0, 10.0), "duration": rng.uniform(1.5, 3.0)},
-}  # fmt: skip
+        "level": 2 * x * s.torque,
+        "begin": rng.uniform(5.0, 10.0),
+        "duration": rng.uniform(1.5, 3.0),
+    },
+}
 # a friction term of the machine that the given model is not told of
 LEFT_OUT = ("viscous", "coulomb")
 EFFECTS = (*LEFT_OUT, *LAWS)
@@ -145,9 +194,13 @@ FOREIGN = ("strap", "parametric", "breathing")  # the machine's laws 0, 1, 2
 FOREIGN_MECHANISMS = (
     ["dry_friction", "fluid_friction"], ["position_torque", "fluid_friction"],
     ["dry_friction", "disturbance"],
-)  # fmt: skip
-ACCEPTED = {"torque_offset": ["coulomb_asymmetry"], "elasticity": ["stiffening"], "saturation": ["voltage_limit"],
-            "hysteresis": ["presliding"]}  # fmt: skip
+)
+ACCEPTED = {
+    "torque_offset": ["coulomb_asymmetry"],
+    "elasticity": ["stiffening"],
+    "saturation": ["voltage_limit"],
+    "hysteresis": ["presliding"],
+}
 FAULTS = ("plain", "jitter", "repeat", "stale", "float32", "filtered", "origin")
 FIXING = ("inertia", "torque_gain")  # refitted inertial figures would absorb them
 
@@ -163,7 +216,9 @@ def foreign_shape(law: int, s: Scale) -> Array:
 
 
 def left_by_refit(torque: Array, s: Scale) -> float:
-    """What a refit of inertia, friction and gravity leaves of a torque along the motion, as a share of the RMS torque."""
+    """What a refit of inertia, friction and gravity leaves of a torque along the motion, as a share
+    of the RMS torque.
+    """
     columns = np.stack([s.a, s.v, np.sign(s.v), np.sin(s.q)], 1)
     rest = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
     return float(np.sqrt(np.mean(rest**2))) / s.torque
@@ -184,7 +239,9 @@ class Machine:
             raise Unusable(str(self.ffi.string(error).decode()))
         self.handle = handle[0]
         self.truth = self.ffi.cast("truth *", self.handle)
-        self.sensors, self.actuators = self.ffi.new("machine_sensors *"), self.ffi.new("machine_actuators *")
+        self.sensors, self.actuators = self.ffi.new("machine_sensors *"), self.ffi.new(
+            "machine_actuators *"
+        )
 
     def write(self, torque: Array) -> None:
         self.actuators.mode = TORQUE
@@ -214,7 +271,9 @@ def record(r: Rig, shape: str, rng: Rng) -> Run:
     """One recording under PD; a command is written a sample after the position that it answers."""
     rows = round(r.seconds / PERIOD)
     t = np.arange(rows, dtype=np.float64) * PERIOD
-    reference = np.stack([make_reference(shape, t, a, v, rng) for a, v in zip(r.amplitude, r.speed, strict=True)], 1)
+    reference = np.stack(
+        [make_reference(shape, t, a, v, rng) for a, v in zip(r.amplitude, r.speed, strict=True)], 1
+    )
     rate = np.gradient(reference, PERIOD, axis=0)
     start = "".join(f"q{j + 1} = {reference[0, j]!r}\n" for j in range(r.n))
     lines = "".join(f"effect{k} = {line}\n" for k, line in enumerate(r.lines, 1))
@@ -271,12 +330,21 @@ def attempt_case(request: Request, rng: Rng) -> Case:
             run = jittered(run, np.full(r.n, r.resolution), PERIOD, own)
         logged.append(apply_faults(run, r.faults, PERIOD, own))
     truth = {
-        "kind": request.kind, "machine": request.machine, "flavour": request.effect,
+        "kind": request.kind,
+        "machine": request.machine,
+        "flavour": request.effect,
         "verdict": {"complete": "complete", "foreign": "unexplained"}.get(request.kind, "missing"),
-        "size": request.size, "effects": r.truths, "also_true": sorted(r.also_true), "replaces": [],
-        "where": [], "train": shapes[0], "heldout": shapes[1], "seconds": r.seconds, "layout": "heldout",
+        "size": request.size,
+        "effects": r.truths,
+        "also_true": sorted(r.also_true),
+        "replaces": [],
+        "where": [],
+        "train": shapes[0],
+        "heldout": shapes[1],
+        "seconds": r.seconds,
+        "layout": "heldout",
         "notes": ["friction plain", *r.faults],
-    }  # fmt: skip
+    }
     return Case(logged[0], logged[1], model, truth, form, "heldout", logged[2])
 
 
@@ -301,27 +369,46 @@ def conceal(r: Rig, request: Request, joint: int, s: Scale, rng: Rng) -> None:
         left = left_by_refit(amplitude * shape, s)
     elif name in LEFT_OUT:
         r.hidden.add((name, joint))
-        values = {"level": r.coulomb[joint]} if name == "coulomb" else {"coefficient": r.viscous[joint]}
+        values = (
+            {"level": r.coulomb[joint]} if name == "coulomb" else {"coefficient": r.viscous[joint]}
+        )
     else:
         values = LAWS[name](r, joint, s, request.size, rng)
         r.fixed = name in FIXING
     if name not in LEFT_OUT:
         word = "foreign" if request.kind == "foreign" else name
-        r.lines.append(" ".join([word, f"joint={joint + 1}", *(f"{k}={float(v)!r}" for k, v in values.items())]))
+        r.lines.append(
+            " ".join(
+                [word, f"joint={joint + 1}", *(f"{k}={float(v)!r}" for k, v in values.items())]
+            )
+        )
     foreign = request.kind == "foreign"
     r.truths.append(
         {
-            "effect": "foreign" if foreign else name, "joint": joint + 1, "size": request.size, "note": name,
-            "parameters": {} if foreign else {k: {"value": float(v), "unit": ""} for k, v in values.items()},
-            "accepted": ACCEPTED.get(name, []), "accepted_joints": [joint + 1], "mechanisms": mechanisms,
-            "body": "", "unscored": ["exponent", "velocity", "begin", "duration", "level"] if name in ("hysteresis", "stribeck", "disturbance") else [],
+            "effect": "foreign" if foreign else name,
+            "joint": joint + 1,
+            "size": request.size,
+            "note": name,
+            "parameters": (
+                {} if foreign else {k: {"value": float(v), "unit": ""} for k, v in values.items()}
+            ),
+            "accepted": ACCEPTED.get(name, []),
+            "accepted_joints": [joint + 1],
+            "mechanisms": mechanisms,
+            "body": "",
+            "unscored": (
+                ["exponent", "velocity", "begin", "duration", "level"]
+                if name in ("hysteresis", "stribeck", "disturbance")
+                else []
+            ),
             "oracle": {"detectable": True, "inseparable": {}, "torque_share": round(left, 6)},
         }
-    )  # fmt: skip
+    )
 
 
 def given(r: Rig, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, Any]:
-    """The model file: figures off by 3 %, friction by 5 %; exact where inertial figures are fixed."""
+    """The model file: figures off by 3 %, friction by 5 %; exact where inertial figures are fixed.
+    """
 
     def near(value: float, spread: float) -> dict[str, Any]:
         if r.fixed:
@@ -333,31 +420,43 @@ def given(r: Rig, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, Any
     parameters |= {k: {"value": v, "free": False} for k, v in r.lengths.items()}
     terms = []
     for j in range(r.n):
-        for kind, key, value in (("viscous", "coefficient", r.viscous[j]), ("coulomb", "level", r.coulomb[j])):
+        for kind, key, value in (
+            ("viscous", "coefficient", r.viscous[j]),
+            ("coulomb", "level", r.coulomb[j]),
+        ):
             if (kind, j) not in r.hidden:
                 terms.append({"kind": kind, "joint": j + 1, key: near(value, 0.05)})
     one = r.n == 1
     return {
-        "name": name, "sample_time": PERIOD, "mechanism": {"kind": r.kind, "parameters": parameters},
+        "name": name,
+        "sample_time": PERIOD,
+        "mechanism": {"kind": r.kind, "parameters": parameters},
         "effect": terms,
         "actuator": {
             "gain": {"value": 1.0 if one else [1.0] * r.n, "free": False},
-            "limit": r.limit[0] if one else list(r.limit), "hold": PERIOD, "delay": PERIOD,
+            "limit": r.limit[0] if one else list(r.limit),
+            "hold": PERIOD,
+            "delay": PERIOD,
         },
         "sensor": {"position_resolution": r.resolution if one else [r.resolution] * r.n},
         "columns": columns,
-    }  # fmt: skip
+    }
 
 
 def requests(first_seed: int, quick: bool = False) -> list[Request]:
     """Every case of this reality; with `quick`, four."""
     if quick:
         few = (("c_planar", "single", "stiffness", 0.1), ("c_planar", "foreign", "strap", 0.1),
-               ("c_planar", "complete", "plain", 1.0), ("c_pendulum", "single", "ripple", 0.2))  # fmt: skip
-        return [Request(first_seed + k, kind, m, e, x, "machines") for k, (m, kind, e, x) in enumerate(few)]
+               ("c_planar", "complete", "plain", 1.0), ("c_pendulum", "single", "ripple", 0.2))
+        return [
+            Request(first_seed + k, kind, m, e, x, "machines")
+            for k, (m, kind, e, x) in enumerate(few)
+        ]
     rows: list[tuple[str, str, str, float]] = []
     for machine in RIGS:
         rows += [(machine, "single", effect, size) for size in (0.2, 0.07) for effect in EFFECTS]
         rows += [(machine, "complete", FAULTS[k % len(FAULTS)], 1.0) for k in range(21)]
         rows += [(machine, "foreign", law, size) for size in (0.3, 0.1, 0.05) for law in FOREIGN]
-    return [Request(first_seed + k, kind, m, e, x, "machines") for k, (m, kind, e, x) in enumerate(rows)]
+    return [
+        Request(first_seed + k, kind, m, e, x, "machines") for k, (m, kind, e, x) in enumerate(rows)
+    ]

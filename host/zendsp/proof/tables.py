@@ -64,5 +64,8 @@ def read_case(folder: Path) -> tuple[dict[str, Any], list[Table], list[Table]]:
     """(given model, training recordings, held-out recordings) of a case folder."""
     listing = json.loads((folder / "case.json").read_text(encoding="utf-8"))
     model = tomllib.loads((folder / listing["model"]).read_text(encoding="utf-8"))
-    load = [[read_recording(folder / n, model["columns"]) for n in listing[k]] for k in ("train", "heldout")]
+    load = [
+        [read_recording(folder / n, model["columns"]) for n in listing[k]]
+        for k in ("train", "heldout")
+    ]
     return model, load[0], load[1]

@@ -1,9 +1,11 @@
-"""A seven-joint arm: figures of the Barrett WAM, its chain for the simulator and its URDF for the given model.
+"""A seven-joint arm: figures of the Barrett WAM, its chain for the simulator and its URDF for the
+given model.
 
-Source: Barrett Technology, "WAM Inertial Specifications" AC-02 (no hand): standard Denavit-Hartenberg frames, frame k fixed
-to link k; mass, centre of mass and inertia about it in frame k. Friction and torque limits: "Dynamic Model of a 7-DOF Whole
-Arm Manipulator and Validation from Experimental Data"; its viscous figures come from a narrow range of speed (some are
-negative), so that here only their size is taken.
+Source: Barrett Technology, "WAM Inertial Specifications" AC-02 (no hand): standard
+Denavit-Hartenberg frames, frame k fixed to link k; mass, centre of mass and inertia about it in
+frame k. Friction and torque limits: "Dynamic Model of a 7-DOF Whole Arm Manipulator and Validation
+from Experimental Data"; its viscous figures come from a narrow range of speed (some are negative),
+so that here only their size is taken.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Row:
-    """One link of the table: DH a, alpha, d; body in frame k; Coulomb N m, viscous N m s/rad, torque limit N m."""
+    """One link of the table: DH a, alpha, d; body in frame k; Coulomb N m, viscous N m s/rad,
+    torque limit N m.
+    """
 
     a: float
     alpha_deg: float
@@ -34,26 +38,90 @@ class Row:
 
 
 TABLE = (
-    Row(0, -90, 0, 10.768, (-0.0044342, 0.12189, -0.00066489),
-        (0.134873, 0.113284, 0.0904562, 0.00213026, 0.000124857, -0.000685566), 4.42, 1.08, 77.3),
-    Row(0, 90, 0, 3.8749, (-0.0023698, 0.031056, 0.015421),
-        (0.0214093, 0.0137788, 0.015589, -0.000271719, -2.4597e-05, 0.00181916), 3.10, 0.60, 160.6),
-    Row(0.045, -90, 0.55, 1.8023, (-0.038259, 0.20751, 3.309e-05),
-        (0.0591122, 0.00324538, 0.0592641, 0.00249531, -7.38169e-06, 1.76755e-05), 2.05, 0.80, 95.6),
-    Row(-0.045, 90, 0, 2.4007, (0.0049851, -0.00022942, 0.13272),
-        (0.0149055, 0.014818, 0.00294461, -1.74156e-05, 0.00150643, 2.1072e-05), 1.14, 0.50, 29.4),
-    Row(0, -90, 0.3, 0.12376, (8.921e-05, 0.0051122, 0.0043582),
-        (5.02849e-05, 7.58183e-05, 6.27046e-05, -2.03558e-07, 4.81173e-08, 3.58737e-06), 0.20, 0.10, 11.6),
-    Row(0, 90, 0, 0.41797, (0.00012262, -0.017032, 0.024683),
-        (0.000555163, 0.000243675, 0.000453575, -2.35292e-06, 3.27504e-06, 4.59051e-05), 0.20, 0.08, 11.6),
-    Row(0, 0, 0.06, 0.068648, (-7.974e-05, 0.00016313, -0.0032355),
-        (3.77295e-05, 3.80609e-05, 7.40777e-05, 1.89107e-07, -2.2889e-09, 3.7671e-09), 0.05, 0.02, 2.7),
-)  # fmt: skip
+    Row(
+        0,
+        -90,
+        0,
+        10.768,
+        (-0.0044342, 0.12189, -0.00066489),
+        (0.134873, 0.113284, 0.0904562, 0.00213026, 0.000124857, -0.000685566),
+        4.42,
+        1.08,
+        77.3,
+    ),
+    Row(
+        0,
+        90,
+        0,
+        3.8749,
+        (-0.0023698, 0.031056, 0.015421),
+        (0.0214093, 0.0137788, 0.015589, -0.000271719, -2.4597e-05, 0.00181916),
+        3.10,
+        0.60,
+        160.6,
+    ),
+    Row(
+        0.045,
+        -90,
+        0.55,
+        1.8023,
+        (-0.038259, 0.20751, 3.309e-05),
+        (0.0591122, 0.00324538, 0.0592641, 0.00249531, -7.38169e-06, 1.76755e-05),
+        2.05,
+        0.80,
+        95.6,
+    ),
+    Row(
+        -0.045,
+        90,
+        0,
+        2.4007,
+        (0.0049851, -0.00022942, 0.13272),
+        (0.0149055, 0.014818, 0.00294461, -1.74156e-05, 0.00150643, 2.1072e-05),
+        1.14,
+        0.50,
+        29.4,
+    ),
+    Row(
+        0,
+        -90,
+        0.3,
+        0.12376,
+        (8.921e-05, 0.0051122, 0.0043582),
+        (5.02849e-05, 7.58183e-05, 6.27046e-05, -2.03558e-07, 4.81173e-08, 3.58737e-06),
+        0.20,
+        0.10,
+        11.6,
+    ),
+    Row(
+        0,
+        90,
+        0,
+        0.41797,
+        (0.00012262, -0.017032, 0.024683),
+        (0.000555163, 0.000243675, 0.000453575, -2.35292e-06, 3.27504e-06, 4.59051e-05),
+        0.20,
+        0.08,
+        11.6,
+    ),
+    Row(
+        0,
+        0,
+        0.06,
+        0.068648,
+        (-7.974e-05, 0.00016313, -0.0032355),
+        (3.77295e-05, 3.80609e-05, 7.40777e-05, 1.89107e-07, -2.2889e-09, 3.7671e-09),
+        0.05,
+        0.02,
+        2.7,
+    ),
+)
 CENTRE = (0.0, 0.4, 0.0, 1.3, 0.0, 0.0, 0.0)  # rad, the pose that motions go around
 
 
 def frame(row: Row) -> tuple[Array, Array]:
-    """Tz(d) Tx(a) Rx(alpha): from the frame after the joint's turn to frame k; (rotation, place)."""
+    """Tz(d) Tx(a) Rx(alpha): from the frame after the joint's turn to frame k; (rotation, place).
+    """
     c, s = np.cos(np.deg2rad(row.alpha_deg)), np.sin(np.deg2rad(row.alpha_deg))
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), np.array([row.a, 0.0, row.d])
 
@@ -68,7 +136,9 @@ def triple(x: Array) -> tuple[float, float, float]:
 
 
 def chain() -> tuple[LinkTruth, ...]:
-    """The links for the simulator: joint k's frame in link k-1's, bodies in the frame after the joint's turn."""
+    """The links for the simulator: joint k's frame in link k-1's, bodies in the frame after the
+    joint's turn.
+    """
     links = []
     rotation, place = np.eye(3), np.zeros(3)
     for row in TABLE:
@@ -76,7 +146,13 @@ def chain() -> tuple[LinkTruth, ...]:
         com = turn @ np.array(row.com) + shift
         inertia = turn @ matrix(row) @ turn.T
         links.append(
-            LinkTruth(tuple(rotation.ravel()), triple(place), row.mass, triple(com), tuple(inertia.ravel()))
+            LinkTruth(
+                tuple(rotation.ravel()),
+                triple(place),
+                row.mass,
+                triple(com),
+                tuple(inertia.ravel()),
+            )
         )
         rotation, place = turn, shift
     return tuple(links)
@@ -109,7 +185,8 @@ def urdf() -> str:
 
 
 def wam(rng: Rng) -> Draft:
-    """PD with gravity compensation along the reference, 1 kHz, motions around an elbow-bent pose."""
+    """PD with gravity compensation along the reference, 1 kHz, motions around an elbow-bent pose.
+    """
     shapes = ("multisine", "sines", "mixed", "moves")
     joints = []
     for row in TABLE:
@@ -125,7 +202,8 @@ def wam(rng: Rng) -> Draft:
                 "delay": 1e-3,
             }
         )
-    kp = (300.0, 500.0, 60.0, 50.0, 4.0, 4.0, 0.8)  # the wrist is light and rough: gains against its friction
+    # the wrist is light and rough: gains against its friction
+    kp = (300.0, 500.0, 60.0, 50.0, 4.0, 4.0, 0.8)
     kd = (15.0, 30.0, 3.0, 2.5, 0.02, 0.02, 0.002)
     return Draft(
         "urdf",

@@ -1,4 +1,6 @@
-"""Recordings: what a run measured, with everything needed to repeat it, and plain tables of other people's data."""
+"""Recordings: what a run measured, with everything needed to repeat it, and plain tables of other
+people's data.
+"""
 
 from zendsp.recording.recording import Channel, ParameterChange, Recording
 from zendsp.recording.table import Table, read_table

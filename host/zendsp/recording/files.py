@@ -25,9 +25,23 @@ WRITERS = (".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4")
 CHECK = "checksum"
 FORM = 1  # version of the layout below; readers refuse what is newer
 FIELDS = (
-    "sample_time", "start_tick", "decimation", "trigger_row", "lost", "timing", "parameters", "sources", "compiler",
-    "flags", "machine", "target", "versions", "created", "note", "extra",
-)  # fmt: skip
+    "sample_time",
+    "start_tick",
+    "decimation",
+    "trigger_row",
+    "lost",
+    "timing",
+    "parameters",
+    "sources",
+    "compiler",
+    "flags",
+    "machine",
+    "target",
+    "versions",
+    "created",
+    "note",
+    "extra",
+)
 TIMES = ("t", "time", "Time", "T")
 
 
@@ -65,9 +79,12 @@ def _writer(path: Path) -> Callable[[Recording, str, Path], None]:
     suffix = path.suffix.lower()
     if suffix not in WRITERS:
         raise RecordingError(
-            f"{path}: unknown kind of file {suffix or path.name!r}; choose {', '.join(WRITERS[:-1])} or {WRITERS[-1]}"
+            f"{path}: unknown kind of file {suffix or path.name!r}; choose"
+            f" {', '.join(WRITERS[:-1])} or {WRITERS[-1]}"
         )
-    write: Callable[[Recording, str, Path], None] = import_module(f"zendsp.recording.formats.{READERS[suffix]}").write
+    write: Callable[[Recording, str, Path], None] = import_module(
+        f"zendsp.recording.formats.{READERS[suffix]}"
+    ).write
     return write
 
 
@@ -84,7 +101,9 @@ def circumstances(recording: Recording) -> str:
 
 
 def _checksum(text: str, t: FloatArray, data: FloatArray) -> str:
-    """SHA-256 of the description and every number; the same in all formats, so not of the file's bytes."""
+    """SHA-256 of the description and every number; the same in all formats, so not of the file's
+    bytes.
+    """
     digest = hashlib.sha256(text.encode())
     for array in (t, data):
         values = np.array(array, dtype="<f8", order="C")
@@ -116,7 +135,8 @@ def _own(path: Path, raw: Raw) -> Recording:
         form = body["form"]
         if form > FORM:
             raise RecordingError(
-                f"{path}: was written by a newer zendsp (layout {form}, this one reads {FORM}); upgrade"
+                f"{path}: was written by a newer zendsp (layout {form}, this one reads {FORM});"
+                " upgrade"
             )
         channels = tuple(Channel(**channel) for channel in body["channels"])
         log = tuple(ParameterChange(**change) for change in body["log"])
@@ -128,8 +148,8 @@ def _own(path: Path, raw: Raw) -> Recording:
         # files of zendsp 0.1.0 have none
         if expected is not None and _checksum(json.dumps(body), t, data) != expected:
             raise RecordingError(
-                f"{path}: is damaged, or was changed after it was saved: its numbers do not match its checksum. "
-                "Take another copy"
+                f"{path}: is damaged, or was changed after it was saved: its numbers do not match"
+                " its checksum. Take another copy"
             )
         return Recording(t, data, channels, log=log, **fields)
     except (KeyError, TypeError, ValueError) as error:
@@ -140,14 +160,24 @@ def _own(path: Path, raw: Raw) -> Recording:
         ) from error
 
 
-def _matrix(path: Path, columns: Mapping[str, FloatArray], channels: tuple[Channel, ...]) -> FloatArray:
+def _matrix(
+    path: Path, columns: Mapping[str, FloatArray], channels: tuple[Channel, ...]
+) -> FloatArray:
     blocks = []
     for channel in channels:
-        names = [channel.name] if channel.name in columns else element_names(channel.name, channel.width)
+        names = (
+            [channel.name]
+            if channel.name in columns
+            else element_names(channel.name, channel.width)
+        )
         missing = [name for name in names if name not in columns]
         if missing:
-            raise RecordingError(f"{path}: lacks the column {missing[0]!r} that its description names")
-        blocks += [columns[name].reshape(-1, channel.width if len(names) == 1 else 1) for name in names]
+            raise RecordingError(
+                f"{path}: lacks the column {missing[0]!r} that its description names"
+            )
+        blocks += [
+            columns[name].reshape(-1, channel.width if len(names) == 1 else 1) for name in names
+        ]
     rows = len(columns["t"].reshape(-1))
     return np.hstack(blocks) if blocks else np.empty((rows, 0))
 
@@ -155,12 +185,22 @@ def _matrix(path: Path, columns: Mapping[str, FloatArray], channels: tuple[Chann
 def _foreign(path: Path, raw: Raw) -> Recording:
     columns, units, notes = in_si({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
     columns, units = gather_vectors(columns, units)
-    time = next((n for n in (*TIMES, *columns) if n in columns and (n in TIMES or role_of(n, units[n]) is Role.TIME)), None)
+    time = next(
+        (
+            n
+            for n in (*TIMES, *columns)
+            if n in columns and (n in TIMES or role_of(n, units[n]) is Role.TIME)
+        ),
+        None,
+    )
     if time is None:
         raise RecordingError(
-            f"{path}: has no time column ({' or '.join(TIMES[:2])}); it has {listing(list(columns))}. "
-            "Use zendsp.recording.read_table for a table without a time base"
+            f"{path}: has no time column ({' or '.join(TIMES[:2])}); it has"
+            f" {listing(list(columns))}. Use zendsp.recording.read_table for a table without a time"
+            " base"
         )
     t = columns.pop(time)
     units.pop(time, None)
-    return Recording.from_columns(columns, t=t, units=units, extra={"constants": raw.constants, "notes": [*raw.notes, *notes]})
+    return Recording.from_columns(
+        columns, t=t, units=units, extra={"constants": raw.constants, "notes": [*raw.notes, *notes]}
+    )

@@ -18,7 +18,9 @@ def to_pandas(recording: Recording) -> pandas.DataFrame:
     """See :meth:`Recording.to_pandas`."""
     pd = need("pandas", "frames", "to_pandas()", RecordingError)
     index = pd.Index(recording.t, name="t")
-    frame: pandas.DataFrame = pd.DataFrame(recording.data, index=index, columns=list(recording.columns))
+    frame: pandas.DataFrame = pd.DataFrame(
+        recording.data, index=index, columns=list(recording.columns)
+    )
     frame.attrs["units"] = dict(zip(recording.columns, recording.column_units, strict=True))
     return frame
 
@@ -31,6 +33,12 @@ def to_xarray(recording: Recording) -> xarray.Dataset:
         values = recording[channel.name]
         dims = ("t",) if values.ndim == 1 else ("t", f"{channel.name}_index")
         variables[channel.name] = (dims, values, {"units": channel.unit})
-    attributes = {"machine": recording.machine, "sample_time": recording.sample_time, "lost": recording.lost}
-    dataset: xarray.Dataset = xr.Dataset(variables, coords={"t": ("t", recording.t, {"units": "s"})}, attrs=attributes)
+    attributes = {
+        "machine": recording.machine,
+        "sample_time": recording.sample_time,
+        "lost": recording.lost,
+    }
+    dataset: xarray.Dataset = xr.Dataset(
+        variables, coords={"t": ("t", recording.t, {"units": "s"})}, attrs=attributes
+    )
     return dataset

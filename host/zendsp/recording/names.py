@@ -1,4 +1,6 @@
-"""How a matrix of named columns becomes named signals: ``q[0], q[1]`` is the vector ``q``; ``q1 [rad]`` has a unit."""
+"""How a matrix of named columns becomes named signals: ``q[0], q[1]`` is the vector ``q``; ``q1
+[rad]`` has a unit.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +24,24 @@ def split_element(name: str) -> tuple[str, int] | None:
 
 
 def split_unit(header: str) -> tuple[str, str]:
-    """Split ``"q1 [rad]"`` or ``"q1 (rad)"`` into name and unit; the unit is empty where none is written."""
+    """Split ``"q1 [rad]"`` or ``"q1 (rad)"`` into name and unit; the unit is empty where none is
+    written.
+    """
     match = _UNIT.match(header)
     return (match.group(1), match.group(2)) if match else (header, "")
 
 
 def element_names(name: str, width: int) -> list[str]:
-    """Name the columns of a signal: itself where it is one column wide, else ``q[0]``, ``q[1]``, …"""
+    """Name the columns of a signal: itself where it is one column wide, else ``q[0]``, ``q[1]``, …
+    """
     return [name] if width == 1 else [f"{name}[{k}]" for k in range(width)]
 
 
 def gather_vectors(
     columns: Mapping[str, FloatArray], units: Mapping[str, str]
 ) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    """Join complete runs ``q[0] … q[m-1]`` (m > 1) into one ``(N, m)`` signal ``q``; leave all else as it is.
+    """Join complete runs ``q[0] … q[m-1]`` (m > 1) into one ``(N, m)`` signal ``q``; leave all else
+    as it is.
 
     Parameters
     ----------
@@ -72,7 +78,9 @@ def gather_vectors(
 
 
 def pick(columns: Mapping[str, FloatArray], name: str) -> FloatArray | None:
-    """Return a signal by name, or one column of a vector by ``"q[1]"``; None where there is neither."""
+    """Return a signal by name, or one column of a vector by ``"q[1]"``; None where there is
+    neither.
+    """
     if name in columns:
         return columns[name]
     element = split_element(name)

@@ -42,7 +42,9 @@ def plot(recording: Recording, names: Sequence[str] | None, path: str | Path | N
         axis.grid(True, alpha=0.3)
         axis.legend(loc="upper right", fontsize=8)
     axes[-1].set_xlabel("t (s)")
-    title = " · ".join(part for part in (recording.target, recording.machine, recording.note) if part)
+    title = " · ".join(
+        part for part in (recording.target, recording.machine, recording.note) if part
+    )
     if title:
         figure.suptitle(title, fontsize=10)
     if path is not None:

@@ -1,4 +1,6 @@
-"""The Recording: samples of chosen signals on one time base, with all that is needed to repeat the run."""
+"""The Recording: samples of chosen signals on one time base, with all that is needed to repeat the
+run.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ class Channel:
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """One line of the parameter log: what changed, at which sample, when by the clock of the target, and by whom."""
+    """One line of the parameter log: what changed, at which sample, when by the clock of the
+    target, and by whom.
+    """
 
     tick: int
     host_time: float  # Unix s
@@ -86,7 +90,7 @@ class Recording:
     >>> rec = Recording.from_columns({"q": np.zeros((100, 2)), "u": np.ones(100)}, sample_time=0.001)
     >>> rec["q"].shape, rec["q[1]"].shape, rec.columns
     ((100, 2), (100,), ('q[0]', 'q[1]', 'u'))
-    """
+    """  # noqa: E501
 
     t: FloatArray
     data: FloatArray
@@ -113,7 +117,8 @@ class Recording:
         width = sum(channel.width for channel in self.channels)
         if self.data.ndim != 2 or self.data.shape != (len(self.t), width):
             raise RecordingError(
-                f"a recording of {len(self.t)} rows and {width} columns was given data of shape {self.data.shape}"
+                f"a recording of {len(self.t)} rows and {width} columns was given data of shape"
+                f" {self.data.shape}"
             )
         names = [channel.name for channel in self.channels]
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -150,10 +155,15 @@ class Recording:
         arrays = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
         if not arrays:
             raise RecordingError("a recording needs at least one column")
-        lengths = {name: values.shape[0] if values.ndim in (1, 2) else -1 for name, values in arrays.items()}
+        lengths = {
+            name: values.shape[0] if values.ndim in (1, 2) else -1
+            for name, values in arrays.items()
+        }
         if len(set(lengths.values())) != 1 or -1 in lengths.values():
             shown = ", ".join(f"{name} {values.shape}" for name, values in arrays.items())
-            raise RecordingError(f"columns must have equal length and one or two dimensions; given: {shown}")
+            raise RecordingError(
+                f"columns must have equal length and one or two dimensions; given: {shown}"
+            )
         rows = next(iter(lengths.values()))
         if t is None and sample_time is None:
             raise RecordingError("give sample_time or t: a recording needs a time base")
@@ -202,7 +212,8 @@ class Recording:
 
     @property
     def source_hash(self) -> str:
-        """SHA-256 over the names and texts of the sources, empty where the recording carries none."""
+        """SHA-256 over the names and texts of the sources, empty where the recording carries none.
+        """
         if not self.sources:
             return ""
         digest = hashlib.sha256()
@@ -211,7 +222,8 @@ class Recording:
         return digest.hexdigest()
 
     def __getitem__(self, name: str) -> FloatArray:
-        """Return channel ``name``, or element ``"q[1]"`` of a vector channel; ``"t"`` is the time base.
+        """Return channel ``name``, or element ``"q[1]"`` of a vector channel; ``"t"`` is the time
+        base.
 
         Raises
         ------
@@ -222,7 +234,9 @@ class Recording:
         if values is None and name == "t":
             return self.t
         if values is None:
-            raise RecordingError(f"the recording has no channel {name!r}; it has {listing(self.names)}")
+            raise RecordingError(
+                f"the recording has no channel {name!r}; it has {listing(self.names)}"
+            )
         return values
 
     def __contains__(self, name: object) -> bool:
@@ -238,7 +252,8 @@ class Recording:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the recording; the suffix chooses: ``.mat`` (v5), ``.npz``, ``.parquet``, ``.csv``, ``.mcap`` or ``.mf4``.
+        """Write the recording; the suffix chooses: ``.mat`` (v5), ``.npz``, ``.parquet``, ``.csv``,
+        ``.mcap`` or ``.mf4``.
 
         The file appears complete or not at all (written beside, then renamed).
         """
@@ -248,7 +263,8 @@ class Recording:
 
     @classmethod
     def load(cls, path: str | Path) -> Recording:
-        """Read a recording written by :meth:`save`, or any table with a column of time, in SI units.
+        """Read a recording written by :meth:`save`, or any table with a column of time, in SI
+        units.
 
         Raises
         ------
@@ -260,7 +276,9 @@ class Recording:
         return load(Path(path))
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return a pandas DataFrame, one column per element, indexed by ``t`` (needs ``zendsp[frames]``)."""
+        """Return a pandas DataFrame, one column per element, indexed by ``t`` (needs
+        ``zendsp[frames]``).
+        """
         from zendsp.recording.frames import to_pandas
 
         return to_pandas(self)

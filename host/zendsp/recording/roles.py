@@ -24,26 +24,90 @@ class Role(Enum):
 
 WORDS = {
     Role.TIME: {"t", "time", "timestamp", "stamp", "zeit", "clock"},
-    Role.POSITION: {"q", "theta", "phi", "pos", "position", "positions", "angle", "x", "enc", "encoder", "winkel", "qm"},
-    Role.COMMAND: {
-        "u", "tau", "torque", "torques", "effort", "efforts", "force", "voltage", "volt", "cmd", "command", "control",
-        "moment", "drehmoment", "aout", "vir",
+    Role.POSITION: {
+        "q",
+        "theta",
+        "phi",
+        "pos",
+        "position",
+        "positions",
+        "angle",
+        "x",
+        "enc",
+        "encoder",
+        "winkel",
+        "qm",
     },
-    Role.REFERENCE: {"r", "ref", "reference", "des", "desired", "setpoint", "sp", "goal", "target", "soll", "qref", "qdes", "qg"},
-    Role.VELOCITY: {"qd", "dq", "qdot", "vel", "velocity", "velocities", "omega", "speed", "thetad", "w"},
+    Role.COMMAND: {
+        "u",
+        "tau",
+        "torque",
+        "torques",
+        "effort",
+        "efforts",
+        "force",
+        "voltage",
+        "volt",
+        "cmd",
+        "command",
+        "control",
+        "moment",
+        "drehmoment",
+        "aout",
+        "vir",
+    },
+    Role.REFERENCE: {
+        "r",
+        "ref",
+        "reference",
+        "des",
+        "desired",
+        "setpoint",
+        "sp",
+        "goal",
+        "target",
+        "soll",
+        "qref",
+        "qdes",
+        "qg",
+    },
+    Role.VELOCITY: {
+        "qd",
+        "dq",
+        "qdot",
+        "vel",
+        "velocity",
+        "velocities",
+        "omega",
+        "speed",
+        "thetad",
+        "w",
+    },
     Role.CURRENT: {"i", "iq", "current", "currents", "amps", "strom"},
     Role.TEMPERATURE: {"temp", "temperature", "celsius"},
-}  # fmt: skip
+}
 MEASURED = {"meas", "measured", "actual", "sensor", "sensed"}
 ACCELERATION = {"qdd", "ddq", "acc", "acceleration", "accel"}
 UNITS = {
-    "rad": Role.POSITION, "m": Role.POSITION, "rad/s": Role.VELOCITY, "m/s": Role.VELOCITY, "N m": Role.COMMAND,
-    "Nm": Role.COMMAND, "N": Role.COMMAND, "V": Role.COMMAND, "A": Role.CURRENT, "°C": Role.TEMPERATURE, "degC": Role.TEMPERATURE,
-}  # fmt: skip
+    "rad": Role.POSITION,
+    "m": Role.POSITION,
+    "rad/s": Role.VELOCITY,
+    "m/s": Role.VELOCITY,
+    "N m": Role.COMMAND,
+    "Nm": Role.COMMAND,
+    "N": Role.COMMAND,
+    "V": Role.COMMAND,
+    "A": Role.CURRENT,
+    "°C": Role.TEMPERATURE,
+    "degC": Role.TEMPERATURE,
+}
 ALLOWED = {  # units that a role can have; any where the file states none
-    Role.TIME: {"s"}, Role.POSITION: {"rad", "m"}, Role.REFERENCE: {"rad", "m"}, Role.VELOCITY: {"rad/s", "m/s"},
+    Role.TIME: {"s"},
+    Role.POSITION: {"rad", "m"},
+    Role.REFERENCE: {"rad", "m"},
+    Role.VELOCITY: {"rad/s", "m/s"},
     Role.CURRENT: {"A"},
-}  # fmt: skip
+}
 
 
 def role_of(name: str, unit: str = "") -> Role:
@@ -61,7 +125,9 @@ def role_of(name: str, unit: str = "") -> Role:
     found = _by_words(_words(name))
     if found is Role.NONE or (si and si not in ALLOWED.get(found, {si})):
         by_unit = UNITS.get(si, Role.NONE)
-        return by_unit if found is not Role.REFERENCE or by_unit is not Role.COMMAND else Role.COMMAND
+        return (
+            by_unit if found is not Role.REFERENCE or by_unit is not Role.COMMAND else Role.COMMAND
+        )
     if found is Role.COMMAND and si in ("rad", "m"):
         return Role.REFERENCE  # a command of position
     return found
@@ -69,10 +135,13 @@ def role_of(name: str, unit: str = "") -> Role:
 
 def _words(name: str) -> set[str]:
     spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
-    # of a path such as joint_states.elbow.effort the last part says what the number is, if it says anything
+    # of a path such as joint_states.elbow.effort the last part says what the number is, if it says
+    # anything
     last = re.split(r"[./]", spaced)[-1]
     for part in (last, spaced):
-        words = {word.lower() for word in re.findall(r"[^\W\d_]+", part)} | {re.sub(r"[\W\d_]", "", part).lower()}
+        words = {word.lower() for word in re.findall(r"[^\W\d_]+", part)} | {
+            re.sub(r"[\W\d_]", "", part).lower()
+        }
         if any(words & some for some in (*WORDS.values(), ACCELERATION)):
             break
     return words

@@ -15,10 +15,23 @@ from zendsp.recording.names import FloatArray, gather_vectors, listing, pick, sp
 from zendsp.recording.units import in_si
 
 READERS = {  # suffix: module of zendsp.recording.formats
-    ".csv": "csv", ".tsv": "csv", ".txt": "csv", ".csv.gz": "csv", ".tsv.gz": "csv", ".mat": "mat", ".npz": "npz",
-    ".parquet": "parquet", ".h5": "hdf5", ".hdf5": "hdf5", ".mcap": "mcap", ".db3": "ros", ".bag": "ros", ".mf4": "mdf",
-    ".mdf": "mdf", ".tdms": "tdms",
-}  # fmt: skip
+    ".csv": "csv",
+    ".tsv": "csv",
+    ".txt": "csv",
+    ".csv.gz": "csv",
+    ".tsv.gz": "csv",
+    ".mat": "mat",
+    ".npz": "npz",
+    ".parquet": "parquet",
+    ".h5": "hdf5",
+    ".hdf5": "hdf5",
+    ".mcap": "mcap",
+    ".db3": "ros",
+    ".bag": "ros",
+    ".mf4": "mdf",
+    ".mdf": "mdf",
+    ".tdms": "tdms",
+}
 BAG = "metadata.yaml"  # what makes a folder a bag of rosbag2
 CONVERSIONS = {  # suffixes of what is not read: the command that makes something of it that is
     ".xlsx": "libreoffice --headless --convert-to csv {path}",
@@ -26,10 +39,15 @@ CONVERSIONS = {  # suffixes of what is not read: the command that makes somethin
     ".ods": "libreoffice --headless --convert-to csv {path}",
     ".ulg": "pip install pyulog && ulog2csv {path}",
     ".blf": "pip install asammdf[gui] && asammdf  (Open, then Bus logging, then Save as .mf4)",
-    ".feather": "python -c \"import pandas; pandas.read_feather('{path}').to_csv('{stem}.csv', index=False)\"",
+    ".feather": (
+        "python -c \"import pandas; pandas.read_feather('{path}').to_csv('{stem}.csv',"
+        ' index=False)"'
+    ),
     ".pkl": "python -c \"import pandas; pandas.read_pickle('{path}').to_csv('{stem}.csv')\"",
-    ".json": "python -c \"import pandas; pandas.read_json('{path}').to_csv('{stem}.csv', index=False)\"",
-    ".sldata": "matlab -batch \"load {path} -mat; save {stem}.mat -v7.3\"",
+    ".json": (
+        "python -c \"import pandas; pandas.read_json('{path}').to_csv('{stem}.csv', index=False)\""
+    ),
+    ".sldata": 'matlab -batch "load {path} -mat; save {stem}.mat -v7.3"',
     ".zip": "unzip {path}",
     ".gz": "gunzip {path}",
     ".zst": "unzstd {path}",
@@ -72,12 +90,15 @@ class Table:
         if values is None:
             values = pick(self.columns, split_unit(name)[0])
         if values is None:
-            raise RecordingError(f"{self.path}: has no column {name!r}; it has {listing(list(self.columns))}")
+            raise RecordingError(
+                f"{self.path}: has no column {name!r}; it has {listing(list(self.columns))}"
+            )
         return values
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and (
-            pick(self.columns, name) is not None or pick(self.columns, split_unit(name)[0]) is not None
+            pick(self.columns, name) is not None
+            or pick(self.columns, split_unit(name)[0]) is not None
         )
 
     def __len__(self) -> int:
@@ -85,10 +106,12 @@ class Table:
 
 
 def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
-    """Read a table of numbers in SI units from a file of any of the kinds below, zendsp's own or foreign.
+    """Read a table of numbers in SI units from a file of any of the kinds below, zendsp's own or
+    foreign.
 
-    CSV and TSV, MAT (v5, v7.3), NPZ, Parquet, HDF5, MDF, TDMS, MCAP and bags of ROS. What is in degrees, milliseconds, rpm,
-    mN m … by a header, a row of units, the file's own unit, or a name such as ``theta_deg`` is converted.
+    CSV and TSV, MAT (v5, v7.3), NPZ, Parquet, HDF5, MDF, TDMS, MCAP and bags of ROS. What is in
+    degrees, milliseconds, rpm, mN m … by a header, a row of units, the file's own unit, or a name
+    such as ``theta_deg`` is converted.
 
     Parameters
     ----------
@@ -100,12 +123,14 @@ def read_table(path: str | Path, columns: Sequence[str] | None = None) -> Table:
     Returns
     -------
     Table
-        Vectors may come as columns ``q[0], q[1]`` or as one array; both become one ``(N, m)`` column ``q``.
+        Vectors may come as columns ``q[0], q[1]`` or as one array; both become one ``(N, m)``
+        column ``q``.
 
     Raises
     ------
     RecordingError
-        Naming the file, the column, and what was expected: missing or damaged file, no numbers, unequal lengths.
+        Naming the file, the column, and what was expected: missing or damaged file, no numbers,
+        unequal lengths.
 
     Examples
     --------
@@ -127,12 +152,17 @@ def read_raw(path: Path) -> Raw:
     suffix = _suffix(path)
     if path.is_dir():
         if not (path / BAG).exists():
-            raise RecordingError(f"{path}: is a folder; give a file ({', '.join(READERS)}), or a bag of rosbag2 ({BAG} is in it)")
+            raise RecordingError(
+                f"{path}: is a folder; give a file ({', '.join(READERS)}), or a bag of rosbag2"
+                f" ({BAG} is in it)"
+            )
         suffix = ".db3"
     elif path.stat().st_size == 0:
         raise RecordingError(f"{path}: is empty (0 bytes)")
     if suffix not in READERS:
-        raise RecordingError(f"{path}: unknown kind of file {suffix or path.name!r}; {_convert(path)}")
+        raise RecordingError(
+            f"{path}: unknown kind of file {suffix or path.name!r}; {_convert(path)}"
+        )
     reader = import_module(f"zendsp.recording.formats.{READERS[suffix]}")
     try:
         raw: Raw = reader.read(path)
@@ -148,7 +178,9 @@ def read_raw(path: Path) -> Raw:
 
 
 def _suffix(path: Path) -> str:
-    return "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
+    return (
+        "".join(path.suffixes[-2:]).lower() if path.suffix.lower() == ".gz" else path.suffix.lower()
+    )
 
 
 def _convert(path: Path) -> str:
@@ -160,7 +192,8 @@ def _convert(path: Path) -> str:
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
     return RecordingError(
-        f"{path}: is damaged, cut short, or no {_suffix(path)} file: it cannot be read ({type(error).__name__}: {error})"
+        f"{path}: is damaged, cut short, or no {_suffix(path)} file: it cannot be read"
+        f" ({type(error).__name__}: {error})"
     )
 
 
@@ -170,13 +203,21 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
             bare = split_unit(name)[0]
             if bare in raw.refused:
                 raise RecordingError(f"{path}: column {name!r} {raw.refused[bare]}")
-    columns, in_units, notes = in_si({name: _upright(values) for name, values in raw.columns.items()}, raw.units)
+    columns, in_units, notes = in_si(
+        {name: _upright(values) for name, values in raw.columns.items()}, raw.units
+    )
     notes = raw.notes + notes
     joined, units = gather_vectors(columns, in_units) if _equal(columns) else (columns, in_units)
     table = Table(joined, units, raw.constants, path, notes)
     if wanted is not None:
         chosen = {name: table[name] for name in wanted}
-        return Table(_same_length(path, chosen), {n: _unit(units, n) for n in chosen}, raw.constants, path, notes)
+        return Table(
+            _same_length(path, chosen),
+            {n: _unit(units, n) for n in chosen},
+            raw.constants,
+            path,
+            notes,
+        )
     if not joined:
         why = "; ".join(f"{name} {reason}" for name, reason in list(raw.refused.items())[:3])
         raise RecordingError(f"{path}: holds no column of numbers{f' ({why})' if why else ''}")
@@ -184,11 +225,15 @@ def _checked(path: Path, raw: Raw, wanted: Sequence[str] | None) -> Table:
 
 
 def _unit(units: Mapping[str, str], name: str) -> str:
-    return units.get(name) or units.get(split_unit(name)[0]) or units.get(name.partition("[")[0], "")
+    return (
+        units.get(name) or units.get(split_unit(name)[0]) or units.get(name.partition("[")[0], "")
+    )
 
 
 def _upright(values: FloatArray) -> FloatArray:
-    """Turn a row or column vector of MATLAB into one dimension, and a wide matrix on its side into samples by rows."""
+    """Turn a row or column vector of MATLAB into one dimension, and a wide matrix on its side into
+    samples by rows.
+    """
     if values.ndim == 2 and 1 in values.shape:
         return values.reshape(-1)
     if values.ndim == 2 and values.shape[1] > values.shape[0]:
@@ -206,7 +251,7 @@ def _same_length(path: Path, columns: Mapping[str, FloatArray]) -> Mapping[str, 
         longest = max(lengths, key=lambda name: lengths[name])
         other = next(name for name in lengths if lengths[name] != lengths[longest])
         raise RecordingError(
-            f"{path}: columns differ in length: {longest!r} has {lengths[longest]} rows, {other!r} has {lengths[other]}; "
-            "every column needs one value per sample"
+            f"{path}: columns differ in length: {longest!r} has {lengths[longest]} rows, {other!r}"
+            f" has {lengths[other]}; every column needs one value per sample"
         )
     return columns

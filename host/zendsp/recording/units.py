@@ -10,22 +10,63 @@ from zendsp.recording.names import FloatArray
 
 # symbol: (factor to SI, what it is in SI)
 WHOLE = {
-    "deg": (math.pi / 180, "rad"), "degree": (math.pi / 180, "rad"), "degrees": (math.pi / 180, "rad"),
-    "°": (math.pi / 180, "rad"), "mdeg": (math.pi / 180e3, "rad"),
-    "rev": (2 * math.pi, "rad"), "turn": (2 * math.pi, "rad"), "turns": (2 * math.pi, "rad"),
-    "radian": (1.0, "rad"), "radians": (1.0, "rad"),
-    "rpm": (math.pi / 30, "rad/s"), "1/min": (math.pi / 30, "rad/s"), "rev/min": (math.pi / 30, "rad/s"),
-    "dps": (math.pi / 180, "rad/s"), "rps": (2 * math.pi, "rad/s"),
-    "sec": (1.0, "s"), "secs": (1.0, "s"), "second": (1.0, "s"), "seconds": (1.0, "s"),
-    "min": (60.0, "s"), "h": (3600.0, "s"), "msec": (1e-3, "s"), "usec": (1e-6, "s"), "nsec": (1e-9, "s"),
-    "in": (0.0254, "m"), "inch": (0.0254, "m"), "ft": (0.3048, "m"), "lbf": (4.4482216152605, "N"),
-    "kgf": (9.80665, "N"), "amp": (1.0, "A"), "amps": (1.0, "A"), "volt": (1.0, "V"), "volts": (1.0, "V"),
-}  # fmt: skip
+    "deg": (math.pi / 180, "rad"),
+    "degree": (math.pi / 180, "rad"),
+    "degrees": (math.pi / 180, "rad"),
+    "°": (math.pi / 180, "rad"),
+    "mdeg": (math.pi / 180e3, "rad"),
+    "rev": (2 * math.pi, "rad"),
+    "turn": (2 * math.pi, "rad"),
+    "turns": (2 * math.pi, "rad"),
+    "radian": (1.0, "rad"),
+    "radians": (1.0, "rad"),
+    "rpm": (math.pi / 30, "rad/s"),
+    "1/min": (math.pi / 30, "rad/s"),
+    "rev/min": (math.pi / 30, "rad/s"),
+    "dps": (math.pi / 180, "rad/s"),
+    "rps": (2 * math.pi, "rad/s"),
+    "sec": (1.0, "s"),
+    "secs": (1.0, "s"),
+    "second": (1.0, "s"),
+    "seconds": (1.0, "s"),
+    "min": (60.0, "s"),
+    "h": (3600.0, "s"),
+    "msec": (1e-3, "s"),
+    "usec": (1e-6, "s"),
+    "nsec": (1e-9, "s"),
+    "in": (0.0254, "m"),
+    "inch": (0.0254, "m"),
+    "ft": (0.3048, "m"),
+    "lbf": (4.4482216152605, "N"),
+    "kgf": (9.80665, "N"),
+    "amp": (1.0, "A"),
+    "amps": (1.0, "A"),
+    "volt": (1.0, "V"),
+    "volts": (1.0, "V"),
+}
 BASE = ("rad", "Nm", "Hz", "m", "s", "N", "A", "V", "W", "J", "g", "K")
-PREFIX = {"": 1.0, "k": 1e3, "M": 1e6, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}
+PREFIX = {
+    "": 1.0,
+    "k": 1e3,
+    "M": 1e6,
+    "c": 1e-2,
+    "m": 1e-3,
+    "u": 1e-6,
+    "µ": 1e-6,
+    "μ": 1e-6,
+    "n": 1e-9,
+}
 AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that are left as they are
 # suffixes of names that say nothing else; `_ms` is milliseconds only where the rest names a time
-SUFFIXES = {"deg": "deg", "rpm": "rpm", "dps": "deg/s", "degps": "deg/s", "mnm": "mN m", "mm": "mm", "ma": "mA"}
+SUFFIXES = {
+    "deg": "deg",
+    "rpm": "rpm",
+    "dps": "deg/s",
+    "degps": "deg/s",
+    "mnm": "mN m",
+    "mm": "mm",
+    "ma": "mA",
+}
 TIME_SUFFIXES = {"ms": "ms", "us": "us", "ns": "ns", "sec": "s", "s": "s"}
 TIME_NAMES = ("t", "time", "timestamp", "stamp", "clock")
 

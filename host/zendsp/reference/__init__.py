@@ -1,4 +1,6 @@
-"""Planned motions: made from parameters, checked against a machine's limits, saved as the MAT file that Execute plays."""
+"""Planned motions: made from parameters, checked against a machine's limits, saved as the MAT file
+that Execute plays.
+"""
 
 from zendsp.reference.core import Mode, Reference
 from zendsp.reference.dynamics import predict_motion

@@ -52,8 +52,8 @@ def _columns(name: str, value: npt.ArrayLike) -> Array:
     if len(bad):
         row, joint = bad[0]
         raise ReferenceError_(
-            f"reference: {name} of joint {joint + 1} is {x[row, joint]} at sample {row}; every sample must be a "
-            "finite number: mend the file or the parameters that made it"
+            f"reference: {name} of joint {joint + 1} is {x[row, joint]} at sample {row}; every"
+            " sample must be a finite number: mend the file or the parameters that made it"
         )
     x.setflags(write=False)
     return x
@@ -68,7 +68,8 @@ class Reference:
     Parameters
     ----------
     q : array_like, shape (N, joints) or (N,)
-        Joint positions, rad (m for a linear axis). In mode "torque": the predicted motion, or constant where unknown.
+        Joint positions, rad (m for a linear axis). In mode "torque": the predicted motion, or
+        constant where unknown.
     sample_time : float
         Spacing of the samples, s.
     qd, qdd : array_like, shape (N, joints), optional
@@ -91,7 +92,8 @@ class Reference:
     Raises
     ------
     ReferenceError_
-        Shapes that disagree, fewer than two samples, numbers that are not finite, mode "torque" without tau.
+        Shapes that disagree, fewer than two samples, numbers that are not finite, mode "torque"
+        without tau.
 
     Examples
     --------
@@ -115,19 +117,27 @@ class Reference:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sample_time) and self.sample_time > 0.0):
-            raise ReferenceError_(f"reference: sample_time is {self.sample_time} s; it must be positive, e.g. 0.001")
+            raise ReferenceError_(
+                f"reference: sample_time is {self.sample_time} s; it must be positive, e.g. 0.001"
+            )
         q = _columns("q", self.q)
         if len(q) < 2:
-            raise ReferenceError_(f"reference: {len(q)} sample(s); at least 2 are needed: give a longer duration")
+            raise ReferenceError_(
+                f"reference: {len(q)} sample(s); at least 2 are needed: give a longer duration"
+            )
         given = {"qd": self.qd, "qdd": self.qdd, "tau": self.tau}
         arrays = {name: None if x is None else _columns(name, x) for name, x in given.items()}
         for name, x in arrays.items():
             if x is not None and x.shape != q.shape:
-                raise ReferenceError_(f"reference: {name} has shape {x.shape}, q has {q.shape}; they must be the same")
+                raise ReferenceError_(
+                    f"reference: {name} has shape {x.shape}, q has {q.shape}; they must be the same"
+                )
         qd = arrays["qd"] if arrays["qd"] is not None else differentiate(q, self.sample_time)
         qdd = arrays["qdd"] if arrays["qdd"] is not None else differentiate(qd, self.sample_time)
         if self.mode not in ("position", "torque"):
-            raise ReferenceError_(f'reference: mode is "{self.mode}"; expected "position" or "torque"')
+            raise ReferenceError_(
+                f'reference: mode is "{self.mode}"; expected "position" or "torque"'
+            )
         if self.mode == "torque" and arrays["tau"] is None:
             raise ReferenceError_('reference: mode "torque" needs tau, the command to play')
         for name, value in (("q", q), ("qd", qd), ("qdd", qdd), ("tau", arrays["tau"])):
@@ -135,12 +145,14 @@ class Reference:
         object.__setattr__(self, "sample_time", float(self.sample_time))
 
     def tables(self) -> dict[str, Array]:
-        """What a control program plays, in the order in which to send it: ``ref_tau``, then ``ref``, which begins the motion.
+        """What a control program plays, in the order in which to send it: ``ref_tau``, then
+        ``ref``, which begins the motion.
 
         Returns
         -------
         dict of str to ndarray, shape (N, joints)
-            Torque (one row of zeros where there is none) and positions; docs/references.md has the convention.
+            Torque (one row of zeros where there is none) and positions; docs/references.md has the
+            convention.
 
         Examples
         --------
@@ -148,7 +160,10 @@ class Reference:
         >>> list(Reference(np.zeros(3), 0.001).tables())
         ['ref_tau', 'ref']
         """
-        return {"ref_tau": np.zeros((1, self.joints)) if self.tau is None else self.tau, "ref": self.q}
+        return {
+            "ref_tau": np.zeros((1, self.joints)) if self.tau is None else self.tau,
+            "ref": self.q,
+        }
 
     @property
     def t(self) -> Array:
@@ -157,7 +172,9 @@ class Reference:
 
     @property
     def headroom(self) -> float:
-        """Share of the speed, acceleration and torque limits that it was planned to stay within; 1 where nobody said."""
+        """Share of the speed, acceleration and torque limits that it was planned to stay within; 1
+        where nobody said.
+        """
         return float(self.parameters.get("headroom", 1.0))
 
     @property

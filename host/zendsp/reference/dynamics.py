@@ -1,4 +1,6 @@
-"""Nominal dynamics of the three machines, for torque limits and for predicting what an open-loop torque does."""
+"""Nominal dynamics of the three machines, for torque limits and for predicting what an open-loop
+torque does.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Dynamics(Protocol):
 class Planar2R:
     """M(q) qdd + C(q, qd) + viscous qd + coulomb sign(qd) = tau of two joints on vertical axes.
 
-    M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]], C = p3 sin q2 [-qd2 (2 qd1 + qd2), qd1^2].
+    M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]], C = p3 sin q2 [-qd2 (2 qd1 +
+    qd2), qd1^2].
     """
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
@@ -46,7 +49,9 @@ class Planar2R:
         s, c = self.p3 * np.sin(q[:, 1]), self.p3 * np.cos(q[:, 1])
         m11, m12, m22 = self.p1 + 2 * c, self.p2 + c, self.p2
         a1, a2, v1, v2 = qdd[:, 0], qdd[:, 1], qd[:, 0], qd[:, 1]
-        rigid = np.stack([m11 * a1 + m12 * a2 - s * v2 * (2 * v1 + v2), m12 * a1 + m22 * a2 + s * v1**2], axis=1)
+        rigid = np.stack(
+            [m11 * a1 + m12 * a2 - s * v2 * (2 * v1 + v2), m12 * a1 + m22 * a2 + s * v1**2], axis=1
+        )
         return np.asarray(rigid + self.viscous * qd + self.coulomb * np.tanh(SIGN_SLOPE * qd))
 
     def acceleration(self, q: State, qd: State, tau: State) -> State:
@@ -60,18 +65,28 @@ class Planar2R:
 
 
 class Pendulum:
-    """theta1 qdd + theta2 g sin q + theta3 tanh(beta qd) + viscous qd = tau (Hardware 2025, 3(3), 11, with a viscous term)."""
+    """theta1 qdd + theta2 g sin q + theta3 tanh(beta qd) + viscous qd = tau (Hardware 2025, 3(3),
+    11, with a viscous term).
+    """
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
-        self.theta1, self.theta2, self.theta3 = (float(parameters[k]) for k in ("theta1", "theta2", "theta3"))
+        self.theta1, self.theta2, self.theta3 = (
+            float(parameters[k]) for k in ("theta1", "theta2", "theta3")
+        )
         self.beta, self.viscous = float(parameters["beta"]), float(parameters.get("viscous", 0.0))
 
     def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
-        resist = self.theta2 * G * np.sin(q) + self.theta3 * np.tanh(self.beta * qd) + self.viscous * qd
+        resist = (
+            self.theta2 * G * np.sin(q) + self.theta3 * np.tanh(self.beta * qd) + self.viscous * qd
+        )
         return np.asarray(self.theta1 * qdd + resist)
 
     def acceleration(self, q: State, qd: State, tau: State) -> State:
-        resist = self.theta2 * G * math.sin(q[0]) + self.theta3 * math.tanh(self.beta * qd[0]) + self.viscous * qd[0]
+        resist = (
+            self.theta2 * G * math.sin(q[0])
+            + self.theta3 * math.tanh(self.beta * qd[0])
+            + self.viscous * qd[0]
+        )
         return ((tau[0] - resist) / self.theta1,)
 
 
@@ -158,14 +173,20 @@ def make_dynamics(kind: str, parameters: Mapping[str, Any]) -> Dynamics:
     >>> arm = make_dynamics("planar2r", dict(p1=3.0, p2=0.2, p3=0.2, viscous=[0, 0], coulomb=[0, 0]))
     >>> arm.inverse(np.zeros((1, 2)), np.zeros((1, 2)), np.array([[1.0, 0.0]])).tolist()
     [[3.4, 0.4]]
-    """
-    kinds: dict[str, Callable[[Mapping[str, Any]], Dynamics]] = {"planar2r": Planar2R, "pendulum": Pendulum, "dh": DHArm}
+    """  # noqa: E501
+    kinds: dict[str, Callable[[Mapping[str, Any]], Dynamics]] = {
+        "planar2r": Planar2R,
+        "pendulum": Pendulum,
+        "dh": DHArm,
+    }
     if kind not in kinds:
         raise ReferenceError_(f'machine kind "{kind}" is unknown; expected {", ".join(kinds)}')
     return kinds[kind](parameters)
 
 
-def predict_motion(dynamics: Dynamics, tau: Array, sample_time: float, q0: Array) -> tuple[Array, Array, Array]:
+def predict_motion(
+    dynamics: Dynamics, tau: Array, sample_time: float, q0: Array
+) -> tuple[Array, Array, Array]:
     """Where an open-loop torque, held over each sample, takes the nominal machine.
 
     Parameters
@@ -191,7 +212,7 @@ def predict_motion(dynamics: Dynamics, tau: Array, sample_time: float, q0: Array
     >>> q, qd, qdd = predict_motion(load_machine("pendulum").dynamics, np.zeros((3, 1)), 0.001, np.zeros(1))
     >>> float(abs(q).max())
     0.0
-    """
+    """  # noqa: E501
     steps = 4
     h = sample_time / steps
     q, qd = [float(x) for x in q0], [0.0] * len(q0)
@@ -204,7 +225,9 @@ def predict_motion(dynamics: Dynamics, tau: Array, sample_time: float, q0: Array
     return table[:, 0], table[:, 1], table[:, 2]
 
 
-def _runge_kutta(dynamics: Dynamics, q: list[float], qd: list[float], u: State, h: float) -> tuple[list[float], list[float]]:
+def _runge_kutta(
+    dynamics: Dynamics, q: list[float], qd: list[float], u: State, h: float
+) -> tuple[list[float], list[float]]:
     """One classical step of h seconds."""
     half = 0.5 * h
     a1 = dynamics.acceleration(q, qd, u)
@@ -214,5 +237,10 @@ def _runge_kutta(dynamics: Dynamics, q: list[float], qd: list[float], u: State, 
     a3 = dynamics.acceleration([x + half * v for x, v in zip(q, v2, strict=True)], v3, u)
     v4 = [v + h * a for v, a in zip(qd, a3, strict=True)]
     a4 = dynamics.acceleration([x + h * v for x, v in zip(q, v3, strict=True)], v4, u)
-    after = [x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip(q, qd, v2, v3, v4, strict=True)]
-    return after, [v + h / 6 * (a + 2 * b + 2 * c + d) for v, a, b, c, d in zip(qd, a1, a2, a3, a4, strict=True)]
+    after = [
+        x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip(q, qd, v2, v3, v4, strict=True)
+    ]
+    return after, [
+        v + h / 6 * (a + 2 * b + 2 * c + d)
+        for v, a, b, c, d in zip(qd, a1, a2, a3, a4, strict=True)
+    ]

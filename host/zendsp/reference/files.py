@@ -1,4 +1,5 @@
-"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns."""
+"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +19,9 @@ FORMAT = "zendsp-reference-1"
 _NUMBERED = re.compile(r"^(q|qd|qdd|tau)_?(\d+)$")
 
 
-def save_reference(reference: Reference, path: str | Path, machine: Machine | None = None, check: bool = True) -> Path:
+def save_reference(
+    reference: Reference, path: str | Path, machine: Machine | None = None, check: bool = True
+) -> Path:
     """Check a reference against its machine and write it as MAT (v5, opens in MATLAB and Octave).
 
     Parameters
@@ -60,11 +63,20 @@ def save_reference(reference: Reference, path: str | Path, machine: Machine | No
         target = target.with_name(target.name + ".mat")
     empty = np.zeros((0, 0))
     table = {
-        "format": FORMAT, "kind": reference.kind, "machine": reference.machine, "mode": reference.mode, "unit": reference.unit,
-        "cyclic": int(reference.cyclic), "sample_time": reference.sample_time, "t": reference.t[:, None], "q": reference.q,
-        "qd": reference.qd, "qdd": reference.qdd, "tau": empty if reference.tau is None else reference.tau,
+        "format": FORMAT,
+        "kind": reference.kind,
+        "machine": reference.machine,
+        "mode": reference.mode,
+        "unit": reference.unit,
+        "cyclic": int(reference.cyclic),
+        "sample_time": reference.sample_time,
+        "t": reference.t[:, None],
+        "q": reference.q,
+        "qd": reference.qd,
+        "qdd": reference.qdd,
+        "tau": empty if reference.tau is None else reference.tau,
         "parameters": json.dumps(dict(reference.parameters)),
-    }  # fmt: skip
+    }
     target.parent.mkdir(parents=True, exist_ok=True)
     savemat(target, table, do_compression=True)
     return target
@@ -94,27 +106,36 @@ def load_reference(path: str | Path) -> Reference:
     >>> file = save_reference(Reference(np.zeros(3), 0.001), pathlib.Path(tempfile.mkdtemp()) / "rest.mat")
     >>> load_reference(file).samples
     3
-    """
+    """  # noqa: E501
     file = Path(path)
     data = read_columns(file)
     if str(data.get("format", "")) != FORMAT:
         raise ReferenceError_(
-            f'{file}: not a reference file (format is "{data.get("format", "absent")}", expected "{FORMAT}"); '
-            "a plain table comes in as kind from_file"
+            f'{file}: not a reference file (format is "{data.get("format", "absent")}", expected'
+            f' "{FORMAT}"); a plain table comes in as kind from_file'
         )
     try:
         tau = data["tau"]
         return Reference(
-            data["q"], float(data["sample_time"]), data["qd"], data["qdd"], None if tau.size == 0 else tau,
-            kind=str(data["kind"]), parameters=json.loads(data["parameters"]), machine=str(data["machine"]),
-            mode=data["mode"], cyclic=bool(data["cyclic"]), unit=str(data["unit"]),
-        )  # fmt: skip
+            data["q"],
+            float(data["sample_time"]),
+            data["qd"],
+            data["qdd"],
+            None if tau.size == 0 else tau,
+            kind=str(data["kind"]),
+            parameters=json.loads(data["parameters"]),
+            machine=str(data["machine"]),
+            mode=data["mode"],
+            cyclic=bool(data["cyclic"]),
+            unit=str(data["unit"]),
+        )
     except (KeyError, ValueError) as error:
         raise ReferenceError_(f"{file}: damaged reference file: {error}; plan it again") from error
 
 
 def read_columns(path: Path) -> dict[str, Any]:
-    """Variables of a MAT, NPZ or CSV file; q1, q2, … (also q_1, …) are gathered into one array q of shape (N, joints).
+    """Variables of a MAT, NPZ or CSV file; q1, q2, … (also q_1, …) are gathered into one array q of
+    shape (N, joints).
 
     Parameters
     ----------
@@ -124,7 +145,8 @@ def read_columns(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        Text as str, single numbers as float, columns as arrays; q, qd, qdd and tau always two-dimensional.
+        Text as str, single numbers as float, columns as arrays; q, qd, qdd and tau always
+        two-dimensional.
 
     Raises
     ------
@@ -152,7 +174,9 @@ def read_columns(path: Path) -> dict[str, Any]:
         elif path.suffix == ".csv":
             raw = _read_csv(path)
         else:
-            raise ReferenceError_(f'{path}: ending "{path.suffix}" is unknown; expected .mat, .npz or .csv')
+            raise ReferenceError_(
+                f'{path}: ending "{path.suffix}" is unknown; expected .mat, .npz or .csv'
+            )
     except (OSError, ValueError, NotImplementedError) as error:
         if isinstance(error, ReferenceError_):
             raise
@@ -185,10 +209,16 @@ def _gather(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
         if match:
             found.setdefault(match[1], {})[int(match[2])] = np.ravel(value)
         else:
-            out[name] = np.atleast_1d(value)[:, None] if name in ("q", "qd", "qdd", "tau") and np.ndim(value) < 2 else value
+            out[name] = (
+                np.atleast_1d(value)[:, None]
+                if name in ("q", "qd", "qdd", "tau") and np.ndim(value) < 2
+                else value
+            )
     for quantity, columns in found.items():
         wanted = list(range(1, len(columns) + 1))
         if sorted(columns) != wanted:
-            raise ReferenceError_(f"{path}: columns {quantity}{sorted(columns)} are not numbered 1 to {len(columns)}")
+            raise ReferenceError_(
+                f"{path}: columns {quantity}{sorted(columns)} are not numbered 1 to {len(columns)}"
+            )
         out[quantity] = np.stack([columns[i] for i in wanted], axis=1)
     return out

@@ -1,4 +1,6 @@
-"""What a generator of references is: its parameters with units and bounds, from which forms and options are built."""
+"""What a generator of references is: its parameters with units and bounds, from which forms and
+options are built.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ class Parameter:
             return str(value)
         if self.type == "choice":
             if value not in self.choices:
-                raise ReferenceError_(f'{self.name} is "{value}"; expected one of {", ".join(self.choices)}')
+                raise ReferenceError_(
+                    f'{self.name} is "{value}"; expected one of {", ".join(self.choices)}'
+                )
             return value
         numbers = self._numbers(value)
         if self.type == "joints":
@@ -106,11 +110,16 @@ class Parameter:
             items = value.replace(",", " ").split() if isinstance(value, str) else np.ravel(value)
             numbers = np.array([float(item) for item in items])
         except (TypeError, ValueError) as error:
-            raise ReferenceError_(f'{self.name} is "{value}"; expected a number or a list like 0.1,0.2') from error
+            raise ReferenceError_(
+                f'{self.name} is "{value}"; expected a number or a list like 0.1,0.2'
+            ) from error
         unit = f" {self.unit}" if self.unit else ""
         for number in numbers:
             if not (self.minimum <= number <= self.maximum):
-                raise ReferenceError_(f"{self.name} is {number:g}{unit}; expected {self.describe_bounds() or 'a number'}")
+                raise ReferenceError_(
+                    f"{self.name} is {number:g}{unit}; expected"
+                    f" {self.describe_bounds() or 'a number'}"
+                )
         if len(numbers) == 0:
             raise ReferenceError_(f"{self.name} is empty; expected a number")
         return numbers
@@ -172,12 +181,16 @@ def spread(machine: Machine, name: str, value: Any) -> Array:
     if x.size == 1:
         x = np.repeat(x, machine.joints)
     if x.shape != (machine.joints,):
-        raise ReferenceError_(f"{name} has {x.size} numbers; {machine.name} has {machine.joints} joint(s): give 1 or {machine.joints}")
+        raise ReferenceError_(
+            f"{name} has {x.size} numbers; {machine.name} has {machine.joints} joint(s): give 1 or"
+            f" {machine.joints}"
+        )
     return x
 
 
 def move_one_joint(machine: Machine, start: Array, joint: int, motion: Array) -> Array:
-    """All joints, shape (N, joints): ``start`` plus ``motion`` (N,) on one joint (1-based), or on every joint for 0.
+    """All joints, shape (N, joints): ``start`` plus ``motion`` (N,) on one joint (1-based), or on
+    every joint for 0.
 
     Examples
     --------
@@ -187,6 +200,9 @@ def move_one_joint(machine: Machine, start: Array, joint: int, motion: Array) ->
     [[0.0, 1.0]]
     """
     if not 0 <= joint <= machine.joints:
-        raise ReferenceError_(f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of them)")
+        raise ReferenceError_(
+            f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of"
+            " them)"
+        )
     moving = np.ones(machine.joints) if joint == 0 else np.eye(machine.joints)[joint - 1]
     return np.asarray(start + motion[:, None] * moving)

@@ -1,4 +1,6 @@
-"""Forward and inverse kinematics of the planar two-joint arm, and Cartesian paths turned into joint motion."""
+"""Forward and inverse kinematics of the planar two-joint arm, and Cartesian paths turned into joint
+motion.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from zendsp.reference.core import Array
 from zendsp.reference.machine import Machine
 
 Elbow = Literal["positive", "negative"]  # sign of q2
-SINGULAR = 1e-3  # |sin q2| below which a Cartesian path is refused: joint speeds grow as its inverse
+# |sin q2| below which a Cartesian path is refused: joint speeds grow as its inverse
+SINGULAR = 1e-3
 
 
 def link_lengths(machine: Machine) -> tuple[float, float]:
@@ -25,8 +28,8 @@ def link_lengths(machine: Machine) -> tuple[float, float]:
     """
     if machine.kind != "planar2r":
         raise ReferenceError_(
-            f"{machine.name} is no planar two-joint arm: Cartesian motions are planned for planar2r machines; "
-            "use a joint-space kind such as point_to_point"
+            f"{machine.name} is no planar two-joint arm: Cartesian motions are planned for planar2r"
+            " machines; use a joint-space kind such as point_to_point"
         )
     return float(machine.parameters["l1"]), float(machine.parameters["l2"])
 
@@ -61,7 +64,8 @@ def forward_kinematics(machine: Machine, q: Array) -> Array:
 def inverse_kinematics(machine: Machine, xy: Array, elbow: Elbow) -> Array:
     """Joint angles that bring the tip to (x, y), one of the two elbow solutions.
 
-    cos q2 = (x^2 + y^2 - l1^2 - l2^2) / (2 l1 l2), q1 = atan2(y, x) - atan2(l2 sin q2, l1 + l2 cos q2).
+    cos q2 = (x^2 + y^2 - l1^2 - l2^2) / (2 l1 l2), q1 = atan2(y, x) - atan2(l2 sin q2, l1 + l2 cos
+    q2).
 
     Parameters
     ----------
@@ -93,14 +97,17 @@ def inverse_kinematics(machine: Machine, xy: Array, elbow: Elbow) -> Array:
     """
     l1, l2 = link_lengths(machine)
     if elbow not in ("positive", "negative"):
-        raise ReferenceError_(f'elbow is "{elbow}"; expected "positive" or "negative" (the sign of q2)')
+        raise ReferenceError_(
+            f'elbow is "{elbow}"; expected "positive" or "negative" (the sign of q2)'
+        )
     x, y = np.asarray(xy[..., 0]), np.asarray(xy[..., 1])
     cosine = (x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2)
     worst = np.unravel_index(int(np.argmax(np.abs(cosine))), np.shape(cosine))
     if abs(cosine[worst]) > 1.0 + 1e-12:
         raise ReferenceError_(
-            f"point ({x[worst]:.4g}, {y[worst]:.4g}) m is {np.hypot(x[worst], y[worst]):.4g} m from the base of {machine.name}, "
-            f"which reaches from {abs(l1 - l2):.4g} to {l1 + l2:.4g} m: move or shrink the path"
+            f"point ({x[worst]:.4g}, {y[worst]:.4g}) m is {np.hypot(x[worst], y[worst]):.4g} m from"
+            f" the base of {machine.name}, which reaches from {abs(l1 - l2):.4g} to {l1 + l2:.4g}"
+            " m: move or shrink the path"
         )
     cosine = np.clip(cosine, -1.0, 1.0)
     sine = np.sqrt(1.0 - cosine**2) * (1.0 if elbow == "positive" else -1.0)
@@ -129,7 +136,9 @@ def jacobian(machine: Machine, q: Array) -> Array:
     return np.stack([top, bottom], axis=1)
 
 
-def cartesian_to_joint(machine: Machine, xy: Array, v: Array, a: Array, elbow: Elbow) -> tuple[Array, Array, Array]:
+def cartesian_to_joint(
+    machine: Machine, xy: Array, v: Array, a: Array, elbow: Elbow
+) -> tuple[Array, Array, Array]:
     """Joint motion of a Cartesian path: qd = J^-1 v, qdd = J^-1 (a - Jd qd).
 
     Parameters
@@ -149,7 +158,8 @@ def cartesian_to_joint(machine: Machine, xy: Array, v: Array, a: Array, elbow: E
     Raises
     ------
     ReferenceError_
-        The path leaves the reach or passes the outstretched or folded arm, where no joint speed follows it.
+        The path leaves the reach or passes the outstretched or folded arm, where no joint speed
+        follows it.
 
     Examples
     --------
@@ -159,13 +169,14 @@ def cartesian_to_joint(machine: Machine, xy: Array, v: Array, a: Array, elbow: E
     >>> q, qd, qdd = cartesian_to_joint(load_machine("imi_planar"), at_rest + 0.3, at_rest, at_rest, "positive")
     >>> float(abs(qd).max())
     0.0
-    """
+    """  # noqa: E501
     q = inverse_kinematics(machine, xy, elbow)
     flat = int(np.argmin(np.abs(np.sin(q[:, 1]))))
     if abs(np.sin(q[flat, 1])) < SINGULAR:
         raise ReferenceError_(
-            f"the path passes ({xy[flat, 0]:.4g}, {xy[flat, 1]:.4g}) m, where the arm of {machine.name} is "
-            "outstretched or folded and joint speeds grow without bound: keep away from the rim of its reach"
+            f"the path passes ({xy[flat, 0]:.4g}, {xy[flat, 1]:.4g}) m, where the arm of"
+            f" {machine.name} is outstretched or folded and joint speeds grow without bound: keep"
+            " away from the rim of its reach"
         )
     j = jacobian(machine, q)
     qd: Array = np.asarray(np.linalg.solve(j, v[:, :, None])[:, :, 0], dtype=np.float64)
@@ -174,7 +185,10 @@ def cartesian_to_joint(machine: Machine, xy: Array, v: Array, a: Array, elbow: E
     a1, a2 = q[:, 0], q[:, 0] + q[:, 1]
     w1, w2 = qd[:, 0] ** 2, (qd[:, 0] + qd[:, 1]) ** 2
     centripetal = -np.stack(
-        [l1 * np.cos(a1) * w1 + l2 * np.cos(a2) * w2, l1 * np.sin(a1) * w1 + l2 * np.sin(a2) * w2], axis=1
+        [l1 * np.cos(a1) * w1 + l2 * np.cos(a2) * w2, l1 * np.sin(a1) * w1 + l2 * np.sin(a2) * w2],
+        axis=1,
     )
-    qdd: Array = np.asarray(np.linalg.solve(j, (a - centripetal)[:, :, None])[:, :, 0], dtype=np.float64)
+    qdd: Array = np.asarray(
+        np.linalg.solve(j, (a - centripetal)[:, :, None])[:, :, 0], dtype=np.float64
+    )
     return q, qd, qdd

@@ -44,12 +44,18 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("position_min", "position_max", "speed", "acceleration", "torque"):
             object.__setattr__(self, name, _per_joint(getattr(self, name)))
-        sizes = {len(getattr(self, name)) for name in ("position_min", "position_max", "speed", "acceleration", "torque")}
+        sizes = {
+            len(getattr(self, name))
+            for name in ("position_min", "position_max", "speed", "acceleration", "torque")
+        }
         if len(sizes) != 1:
-            raise ReferenceError_(f"limits: lists of {sorted(sizes)} joints; every limit needs one value per joint")
+            raise ReferenceError_(
+                f"limits: lists of {sorted(sizes)} joints; every limit needs one value per joint"
+            )
 
     def scaled(self, share: float) -> Limits:
-        """Return limits of which speed, acceleration and torque are a share of these; positions stay.
+        """Return limits of which speed, acceleration and torque are a share of these; positions
+        stay.
 
         Examples
         --------
@@ -57,7 +63,11 @@ class Limits:
         2.5
         """
         return Limits(
-            self.position_min, self.position_max, share * self.speed, share * self.acceleration, share * self.torque
+            self.position_min,
+            self.position_max,
+            share * self.speed,
+            share * self.acceleration,
+            share * self.torque,
         )
 
     @property
@@ -80,33 +90,47 @@ class Violation:
 
     def __str__(self) -> str:
         return (
-            f"joint {self.joint}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.t:.3f} s, "
-            f"limit {self.limit:.4g} {self.unit}{self._share()}"
+            f"joint {self.joint}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.t:.3f}"
+            f" s, limit {self.limit:.4g} {self.unit}{self._share()}"
         )
 
     def _share(self) -> str:
         if self.headroom == 1.0 or self.quantity == "position":
             return ""
-        return f" ({100 * self.headroom:g} % of {self.limit / self.headroom:.4g}: headroom {self.headroom:g})"
+        return (
+            f" ({100 * self.headroom:g} % of {self.limit / self.headroom:.4g}: headroom"
+            f" {self.headroom:g})"
+        )
 
 
-# A limit that is met exactly, as a trapezoid does at its cruise speed, must not fail by the last bit of a sum.
+# A limit that is met exactly, as a trapezoid does at its cruise speed, must not fail by the last
+# bit of a sum.
 ROUNDING = 1e-9
 
 
-def _worst(quantity: str, unit: str, x: Array, low: Array, high: Array, t: Array) -> list[Violation]:
+def _worst(
+    quantity: str, unit: str, x: Array, low: Array, high: Array, t: Array
+) -> list[Violation]:
     found = []
     for joint in range(x.shape[1]):
-        slack = ROUNDING * max(1.0, *(abs(v) for v in (low[joint], high[joint]) if np.isfinite(v)), 1.0)
+        slack = ROUNDING * max(
+            1.0, *(abs(v) for v in (low[joint], high[joint]) if np.isfinite(v)), 1.0
+        )
         above, below = x[:, joint] - high[joint], low[joint] - x[:, joint]
         row = int(np.argmax(np.maximum(above, below)))
         if max(above[row], below[row]) > slack:
             limit = high[joint] if above[row] > below[row] else low[joint]
-            found.append(Violation(quantity, joint + 1, float(t[row]), float(x[row, joint]), float(limit), unit))
+            found.append(
+                Violation(
+                    quantity, joint + 1, float(t[row]), float(x[row, joint]), float(limit), unit
+                )
+            )
     return found
 
 
-def find_violations(reference: Reference, limits: Limits, tau: Array | None = None) -> list[Violation]:
+def find_violations(
+    reference: Reference, limits: Limits, tau: Array | None = None
+) -> list[Violation]:
     """Every limit that a reference breaks, at its worst sample.
 
     Parameters
@@ -137,15 +161,20 @@ def find_violations(reference: Reference, limits: Limits, tau: Array | None = No
     """
     if reference.joints != limits.joints:
         raise ReferenceError_(
-            f"reference has {reference.joints} joint(s), the machine {limits.joints}: choose the machine it was planned for"
+            f"reference has {reference.joints} joint(s), the machine {limits.joints}: choose the"
+            " machine it was planned for"
         )
     torque = reference.tau if tau is None else tau
     u, t = reference.unit, reference.t
     found = _worst("position", u, reference.q, limits.position_min, limits.position_max, t)
     found += _worst("speed", f"{u}/s", reference.qd, -limits.speed, limits.speed, t)
-    found += _worst("acceleration", f"{u}/s^2", reference.qdd, -limits.acceleration, limits.acceleration, t)
+    found += _worst(
+        "acceleration", f"{u}/s^2", reference.qdd, -limits.acceleration, limits.acceleration, t
+    )
     if torque is not None:
-        found += _worst("torque", "N m" if u == "rad" else "N", torque, -limits.torque, limits.torque, t)
+        found += _worst(
+            "torque", "N m" if u == "rad" else "N", torque, -limits.torque, limits.torque, t
+        )
     return found
 
 
@@ -171,6 +200,6 @@ def raise_violations(found: Sequence[Violation], machine: str) -> None:
     if found:
         lines = "\n".join(f"  {violation}" for violation in found)
         raise ReferenceError_(
-            f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n"
-            "  slow it down, make it smaller, move its centre, or use more of the limits (headroom up to 1)"
+            f"reference breaks {len(found)} limit(s) of {machine}:\n{lines}\n  slow it down, make"
+            " it smaller, move its centre, or use more of the limits (headroom up to 1)"
         )

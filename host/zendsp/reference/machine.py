@@ -1,4 +1,6 @@
-"""The machines that references are planned for: their limits and their nominal rigid-body model, from package data."""
+"""The machines that references are planned for: their limits and their nominal rigid-body model,
+from package data.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +84,8 @@ class Machine:
         return make_dynamics(self.kind, self.parameters)
 
     def torque(self, reference: Reference) -> Array:
-        """Torque that the reference needs, N m, shape (N, joints): its own in mode "torque", else inverse dynamics.
+        """Torque that the reference needs, N m, shape (N, joints): its own in mode "torque", else
+        inverse dynamics.
 
         Examples
         --------
@@ -96,7 +99,8 @@ class Machine:
         return self.dynamics.inverse(reference.q, reference.qd, reference.qdd)
 
     def find_violations(self, reference: Reference) -> list[Violation]:
-        """Limits of this machine that a reference breaks, torque included; of each limit the share ``reference.headroom`` counts.
+        """Limits of this machine that a reference breaks, torque included; of each limit the share
+        ``reference.headroom`` counts.
 
         Examples
         --------
@@ -114,7 +118,8 @@ class Machine:
         return [replace(violation, headroom=share) for violation in found]
 
     def check(self, reference: Reference) -> None:
-        """Raise ReferenceError_ naming limit, value, time and joint unless this machine may play the reference.
+        """Raise ReferenceError_ naming limit, value, time and joint unless this machine may play
+        the reference.
 
         Examples
         --------
@@ -138,9 +143,15 @@ def _refuse_unknown(data: Mapping[str, Any], origin: str) -> None:
     parameters = data.get("parameters", {})
     tables = [(data, _KEYS, "the file"), (data.get("limits", {}), _LIMITS, "[limits]")]
     if data.get("kind") in _PARAMETERS:
-        tables.append((parameters, _PARAMETERS[data["kind"]], f"[parameters] of kind {data['kind']!r}"))
+        tables.append(
+            (parameters, _PARAMETERS[data["kind"]], f"[parameters] of kind {data['kind']!r}")
+        )
         tables += [(link, _LINK, "[[parameters.link]]") for link in parameters.get("link", [])]
-    said = [line for table, allowed, where in tables if (line := unknown_keys(table, allowed, f"{origin}: {where}"))]
+    said = [
+        line
+        for table, allowed, where in tables
+        if (line := unknown_keys(table, allowed, f"{origin}: {where}"))
+    ]
     if said:
         raise ReferenceError_("\n".join(said))
 
@@ -159,7 +170,9 @@ def _parse(data: Mapping[str, Any], origin: str) -> Machine:
             parameters=data["parameters"],
         )
     except (KeyError, TypeError) as error:
-        raise ReferenceError_(f"{origin}: machine description lacks or misnames {error}; compare with a shipped one") from error
+        raise ReferenceError_(
+            f"{origin}: machine description lacks or misnames {error}; compare with a shipped one"
+        ) from error
 
 
 @cache
@@ -191,7 +204,10 @@ def load_machine(name: str) -> Machine:
         return _parse(tomllib.loads(text), name)
     path = Path(name)
     if path.suffix != ".toml" or not path.is_file():
-        raise ReferenceError_(f'no machine "{name}": expected {", ".join(MACHINES)} or the path of a .toml description')
+        raise ReferenceError_(
+            f'no machine "{name}": expected {", ".join(MACHINES)} or the path of a .toml'
+            " description"
+        )
     try:
         return _parse(tomllib.loads(path.read_text()), str(path))
     except tomllib.TOMLDecodeError as error:

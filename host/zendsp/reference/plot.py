@@ -1,4 +1,6 @@
-"""The picture of a reference: position, velocity, acceleration and torque within their limits, and the tip's path."""
+"""The picture of a reference: position, velocity, acceleration and torque within their limits, and
+the tip's path.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
-def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: np.ndarray, label: str) -> None:  # type: ignore[type-arg]
+def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: np.ndarray,
+    label: str) -> None:  # type: ignore[type-arg]
     for j in range(reference.joints):
         ax.plot(reference.t, x[:, j], color=COLOURS[j % 7], lw=1.3, label=f"joint {j + 1}")
     span = max(float(np.ptp(x)), 1e-9)
@@ -33,7 +36,9 @@ def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: 
     ax.grid(alpha=0.3)
 
 
-def plot_reference(reference: Reference, machine: Machine, path: str | Path | None = None) -> Figure:
+def plot_reference(
+    reference: Reference, machine: Machine, path: str | Path | None = None
+) -> Figure:
     """Draw a reference over its limits (dashed), and save the picture where a path is given.
 
     Parameters
@@ -73,7 +78,10 @@ def plot_reference(reference: Reference, machine: Machine, path: str | Path | No
         ax = figure.add_subplot(grid[i, 0])
         _draw(ax, reference, x, low, high, label)
         if i == 0:
-            ax.set_title(f"{reference.kind} on {machine.name}, {reference.duration:g} s, sample time {reference.sample_time:g} s")
+            ax.set_title(
+                f"{reference.kind} on {machine.name}, {reference.duration:g} s, sample time"
+                f" {reference.sample_time:g} s"
+            )
             if reference.joints > 1:
                 ax.legend(ncols=4, fontsize="small")
     ax.set_xlabel("t [s]")

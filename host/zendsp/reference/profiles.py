@@ -1,4 +1,6 @@
-"""Time laws that the generators share: rest to rest along a path, and velocity made of straight lines."""
+"""Time laws that the generators share: rest to rest along a path, and velocity made of straight
+lines.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def make_grid(duration: float, sample_time: float) -> Array:
     return np.arange(math.ceil(duration / sample_time - 1e-9) + 1, dtype=np.float64) * sample_time
 
 
-def rest_to_rest(t: Array, duration: float, law: Law, blend: float = 0.25) -> tuple[Array, Array, Array]:
+def rest_to_rest(
+    t: Array, duration: float, law: Law, blend: float = 0.25
+) -> tuple[Array, Array, Array]:
     """Path fraction s from 0 to 1, at rest at both ends, with its first two derivatives.
 
     quintic: s = 10 x^3 - 15 x^4 + 6 x^5, x = t/duration (minimum jerk; Flash and Hogan 1985).
@@ -59,10 +63,15 @@ def rest_to_rest(t: Array, duration: float, law: Law, blend: float = 0.25) -> tu
     """
     if law == "trapezoid":
         if not 0.0 < blend <= 0.5:
-            raise ReferenceError_(f"blend is {blend}; a trapezoid ramps over more than 0 and at most 0.5 of its duration")
+            raise ReferenceError_(
+                f"blend is {blend}; a trapezoid ramps over more than 0 and at most 0.5 of its"
+                " duration"
+            )
         ramp = blend * duration
         speed = 1.0 / (duration - ramp)
-        return integrate_velocity(t, [0.0, ramp, duration - ramp, duration], [0.0, speed, speed, 0.0])
+        return integrate_velocity(
+            t, [0.0, ramp, duration - ramp, duration], [0.0, speed, speed, 0.0]
+        )
     if law != "quintic":
         raise ReferenceError_(f'time law "{law}" is unknown; expected "quintic" or "trapezoid"')
     x = np.clip(t / duration, 0.0, 1.0)
@@ -72,7 +81,9 @@ def rest_to_rest(t: Array, duration: float, law: Law, blend: float = 0.25) -> tu
     return s, sd, sdd
 
 
-def integrate_velocity(t: Array, knots: Sequence[float], speeds: Sequence[float]) -> tuple[Array, Array, Array]:
+def integrate_velocity(
+    t: Array, knots: Sequence[float], speeds: Sequence[float]
+) -> tuple[Array, Array, Array]:
     """Exact position, velocity and acceleration of a velocity that is straight between knots.
 
     Parameters
@@ -99,14 +110,19 @@ def integrate_velocity(t: Array, knots: Sequence[float], speeds: Sequence[float]
     k, w = np.asarray(knots, dtype=np.float64), np.asarray(speeds, dtype=np.float64)
     if np.any(np.diff(k) < -1e-9):
         early = int(np.argmin(np.diff(k)))
-        raise ReferenceError_(f"velocity knots are not in order of time: {k[early]:g} s is followed by {k[early + 1]:g} s")
+        raise ReferenceError_(
+            f"velocity knots are not in order of time: {k[early]:g} s is followed by"
+            f" {k[early + 1]:g} s"
+        )
     k = np.maximum.accumulate(k)
-    keep = np.concatenate([[True], np.diff(k) > 1e-12])  # a ramp of no length (a triangle's cruise) is dropped
+    # a ramp of no length (a triangle's cruise) is dropped
+    keep = np.concatenate([[True], np.diff(k) > 1e-12])
     k, w = k[keep], w[keep]
     slope = np.diff(w) / np.diff(k)
     start = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1]) * np.diff(k))])
     inside = np.clip(t, k[0], k[-1])
-    # 1e-9 s: a sample that falls on a knot but for rounding belongs to the segment that begins there
+    # 1e-9 s: a sample that falls on a knot but for rounding belongs to the segment that begins
+    # there
     i = np.clip(np.searchsorted(k, inside + 1e-9, side="right") - 1, 0, len(slope) - 1)
     h = inside - k[i]
     moving = (t >= k[0]) & (t < k[-1] - 1e-9)
@@ -115,7 +131,8 @@ def integrate_velocity(t: Array, knots: Sequence[float], speeds: Sequence[float]
 
 
 def fade(t: Array, duration: float, ramp: float) -> tuple[Array, Array, Array]:
-    """Window that rises from 0 to 1 over ``ramp`` seconds, stays, and falls again, with two derivatives.
+    """Window that rises from 0 to 1 over ``ramp`` seconds, stays, and falls again, with two
+    derivatives.
 
     Examples
     --------
@@ -127,8 +144,15 @@ def fade(t: Array, duration: float, ramp: float) -> tuple[Array, Array, Array]:
         one = np.ones_like(t)
         return one, 0.0 * one, 0.0 * one
     if 2.0 * ramp > duration:
-        raise ReferenceError_(f"fade of {ramp} s at each end does not fit into {duration} s; at most {duration / 2:.4g} s")
+        raise ReferenceError_(
+            f"fade of {ramp} s at each end does not fit into {duration} s; at most"
+            f" {duration / 2:.4g} s"
+        )
     rise, rise_d, rise_dd = rest_to_rest(t, ramp, "quintic")
     fall, fall_d, fall_dd = rest_to_rest(duration - t, ramp, "quintic")
     first = t < duration / 2
-    return np.where(first, rise, fall), np.where(first, rise_d, -fall_d), np.where(first, rise_dd, fall_dd)
+    return (
+        np.where(first, rise, fall),
+        np.where(first, rise_d, -fall_d),
+        np.where(first, rise_dd, fall_dd),
+    )

@@ -1,4 +1,5 @@
-"""Every kind of reference by name, and the one call that the terminal, the forms and scripts make."""
+"""Every kind of reference by name, and the one call that the terminal, the forms and scripts make.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +29,32 @@ from zendsp.reference.machine import Machine, load_machine
 KINDS: dict[str, Kind] = {
     module.KIND.name: module.KIND
     for module in (
-        point_to_point, line, circle, lspb, trapezoid, triangle, step, chirp, multisine, prbs, torque_law, swing, from_file,
+        point_to_point,
+        line,
+        circle,
+        lspb,
+        trapezoid,
+        triangle,
+        step,
+        chirp,
+        multisine,
+        prbs,
+        torque_law,
+        swing,
+        from_file,
     )
-}  # fmt: skip
+}
 
 HEADROOM = Parameter(
-    "headroom", "float", "", 0.7,
-    "Share of the speed, acceleration and torque limits that the motion may use; the rest is the controller's.",
-    0.05, 1.0,
-)  # fmt: skip
+    "headroom",
+    "float",
+    "",
+    0.7,
+    "Share of the speed, acceleration and torque limits that the motion may use; the rest is the"
+    " controller's.",
+    0.05,
+    1.0,
+)
 
 
 def make_reference(
@@ -57,15 +75,18 @@ def make_reference(
     sample_time : float, optional
         s; the machine's where not given.
     headroom : float
-        Share of the machine's speed, acceleration and torque limits that the motion is planned within, and checked
-        against; what is left is for the controller. It goes into the reference's parameters.
+        Share of the machine's speed, acceleration and torque limits that the motion is planned
+        within, and checked against; what is left is for the controller. It goes into the
+        reference's parameters.
     **parameters
-        Numbers, lists, or the text of a form ("0.1, 0.2"); checked against type, bounds and choices.
+        Numbers, lists, or the text of a form ("0.1, 0.2"); checked against type, bounds and
+        choices.
 
     Returns
     -------
     Reference
-        Not yet checked against the machine's limits: :meth:`Machine.check` or :func:`save_reference` does that.
+        Not yet checked against the machine's limits: :meth:`Machine.check` or
+        :func:`save_reference` does that.
 
     Raises
     ------
@@ -84,13 +105,19 @@ def make_reference(
     chosen = KINDS[kind]
     if not chosen.fits(machine):
         raise ReferenceError_(
-            f"{kind} is planned for machines of kind {', '.join(chosen.machine_kinds)}; {machine.name} is of kind {machine.kind}"
+            f"{kind} is planned for machines of kind {', '.join(chosen.machine_kinds)};"
+            f" {machine.name} is of kind {machine.kind}"
         )
     unknown = set(parameters) - {p.name for p in chosen.parameters}
     if unknown:
         expected = ", ".join(p.name for p in chosen.parameters)
-        raise ReferenceError_(f"{kind} has no parameter {', '.join(sorted(unknown))}; expected {expected}")
-    values = {p.name: p.parse(parameters.get(p.name, p.default_for(machine)), machine) for p in chosen.parameters}
+        raise ReferenceError_(
+            f"{kind} has no parameter {', '.join(sorted(unknown))}; expected {expected}"
+        )
+    values = {
+        p.name: p.parse(parameters.get(p.name, p.default_for(machine)), machine)
+        for p in chosen.parameters
+    }
     share = float(HEADROOM.parse(headroom, machine))
     planned = chosen.make(machine.with_headroom(share), sample_time=sample_time, **values)
     return replace(planned, parameters={**planned.parameters, "headroom": share})

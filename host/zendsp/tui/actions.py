@@ -27,9 +27,17 @@ class Action:
         """The first key as a person reads it."""
         key = self.keys.split(",")[0]
         names = {
-            "question_mark": "?", "slash": "/", "plus": "+", "minus": "-", "left_square_bracket": "[",
-            "right_square_bracket": "]", "space": "space", "enter": "⏎", "delete": "del", "backslash": "\\",
-        }  # fmt: skip
+            "question_mark": "?",
+            "slash": "/",
+            "plus": "+",
+            "minus": "-",
+            "left_square_bracket": "[",
+            "right_square_bracket": "]",
+            "space": "space",
+            "enter": "⏎",
+            "delete": "del",
+            "backslash": "\\",
+        }
         if key.startswith("ctrl+"):
             return "^" + key[5:]
         if key.startswith("f") and key[1:].isdigit():
@@ -40,81 +48,356 @@ class Action:
 def _table() -> tuple[Action, ...]:
     A = Action
     return (
-        # -- everywhere ------------------------------------------------------------------------------------------------
-        A("app", "stop", "f9,ctrl+@", "STOP", "Force the drives to velocity mode with zero reference, now (also Ctrl+Space, or a click on the red field).",
-          footer=True, priority=True),
-        A("app", "show('console')", "f2", "Console", "Tune, watch and drive the machine.", priority=True),
-        A("app", "show('execute')", "f3", "Execute", "Play a planned reference and keep the run.", priority=True),
-        A("app", "show('reference')", "f4", "Reference", "Plan a motion; needs no target.", priority=True),
+        # -- everywhere
+        # ------------------------------------------------------------------------------------------
+        A(
+            "app",
+            "stop",
+            "f9,ctrl+@",
+            "STOP",
+            "Force the drives to velocity mode with zero reference, now (also Ctrl+Space, or a"
+            " click on the red field).",
+            footer=True,
+            priority=True,
+        ),
+        A(
+            "app",
+            "show('console')",
+            "f2",
+            "Console",
+            "Tune, watch and drive the machine.",
+            priority=True,
+        ),
+        A(
+            "app",
+            "show('execute')",
+            "f3",
+            "Execute",
+            "Play a planned reference and keep the run.",
+            priority=True,
+        ),
+        A(
+            "app",
+            "show('reference')",
+            "f4",
+            "Reference",
+            "Plan a motion; needs no target.",
+            priority=True,
+        ),
         A("app", "help", "f1,question_mark", "Help", "Show every key of this screen.", footer=True),
-        A("app", "connect", "ctrl+o", "Connect", "Choose a target, or start a simulated machine here."),
-        A("app", "command", "ctrl+r", "Command right", "Take the exclusive right to command, or give it back."),
-        A("app", "acknowledge", "ctrl+k", "Acknowledge", "Acknowledge a trip or a STOP, so that the drives can be enabled again."),
-        A("app", "next_theme", "ctrl+t", "Theme", "Change the colours: night, day, contrast and Textual's own."),
+        A(
+            "app",
+            "connect",
+            "ctrl+o",
+            "Connect",
+            "Choose a target, or start a simulated machine here.",
+        ),
+        A(
+            "app",
+            "command",
+            "ctrl+r",
+            "Command right",
+            "Take the exclusive right to command, or give it back.",
+        ),
+        A(
+            "app",
+            "acknowledge",
+            "ctrl+k",
+            "Acknowledge",
+            "Acknowledge a trip or a STOP, so that the drives can be enabled again.",
+        ),
+        A(
+            "app",
+            "next_theme",
+            "ctrl+t",
+            "Theme",
+            "Change the colours: night, day, contrast and Textual's own.",
+        ),
         A("app", "command_palette", "ctrl+p", "Palette", "Find any action by name.", footer=True),
-        A("app", "quit", "ctrl+q", "Quit", "Leave; the target goes on as its host-lost setting says.", priority=True),
-        # -- console: the drive sequence --------------------------------------------------------------------------------
-        A("console", "power", "o", "Power", "Switch the drives' power on (to ready) or off; from then on they are not switched by start and pause."),
+        A(
+            "app",
+            "quit",
+            "ctrl+q",
+            "Quit",
+            "Leave; the target goes on as its host-lost setting says.",
+            priority=True,
+        ),
+        # -- console: the drive sequence
+        # --------------------------------------------------------------------------------
+        A(
+            "console",
+            "power",
+            "o",
+            "Power",
+            "Switch the drives' power on (to ready) or off; from then on they are not switched by"
+            " start and pause.",
+        ),
         A("console", "home", "h", "Home", "Find the machine's zero position.", footer=True),
-        A("console", "enable", "e", "Enable", "Enable the drives, or disable them if they are.", footer=True),
+        A(
+            "console",
+            "enable",
+            "e",
+            "Enable",
+            "Enable the drives, or disable them if they are.",
+            footer=True,
+        ),
         A("console", "start", "s", "Start", "Start the control program.", footer=True),
-        A("console", "pause", "p", "Pause", "Pause the control program; the outputs go to the safe state.", footer=True),
-        A("console", "host_lost", "H", "Host lost", "Choose what the target does if this host disappears: stop, hold or finish."),
-        # -- console: program and variables -------------------------------------------------------------------------------
+        A(
+            "console",
+            "pause",
+            "p",
+            "Pause",
+            "Pause the control program; the outputs go to the safe state.",
+            footer=True,
+        ),
+        A(
+            "console",
+            "host_lost",
+            "H",
+            "Host lost",
+            "Choose what the target does if this host disappears: stop, hold or finish.",
+        ),
+        # -- console: program and variables
+        # -------------------------------------------------------------------------------
         A("console", "build", "b", "Build", "Compile the source and download it.", footer=True),
         A("console", "open_source", "O", "Open file", "Choose the C file to build."),
-        A("console", "source", "g", "Source", "Show the source, at the first error if there is one."),
-        A("console", "filter", "slash", "Filter", "Show only variables whose name, unit or description contains some text."),
+        A(
+            "console",
+            "source",
+            "g",
+            "Source",
+            "Show the source, at the first error if there is one.",
+        ),
+        A(
+            "console",
+            "filter",
+            "slash",
+            "Filter",
+            "Show only variables whose name, unit or description contains some text.",
+        ),
         A("console", "edit", "enter", "Edit", "Write one variable at once (asynchronous)."),
-        A("console", "stage", "t", "Stage", "Put a new value aside for the next synchronous update."),
-        A("console", "update", "u", "Update", "Review the staged values and apply them all in one sample.", footer=True),
-        A("console", "undo", "z", "Undo", "Take back what was staged last; where nothing is staged, the last change of variables."),
+        A(
+            "console",
+            "stage",
+            "t",
+            "Stage",
+            "Put a new value aside for the next synchronous update.",
+        ),
+        A(
+            "console",
+            "update",
+            "u",
+            "Update",
+            "Review the staged values and apply them all in one sample.",
+            footer=True,
+        ),
+        A(
+            "console",
+            "undo",
+            "z",
+            "Undo",
+            "Take back what was staged last; where nothing is staged, the last change of"
+            " variables.",
+        ),
         A("console", "initial", "i", "Initial", "Stage the initial value of the marked variable."),
-        A("console", "initial_all", "I", "Reset all", "Stage the initial values of all parameters."),
+        A(
+            "console",
+            "initial_all",
+            "I",
+            "Reset all",
+            "Stage the initial values of all parameters.",
+        ),
         A("console", "sets", "w", "Sets", "Save, compare and load parameter sets."),
-        # -- console: the scope -------------------------------------------------------------------------------------------
-        A("console", "plot", "space", "Plot", "Show the marked variable on the scope, or remove it."),
+        # -- console: the scope
+        # ------------------------------------------------------------------------------------------
+        A(
+            "console",
+            "plot",
+            "space",
+            "Plot",
+            "Show the marked variable on the scope, or remove it.",
+        ),
         A("console", "channels", "c", "Channels", "Choose the curves of the scope."),
         A("console", "mode", "m", "Roll/trig", "Roll, or wait for the trigger."),
         A("console", "trigger", "T", "Trigger", "Set source, level, edge and pre-trigger."),
         A("console", "single", "n", "Single", "Wait for one trigger, then freeze."),
-        A("console", "freeze", "f", "Freeze", "Freeze the picture, or let it go on; the history stays.", footer=True),
-        A("console", "autoscale", "a", "Autoscale", "Fit the axes now; then they follow what is seen, or stay as they are: each press changes that."),
-        A("console", "lanes", "l", "Lanes", "One lane for each unit, or all curves over one another."),
-        A("console", "cursors", "x", "Cursors", "Show two cursors with Δt and Δy; ← → move, v changes cursor."),
+        A(
+            "console",
+            "freeze",
+            "f",
+            "Freeze",
+            "Freeze the picture, or let it go on; the history stays.",
+            footer=True,
+        ),
+        A(
+            "console",
+            "autoscale",
+            "a",
+            "Autoscale",
+            "Fit the axes now; then they follow what is seen, or stay as they are: each press"
+            " changes that.",
+        ),
+        A(
+            "console",
+            "lanes",
+            "l",
+            "Lanes",
+            "One lane for each unit, or all curves over one another.",
+        ),
+        A(
+            "console",
+            "cursors",
+            "x",
+            "Cursors",
+            "Show two cursors with Δt and Δy; ← → move, v changes cursor.",
+        ),
         A("console", "swap_cursor", "v", "Other cursor", "Let the arrows move the other cursor."),
         A("console", "next_curve", "y", "Next curve", "Select the next curve: its axis, its Δy."),
-        A("console", "zoom(-1)", "plus,equals_sign", "Zoom in", "Half the time across the picture."),
+        A(
+            "console",
+            "zoom(-1)",
+            "plus,equals_sign",
+            "Zoom in",
+            "Half the time across the picture.",
+        ),
         A("console", "zoom(1)", "minus", "Zoom out", "Twice the time across the picture."),
-        A("console", "pan(0.25)", "left_square_bracket", "Back", "Look further into the past (freezes)."),
+        A(
+            "console",
+            "pan(0.25)",
+            "left_square_bracket",
+            "Back",
+            "Look further into the past (freezes).",
+        ),
         A("console", "pan(-0.25)", "right_square_bracket", "Forward", "Look towards the present."),
-        A("console", "events", "E", "Events", "Show the event log in the place of the variables, or back (on a small terminal)."),
-        # -- console: what it opens ---------------------------------------------------------------------------------------
-        A("console", "record", "r", "Record", "Record the curves of the scope for some seconds and keep the run."),
-        A("console", "simulate", "S", "Simulate", "Simulate the last run, its source and its reference, with the model of the machine."),
+        A(
+            "console",
+            "events",
+            "E",
+            "Events",
+            "Show the event log in the place of the variables, or back (on a small terminal).",
+        ),
+        # -- console: what it opens
+        # ---------------------------------------------------------------------------------------
+        A(
+            "console",
+            "record",
+            "r",
+            "Record",
+            "Record the curves of the scope for some seconds and keep the run.",
+        ),
+        A(
+            "console",
+            "simulate",
+            "S",
+            "Simulate",
+            "Simulate the last run, its source and its reference, with the model of the machine.",
+        ),
         A("console", "diagnose", "D", "Diagnose", "Look for missing physics in the last run."),
-        # -- execute --------------------------------------------------------------------------------------------------------
-        A("execute", "choose", "o", "Reference", "Choose the planned reference or references to play.", footer=True),
+        # -- execute
+        # ------------------------------------------------------------------------------------------
+        A(
+            "execute",
+            "choose",
+            "o",
+            "Reference",
+            "Choose the planned reference or references to play.",
+            footer=True,
+        ),
         A("execute", "cyclic", "c", "Cyclic", "Ask how many times to play; again: once."),
-        A("execute", "settings", "a", "Acquire", "Set channels, decimation, trigger, pre-positioning and return.", footer=True),
-        A("execute", "note", "n", "Note", "Write the name of the run, and a note that is kept with it."),
-        A("execute", "start", "s", "Start", "Pre-position, play, acquire, return home, store; where the simulated twin passes no limit.", footer=True),
-        A("execute", "abort", "b", "Abort", "Stop this run softly and keep what was acquired.", footer=True),
-        A("execute", "overlay", "space", "Overlay", "Lay the marked run over the others, or take it away.", footer=True),
-        A("execute", "compare", "d", "Compare", "Differences of the overlaid runs: errors, parameters, source."),
+        A(
+            "execute",
+            "settings",
+            "a",
+            "Acquire",
+            "Set channels, decimation, trigger, pre-positioning and return.",
+            footer=True,
+        ),
+        A(
+            "execute",
+            "note",
+            "n",
+            "Note",
+            "Write the name of the run, and a note that is kept with it.",
+        ),
+        A(
+            "execute",
+            "start",
+            "s",
+            "Start",
+            "Pre-position, play, acquire, return home, store; where the simulated twin passes no"
+            " limit.",
+            footer=True,
+        ),
+        A(
+            "execute",
+            "abort",
+            "b",
+            "Abort",
+            "Stop this run softly and keep what was acquired.",
+            footer=True,
+        ),
+        A(
+            "execute",
+            "overlay",
+            "space",
+            "Overlay",
+            "Lay the marked run over the others, or take it away.",
+            footer=True,
+        ),
+        A(
+            "execute",
+            "compare",
+            "d",
+            "Compare",
+            "Differences of the overlaid runs: errors, parameters, source.",
+        ),
         A("execute", "rename", "r", "Rename", "Give the marked run another name."),
-        A("execute", "export", "x", "Export", "Write the marked run as MAT, CSV, NPZ or Parquet.", footer=True),
+        A(
+            "execute",
+            "export",
+            "x",
+            "Export",
+            "Write the marked run as MAT, CSV, NPZ or Parquet.",
+            footer=True,
+        ),
         A("execute", "delete", "delete", "Delete", "Move the marked run to the trash folder."),
-        A("execute", "simulate", "S", "Simulate", "Simulate this run with the model of the machine."),
+        A(
+            "execute",
+            "simulate",
+            "S",
+            "Simulate",
+            "Simulate this run with the model of the machine.",
+        ),
         A("execute", "diagnose", "D", "Diagnose", "Look for missing physics in this run."),
-        # -- reference ------------------------------------------------------------------------------------------------------
+        # -- reference
+        # ------------------------------------------------------------------------------------------
         A("reference", "machine", "m", "Machine", "Choose the machine whose limits count."),
         A("reference", "kind", "k", "Kind", "Choose the kind of motion.", footer=True),
-        A("reference", "view", "v", "View", "Curves over time, or the path in the plane.", footer=True),
-        A("reference", "save", "ctrl+s", "Save", "Write the MAT file that Execute plays.", footer=True),
-        A("reference", "load", "l", "Load", "Open a saved reference, with its parameters where they are known."),
+        A(
+            "reference",
+            "view",
+            "v",
+            "View",
+            "Curves over time, or the path in the plane.",
+            footer=True,
+        ),
+        A(
+            "reference",
+            "save",
+            "ctrl+s",
+            "Save",
+            "Write the MAT file that Execute plays.",
+            footer=True,
+        ),
+        A(
+            "reference",
+            "load",
+            "l",
+            "Load",
+            "Open a saved reference, with its parameters where they are known.",
+        ),
         A("reference", "execute", "x", "Execute", "Save and open it on Execute.", footer=True),
-    )  # fmt: skip
+    )
 
 
 ACTIONS = _table()
@@ -128,6 +411,14 @@ def actions(scope: str) -> Iterator[Action]:
 def bindings(scope: str) -> list[BindingType]:
     """Return the key bindings of one screen, or of ``"app"``, for Textual."""
     return [
-        Binding(a.keys, a.name, a.label, show=a.footer, priority=a.priority, key_display=a.shown_key, tooltip=a.help)
+        Binding(
+            a.keys,
+            a.name,
+            a.label,
+            show=a.footer,
+            priority=a.priority,
+            key_display=a.shown_key,
+            tooltip=a.help,
+        )
         for a in actions(scope)
     ]

@@ -81,14 +81,19 @@ class ZendspApp(App[None]):
         self.model = ""  # model file that simulation and diagnosis were last given
         self.workspace = Workspace(folder)
         self.source = source
-        self._find, self._start_machine, self._machines = find_targets, start_machine, tuple(machines)
+        self._find, self._start_machine, self._machines = (
+            find_targets,
+            start_machine,
+            tuple(machines),
+        )
         self._target, self._first, self._theme_name, self._begin = target, first, theme, begin
         self.chosen: tuple[Path, ...] = ()  # references that Execute will play
         self._expected = 0.0  # until when keys wait for a dialog
         self._held: list[events.Key] = []
         self._screens: dict[str, LabScreen] = {}
 
-    # -- life ---------------------------------------------------------------------------------------------------------
+    # -- life
+    # ----------------------------------------------------------------------------------------------
 
     async def on_mount(self) -> None:
         from zendsp.tui.screens.console import ConsoleScreen
@@ -101,7 +106,8 @@ class ZendspApp(App[None]):
         self.session.start()
         makers = {"console": ConsoleScreen, "execute": ExecuteScreen, "reference": ReferenceScreen}
         for name, maker in makers.items():
-            self.add_mode(name, lambda name=name, maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
+            self.add_mode(name, lambda name=name,
+                maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
         # All are built before the first picture: none has to be built when its key is pressed.
         for name in sorted(makers, key=lambda name: name == self._first):
             await self.switch_mode(name)
@@ -113,7 +119,8 @@ class ZendspApp(App[None]):
     def on_unmount(self) -> None:
         self.session.close()
 
-    # -- actions of the table that belong to no screen ------------------------------------------------------------------
+    # -- actions of the table that belong to no screen
+    # ------------------------------------------------------------------
 
     async def action_stop(self) -> None:
         """STOP."""
@@ -133,7 +140,9 @@ class ZendspApp(App[None]):
 
     def action_next_theme(self) -> None:
         """Change the colours."""
-        names = [t.name for t in THEMES] + sorted(n for n in self.available_themes if not n.startswith("zendsp"))
+        names = [t.name for t in THEMES] + sorted(
+            n for n in self.available_themes if not n.startswith("zendsp")
+        )
         self.theme = names[(names.index(self.theme) + 1) % len(names)]
 
     def action_connect(self) -> None:
@@ -148,13 +157,19 @@ class ZendspApp(App[None]):
             found = []
             self.session.events.add(f"discovery: {error}", "warning")
         options = [Option(f"target {name}", name, text) for name, text in found]
-        options += [Option(f"machine {m}", f"start {m} here", "a simulated machine in a process of its own") for m in self._machines]
+        options += [
+            Option(f"machine {m}", f"start {m} here", "a simulated machine in a process of its own")
+            for m in self._machines
+        ]
         self.call_from_thread(self._offer_targets, options)
 
     def _offer_targets(self, options: list[Option]) -> None:
         if not options:
             self.no_dialog()
-            self.toast("no target answers, and none can be started here; start one with: zendsp target", "warning")
+            self.toast(
+                "no target answers, and none can be started here; start one with: zendsp target",
+                "warning",
+            )
             return
         self.push_screen(Choose("Connect to", options), self._connect)
 
@@ -166,7 +181,9 @@ class ZendspApp(App[None]):
             self.session.connect(name)
         elif self._start_machine is not None:
             self.toast(f"starting {name} …", "information")
-            self.run_worker(lambda: self._start_here(name), thread=True, exclusive=True, group="discovery")
+            self.run_worker(
+                lambda: self._start_here(name), thread=True, exclusive=True, group="discovery"
+            )
 
     def _start_here(self, machine: str) -> None:
         assert self._start_machine is not None
@@ -185,8 +202,14 @@ class ZendspApp(App[None]):
         elif self.session.snapshot.commander:
             who = self.session.snapshot.commander
             self.push_screen(
-                Message("Take over", f"{who} commands this target.\nTaking over ends that at once.", agree="Take over"),
-                lambda yes: self.drive("take the command right", "take", force=True) if yes else None,
+                Message(
+                    "Take over",
+                    f"{who} commands this target.\nTaking over ends that at once.",
+                    agree="Take over",
+                ),
+                lambda yes: (
+                    self.drive("take the command right", "take", force=True) if yes else None
+                ),
             )
         else:
             self.drive("take the command right", "take")
@@ -196,14 +219,19 @@ class ZendspApp(App[None]):
         self.session.acknowledged()
         self.drive("acknowledge", "acknowledge")
 
-    # -- keys -----------------------------------------------------------------------------------------------------------
+    # -- keys
+    # ----------------------------------------------------------------------------------------------
 
     def get_driver_class(self) -> type[Driver]:
         """Read the keys that the process of STOP hands on."""
-        return with_stop(super().get_driver_class(), lambda: self.session.stopper, lambda: self.session.stop())
+        return with_stop(
+            super().get_driver_class(), lambda: self.session.stopper, lambda: self.session.stop()
+        )
 
     def expect_dialog(self) -> None:
-        """Hold back the keys from now on until a dialog is there to take them, for :data:`HELD_S` at the most."""
+        """Hold back the keys from now on until a dialog is there to take them, for :data:`HELD_S`
+        at the most.
+        """
         self._expected = time.monotonic() + HELD_S
 
     def no_dialog(self) -> None:
@@ -212,7 +240,9 @@ class ZendspApp(App[None]):
         self._held.clear()
 
     async def hand_over(self, dialog: Dialog[Any]) -> None:
-        """Hand the dialog what was typed before it was there; later keys wait in this task's queue meanwhile."""
+        """Hand the dialog what was typed before it was there; later keys wait in this task's queue
+        meanwhile.
+        """
         self._expected = 0.0
         dialog.opened = True
         held, self._held = self._held, []
@@ -234,7 +264,8 @@ class ZendspApp(App[None]):
             self.no_dialog()
         return bool(self._expected)
 
-    # -- helpers of the screens -------------------------------------------------------------------------------------------
+    # -- helpers of the screens
+    # -------------------------------------------------------------------------------------------
 
     def drive(self, label: str, verb: str, **values: object) -> None:
         """Ask something of the drives; a refusal is shown with its reason."""
@@ -265,7 +296,9 @@ class ZendspApp(App[None]):
 
     def toast(self, text: str, level: str = "information") -> None:
         """Show a short message over the screen; brackets of units survive."""
-        severity = "error" if level == "error" else "warning" if level == "warning" else "information"
+        severity = (
+            "error" if level == "error" else "warning" if level == "warning" else "information"
+        )
         self.notify(text, severity=severity, timeout=6, markup=False)  # type: ignore[arg-type]
 
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:

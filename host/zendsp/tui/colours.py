@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from textual.theme import Theme
 
-# From the palette of Okabe and Ito (2008), "Color Universal Design", moved apart by search so that every pair stays distinct
-# under full protanopia and deuteranopia (Machado et al. 2009) and keeps a contrast of 3:1 against its background
-# (tests/tui/test_scope.py measures both).
+# From the palette of Okabe and Ito (2008), "Color Universal Design", moved apart by search so that
+# every pair stays distinct under full protanopia and deuteranopia (Machado et al. 2009) and keeps a
+# contrast of 3:1 against its background (tests/tui/test_scope.py measures both).
 DARK = ("#5AD0FA", "#FB7B00", "#42DB91", "#FFF24A", "#C66FA0", "#DB543F", "#8087FF", "#EDF5F3")
 LIGHT = ("#0067B6", "#E52521", "#036B45", "#A23B78", "#558124", "#3B32D1", "#2987A8", "#303030")
 
@@ -23,7 +23,9 @@ class TraceColours:
 
 
 def trace_colours(theme: Theme) -> TraceColours:
-    """Return the trace colours for a theme: its own variables ``trace-1`` … where it has them, else by darkness."""
+    """Return the trace colours for a theme: its own variables ``trace-1`` … where it has them, else
+    by darkness.
+    """
     base = DARK if theme.dark else LIGHT
     own = theme.variables
     traces = tuple(own.get(f"trace-{k + 1}", colour) for k, colour in enumerate(base))
@@ -76,6 +78,10 @@ THEMES = (
         success="#57F0C2",
         warning="#FFD000",
         error="#FF8A7A",
-        variables={"footer-key-foreground": "#FFD000", "border": "#A0A0A0", "scope-grid": "#8C8C8C"},
+        variables={
+            "footer-key-foreground": "#FFD000",
+            "border": "#A0A0A0",
+            "scope-grid": "#8C8C8C",
+        },
     ),
 )

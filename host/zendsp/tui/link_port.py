@@ -38,7 +38,8 @@ class LinkPort:
         self._looked = 0
         self._recorder: m.AcquireStatus | None = None
 
-    # -- what is ------------------------------------------------------------------------------------------------------
+    # -- what is
+    # ----------------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
         """Ask for everything a screen shows; five quick requests at the most."""
@@ -52,7 +53,9 @@ class LinkPort:
         if self._names and s.state not in ("empty", "crashed"):
             with contextlib.suppress(RunnerDied):
                 values = self.target.read(self._names).values
-        if self._looked % LOST_EVERY == 0 or (self._recorder is not None and self._recorder.state in ("armed", "running")):
+        if self._looked % LOST_EVERY == 0 or (
+            self._recorder is not None and self._recorder.state in ("armed", "running")
+        ):
             with contextlib.suppress(ZendspError):
                 self._recorder = self.target.acquire_status()
         self._looked += 1
@@ -60,7 +63,9 @@ class LinkPort:
             raise LinkError(f"target {self.target.name} is out of reach")
         return self._make(s, drive, values, latency)
 
-    def _make(self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float) -> Snapshot:
+    def _make(
+        self, s: m.Status, drive: m.DriveStatus, values: Mapping[str, Any], latency: float
+    ) -> Snapshot:
         t, recorder = s.timing, self._recorder
         io = {name: np.ravel(np.asarray(plain(value))) for name, value in s.io.items()}
         return Snapshot(
@@ -101,7 +106,9 @@ class LinkPort:
         )
 
     def _learn(self, program: str) -> None:
-        """Read the dictionary of a new program: its own variables first, then what the runtime itself offers."""
+        """Read the dictionary of a new program: its own variables first, then what the runtime
+        itself offers.
+        """
         self._program = program
         if not program:
             self._variables, self._names, self._joints = (), [], ()
@@ -109,11 +116,18 @@ class LinkPort:
         self._joints = self.target.machine().joints
         own = [_variable(info, info.kind) for info in self.target.variables().values()]
         names = {v.name for v in own}
-        builtin = [_variable(info, "signal") for info in self.target.builtins().values() if info.name not in names]
+        builtin = [
+            _variable(info, "signal")
+            for info in self.target.builtins().values()
+            if info.name not in names
+        ]
         self._variables = (*own, *builtin)
-        self._names = [v.name for v in self._variables if v.kind != "table" and v.length <= SHOWN_ELEMENTS]
+        self._names = [
+            v.name for v in self._variables if v.kind != "table" and v.length <= SHOWN_ELEMENTS
+        ]
 
-    # -- live ---------------------------------------------------------------------------------------------------------
+    # -- live
+    # ----------------------------------------------------------------------------------------------
 
     def live(self, names: Sequence[str], sink: Sink) -> Callable[[], None]:
         """Follow signals; returns what ends it."""
@@ -126,7 +140,8 @@ class LinkPort:
         view = self.target.live(names, decimation, LIVE_INTERVAL_S, history=0.1, callback=take)
         return view.close
 
-    # -- program ------------------------------------------------------------------------------------------------------
+    # -- program
+    # ----------------------------------------------------------------------------------------------
 
     def stop(self) -> str:
         """STOP; returns how it ended."""
@@ -153,7 +168,8 @@ class LinkPort:
         self._program = ""
         return Build(True, result.seconds, result.cached, _remarks(result))
 
-    # -- variables ----------------------------------------------------------------------------------------------------
+    # -- variables
+    # ----------------------------------------------------------------------------------------------
 
     def write(self, values: Mapping[str, Any]) -> int:
         """Write asynchronously, then wait for the word that it acts."""
@@ -179,7 +195,8 @@ class LinkPort:
         """Try a run on a simulated twin of the machine; this one does not move."""
         return rehearse(self.target, tables, values, seconds, tell)
 
-    # -- drives -------------------------------------------------------------------------------------------------------
+    # -- drives
+    # ----------------------------------------------------------------------------------------------
 
     def drive(self, verb: str, **values: Any) -> str:
         """Ask something of the drives; homing is waited for."""
@@ -188,7 +205,8 @@ class LinkPort:
         said: m.Said = self.target.request("drive", action=verb, **values)
         return said.text
 
-    # -- acquisition --------------------------------------------------------------------------------------------------
+    # -- acquisition
+    # ----------------------------------------------------------------------------------------------
 
     def arm(self, shot: Shot) -> None:
         """Configure and start the recorder."""
@@ -210,7 +228,9 @@ class LinkPort:
 
     def acquire(self, shot: Shot, note: str = "") -> Recording:
         """Record, wait, bring home."""
-        return self.target.acquire(shot.channels, shot.seconds, shot.decimation, _trigger(shot), note=note)
+        return self.target.acquire(
+            shot.channels, shot.seconds, shot.decimation, _trigger(shot), note=note
+        )
 
     def close(self) -> None:
         """Leave the target as it is (one that was started here ends)."""
@@ -226,16 +246,31 @@ def _trip(trip: m.Trip | None) -> TripView | None:
 def _variable(info: m.VariableInfo, kind: str) -> Variable:
     kind = kind if kind in ("parameter", "table") else "signal"
     return Variable(
-        info.name, info.type, info.length, kind, info.unit, info.minimum, info.maximum, plain(info.initial), info.description, info.columns
+        info.name,
+        info.type,
+        info.length,
+        kind,
+        info.unit,
+        info.minimum,
+        info.maximum,
+        plain(info.initial),
+        info.description,
+        info.columns,
     )
 
 
 def _remarks(result: m.CompileResult) -> tuple[Remark, ...]:
-    return tuple(Remark(d.severity, d.file, d.line, d.column, d.message) for d in result.diagnostics)
+    return tuple(
+        Remark(d.severity, d.file, d.line, d.column, d.message) for d in result.diagnostics
+    )
 
 
 def _trigger(shot: Shot) -> Trigger | None:
-    return Trigger(source=shot.trigger, level=shot.level, edge=shot.edge, pre_s=shot.pre_s) if shot.trigger else None
+    return (
+        Trigger(source=shot.trigger, level=shot.level, edge=shot.edge, pre_s=shot.pre_s)
+        if shot.trigger
+        else None
+    )
 
 
 def open_port(name: str) -> LinkPort:
@@ -248,7 +283,11 @@ def find_targets() -> list[tuple[str, str]]:
     found = []
     for target in discover():
         info = target.info
-        words = f"{info.machine}, {info.rate_hz:g} Hz, {info.clock} clock, {info.hostname}" if info else target.problem
+        words = (
+            f"{info.machine}, {info.rate_hz:g} Hz, {info.clock} clock, {info.hostname}"
+            if info
+            else target.problem
+        )
         found.append((target.name, words))
     return found
 

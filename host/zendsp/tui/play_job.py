@@ -1,4 +1,6 @@
-"""One run from Start to its folder on disk, on a thread of its own; the screen looks at ``progress``."""
+"""One run from Start to its folder on disk, on a thread of its own; the screen looks at
+``progress``.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ class Progress:
 
 
 def usual_channels(snapshot: Snapshot) -> tuple[str, ...]:
-    """Return reference, position, velocity, error and command signals that the program declares, arrays first."""
+    """Return reference, position, velocity, error and command signals that the program declares,
+    arrays first.
+    """
     names = [v.name for v in snapshot.variables if v.kind == "signal"]
     chosen = [n for n in USUAL if n in names]
     for stem in USUAL:
@@ -81,13 +85,16 @@ class PlayJob:
         """Whether it still goes on."""
         return not self.result.done()
 
-    # -- on the thread ------------------------------------------------------------------------------------------------
+    # -- on the thread
+    # ----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:
             run = self._play(self._session.require())
         except Exception as error:
-            word = str(error) if isinstance(error, ZendspError) else f"{type(error).__name__}: {error}"
+            word = (
+                str(error) if isinstance(error, ZendspError) else f"{type(error).__name__}: {error}"
+            )
             self._session.events.add(f"run: {word}", "error")
             self.result.set_exception(error)
             return
@@ -119,13 +126,17 @@ class PlayJob:
         return self._keep(port, player, before, outcome, (begins + lead, ends + lead))
 
     def _rehearse(self, port: Port, plan: Plan) -> bool:
-        """Try the run on a simulated twin before anything moves, if the preflight has not; False where it was aborted meanwhile."""
+        """Try the run on a simulated twin before anything moves, if the preflight has not; False
+        where it was aborted meanwhile.
+        """
 
         def tell(share: float) -> None:
             self.progress = Progress("simulating", share)
 
         tell(0.0)
-        found = self._trial.found(plan) or port.rehearse(plan.tables, plan.values, plan.seconds, tell)
+        found = self._trial.found(plan) or port.rehearse(
+            plan.tables, plan.values, plan.seconds, tell
+        )
         if found.trip is not None:
             raise Refused(f"nothing was moved: {found.text}")
         self._session.events.add(f"run: {found.text}", "info" if found.good else "warning")
@@ -137,7 +148,9 @@ class PlayJob:
         return Shot(channels, total, s.decimation, s.trigger, s.level, s.edge, s.pre_s)
 
     def _come_to_rest(self, port: Port, player: Player, snapshot: Snapshot) -> None:
-        """Let the program hold the arm where it is, and pause when it stands: a pause in motion would let it coast."""
+        """Let the program hold the arm where it is, and pause when it stands: a pause in motion
+        would let it coast.
+        """
         here = present_position(snapshot, self._machine.joints)
         if here is not None:
             if player.torque_table:
@@ -147,12 +160,19 @@ class PlayJob:
                 time.sleep(REST_S)
         port.pause()
 
-    def _follow(self, port: Port, player: Player, first: int, lead: float, total: float, playlist: Any) -> str:
+    def _follow(
+        self, port: Port, player: Player, first: int, lead: float, total: float, playlist: Any
+    ) -> str:
         """Watch until the end; returns the outcome in words."""
         while True:
             s = port.snapshot()
             t = (s.tick - first) / s.rate_hz - lead
-            self.progress = Progress(playlist.phase(max(t, 0.0)), min(max(t / playlist.duration, 0.0), 1.0), t, playlist.duration)
+            self.progress = Progress(
+                playlist.phase(max(t, 0.0)),
+                min(max(t / playlist.duration, 0.0), 1.0),
+                t,
+                playlist.duration,
+            )
             if s.trip is not None or s.drive in ("stopped", "tripped"):
                 return f"tripped: {s.trip.text}" if s.trip is not None else "stopped"
             if s.crash or s.state == "crashed":
@@ -165,7 +185,9 @@ class PlayJob:
                 self._come_to_rest(port, player, s)
                 return "aborted"
 
-    def _keep(self, port: Port, player: Player, before: Snapshot, outcome: str, play: tuple[float, float]) -> Run:
+    def _keep(
+        self, port: Port, player: Player, before: Snapshot, outcome: str, play: tuple[float, float]
+    ) -> Run:
         self.progress = replace(self.progress, phase="loading")
         if outcome != "complete":
             port.end_acquisition()
@@ -190,7 +212,9 @@ class PlayJob:
         port.end_acquisition()
 
 
-def cut(recording: Recording, first_tick: int, rate_hz: float, play: tuple[float, float]) -> Recording:
+def cut(
+    recording: Recording, first_tick: int, rate_hz: float, play: tuple[float, float]
+) -> Recording:
     """Return the rows of the motion itself, without the way there and back."""
     start = (recording.start_tick - first_tick) / rate_hz
     step = recording.decimation / rate_hz

@@ -1,8 +1,10 @@
-"""Playing a planned reference: one table of rows from where the arm stands, through the motion, back home; and who takes it.
+"""Playing a planned reference: one table of rows from where the arm stands, through the motion,
+back home; and who takes it.
 
-A program can play references if it follows the convention of docs/references.md: a table ``ref`` with one column for each
-joint, and where it has them ``ref_tau`` (torque that goes with the rows), ``use_table`` (set to 1), ``row_rate`` (rows a
-second) and ``approach_time`` (kept short: the table begins where the arm stands).
+A program can play references if it follows the convention of docs/references.md: a table ``ref``
+with one column for each joint, and where it has them ``ref_tau`` (torque that goes with the rows),
+``use_table`` (set to 1), ``row_rate`` (rows a second) and ``approach_time`` (kept short: the table
+begins where the arm stands).
 """
 
 from __future__ import annotations
@@ -88,35 +90,48 @@ def find_player(variables: Sequence[Variable]) -> Player | None:
         return None
     names = {v.name for v in variables if v.kind == "parameter"}
     known = tuple(n for n in ("use_table", "row_rate", "approach_time") if n in names)
-    torque = next((v.name for v in tables if v.name == f"{chosen.name}_tau" and v.columns == chosen.columns), "")
+    torque = next(
+        (v.name for v in tables if v.name == f"{chosen.name}_tau" and v.columns == chosen.columns),
+        "",
+    )
     return Player(chosen.name, chosen.columns, chosen.length // chosen.columns, torque, known)
 
 
 def present_position(snapshot: Snapshot, joints: int) -> Floats | None:
     """Return where the arm stands by its encoders, or None where they are unknown.
 
-    A program's own signals would not do: before its first sample, and while it is paused, they are not computed.
+    A program's own signals would not do: before its first sample, and while it is paused, they are
+    not computed.
     """
     return np.array(snapshot.position) if len(snapshot.position) == joints else None
 
 
-def smooth_move(start: Floats, goal: Floats, machine: Machine, share: float, period: float) -> Floats:
+def smooth_move(
+    start: Floats, goal: Floats, machine: Machine, share: float, period: float
+) -> Floats:
     """Return rows from one position to another at rest at both ends, by the fifth-order polynomial.
 
-    Its peak speed is 15/8 · distance/T and its peak acceleration 10/√3 · distance/T²; T is the time at which the slowest joint
-    reaches the given share of its limits.
+    Its peak speed is 15/8 · distance/T and its peak acceleration 10/√3 · distance/T²; T is the time
+    at which the slowest joint reaches the given share of its limits.
     """
     way = np.abs(goal - start)
     if not np.any(way > 1e-9):
         return start[None, :].copy()
     speed = np.where(np.isfinite(machine.limits.speed), machine.limits.speed, 1.0) * share
-    acceleration = np.where(np.isfinite(machine.limits.acceleration), machine.limits.acceleration, 10.0) * share
-    time = float(max((1.875 * way / speed).max(), np.sqrt(5.7735 * way / acceleration).max(), 20.0 * period))
+    acceleration = (
+        np.where(np.isfinite(machine.limits.acceleration), machine.limits.acceleration, 10.0)
+        * share
+    )
+    time = float(
+        max((1.875 * way / speed).max(), np.sqrt(5.7735 * way / acceleration).max(), 20.0 * period)
+    )
     s = np.linspace(0.0, 1.0, round(time / period) + 1)[:, None]
     return np.asarray(start + (goal - start) * s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
-def make_playlist(references: Sequence[Reference], machine: Machine, start: Floats, setup: Setup, player: Player) -> Playlist:
+def make_playlist(
+    references: Sequence[Reference], machine: Machine, start: Floats, setup: Setup, player: Player
+) -> Playlist:
     """Join everything into one table.
 
     Parameters
@@ -129,13 +144,14 @@ def make_playlist(references: Sequence[Reference], machine: Machine, start: Floa
         Where the arm stands, rad.
     setup : Setup
     player : Player
-        Where the rows do not fit into its table, every second, third … row is left out, since programs interpolate.
+        Where the rows do not fit into its table, every second, third … row is left out, since
+        programs interpolate.
 
     Raises
     ------
     ReferenceError_
-        No reference, wrong number of joints, a torque that the program cannot take, or the arm is not at its start and
-        pre-positioning is off.
+        No reference, wrong number of joints, a torque that the program cannot take, or the arm is
+        not at its start and pre-positioning is off.
     """
     if not references:
         raise ReferenceError_("choose a reference first (o)")
@@ -156,44 +172,71 @@ def make_playlist(references: Sequence[Reference], machine: Machine, start: Floa
     still = round(SETTLE_S / period)
     for k, reference in enumerate(references):
         if reference.joints != player.columns:
-            raise ReferenceError_(f"the reference has {reference.joints} joints, the program's table {player.columns} columns")
+            raise ReferenceError_(
+                f"the reference has {reference.joints} joints, the program's table {player.columns}"
+                " columns"
+            )
         if reference.mode == "torque" and not player.torque_table:
-            raise ReferenceError_("this reference is a torque law and the program has no table ref_tau: build one that has")
+            raise ReferenceError_(
+                "this reference is a torque law and the program has no table ref_tau: build one"
+                " that has"
+            )
         if abs(reference.sample_time - period) > 1e-12:
-            raise ReferenceError_("the chosen references have different sample times: play them one by one")
+            raise ReferenceError_(
+                "the chosen references have different sample times: play them one by one"
+            )
         away = float(np.abs(reference.q[0] - here).max())
         if away > 1e-3 and not setup.preposition:
-            raise ReferenceError_(f"the arm is {away:.3g} rad away from the start: switch pre-positioning on (a)")
+            raise ReferenceError_(
+                f"the arm is {away:.3g} rad away from the start: switch pre-positioning on (a)"
+            )
         move = smooth_move(here, reference.q[0], machine, setup.share, period)
         add("pre-position", np.vstack((move, np.repeat(move[-1:], still, axis=0))))
         for cycle in range(setup.cycles):
             name = f"play {cycle + 1}/{setup.cycles}" if setup.cycles > 1 else "play"
             if cycle and float(np.abs(reference.q[0] - here).max()) > 1e-3:
-                add("return to start", smooth_move(here, reference.q[0], machine, setup.share, period))
-            add(name if len(references) == 1 else f"{name} of {k + 1}", np.asarray(reference.q), reference.tau)
+                add(
+                    "return to start",
+                    smooth_move(here, reference.q[0], machine, setup.share, period),
+                )
+            add(
+                name if len(references) == 1 else f"{name} of {k + 1}",
+                np.asarray(reference.q),
+                reference.tau,
+            )
     if setup.go_home:
         back = smooth_move(here, machine.home, machine, setup.share, period)
         add("go home", np.vstack((np.repeat(here[None, :], still, axis=0), back)))
     rows, torque = np.vstack(parts), np.vstack(torques)
     thin = _thinning(len(rows), player.capacity, round(1.0 / period))
     if thin > 1:
-        rows, torque = np.vstack((rows[::thin], rows[-1:])), np.vstack((torque[::thin], torque[-1:]))
+        rows, torque = np.vstack((rows[::thin], rows[-1:])), np.vstack(
+            (torque[::thin], torque[-1:])
+        )
     return Playlist(rows, torque, 1.0 / (period * thin), tuple(phases))
 
 
 def _thinning(rows: int, capacity: int, rate: int) -> int:
-    """Return every how many rows one is kept: they must fit, and the rows a second must stay a whole number."""
+    """Return every how many rows one is kept: they must fit, and the rows a second must stay a
+    whole number.
+    """
     thin = 1
     while rows // thin + 2 > capacity or rate % thin:
         thin += 1
         if thin > rate:
-            raise ReferenceError_(f"{rows} rows do not fit into the program's table of {capacity}: play fewer cycles")
+            raise ReferenceError_(
+                f"{rows} rows do not fit into the program's table of {capacity}: play fewer cycles"
+            )
     return thin
 
 
 def player_values(player: Player, playlist: Playlist) -> dict[str, Any]:
     """Return the parameters to set before the table is played."""
-    wanted: Mapping[str, Any] = {"use_table": True, "row_rate": round(playlist.rate), "approach_time": APPROACH_S}
+    wanted: Mapping[str, Any] = {
+        "use_table": True,
+        "row_rate": round(playlist.rate),
+        "approach_time": APPROACH_S,
+    }
     return {name: wanted[name] for name in player.parameters}
 
 

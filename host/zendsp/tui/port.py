@@ -1,4 +1,5 @@
-"""What the terminal needs of a target; ``link_port`` fulfils it with a :class:`zendsp.link.Target`."""
+"""What the terminal needs of a target; ``link_port`` fulfils it with a :class:`zendsp.link.Target`.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +68,8 @@ class Port(Protocol):
     def load(self, note: str = "") -> Recording: ...
     def end_acquisition(self) -> None: ...
     def acquire(self, shot: Shot, note: str = "") -> Recording: ...  # arm, wait, load
-    def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int: ...  # a table; the tick at which it took effect
+    # a table; the tick at which it took effect
+    def fill(self, name: str, rows: npt.NDArray[np.float64]) -> int: ...
     def rehearse(
         self,
         tables: Mapping[str, npt.NDArray[np.float64]],

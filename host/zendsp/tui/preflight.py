@@ -29,10 +29,17 @@ def machine_of(snapshot: Snapshot) -> Machine | None:
 
 
 def preflight(
-    snapshot: Snapshot, references: Sequence[Reference], files: Sequence[Path], setup: Setup, busy: bool,
-    trial: Trial, port: Port | None,
-) -> list[Condition]:  # fmt: skip
-    """Return every condition of Start, in the order in which one would see to them; has the run tried where it can be."""
+    snapshot: Snapshot,
+    references: Sequence[Reference],
+    files: Sequence[Path],
+    setup: Setup,
+    busy: bool,
+    trial: Trial,
+    port: Port | None,
+) -> list[Condition]:
+    """Return every condition of Start, in the order in which one would see to them; has the run
+    tried where it can be.
+    """
     s = snapshot
     plan = None
     found = [Condition("link to a target", s.link == "up", "Ctrl+O connects")]
@@ -54,7 +61,9 @@ def preflight(
             "it must declare TABLE(ref, rows, joints, …), as pd.c does",
         )
     )
-    found.append(Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one"))
+    found.append(
+        Condition(f"reference chosen{_names(files)}", bool(references), "o chooses; F4 plans one")
+    )
     if references and machine is not None:
         found.append(_fits(references, machine))
         if player is not None:
@@ -70,15 +79,25 @@ def preflight(
         )
     )
     found.append(
-        Condition("drives enabled", s.drive in ("enabled", "running"), f"on Console (F2): {_steps(s)}")
+        Condition(
+            "drives enabled", s.drive in ("enabled", "running"), f"on Console (F2): {_steps(s)}"
+        )
     )
     found.append(
-        Condition("you may command", s.mine or not s.commander, f"{s.commander} commands; Ctrl+R takes over")
+        Condition(
+            "you may command",
+            s.mine or not s.commander,
+            f"{s.commander} commands; Ctrl+R takes over",
+        )
     )
     known = {v.name for v in s.variables}
     missing = [c for c in setup.channels if c.split("[")[0] not in known]
     found.append(
-        Condition("channels exist", not missing, f"the program has no {', '.join(missing)}: choose again (a)")
+        Condition(
+            "channels exist",
+            not missing,
+            f"the program has no {', '.join(missing)}: choose again (a)",
+        )
     )
     found.append(Condition("no run in progress", not busy, "abort it with b"))
     trial.look(None if busy or s.state == "running" else plan, port)
@@ -86,7 +105,9 @@ def preflight(
 
 
 def _steps(s: Snapshot) -> str:
-    """Return the keys that are still to be pressed until the drives are enabled; o would switch off what is on."""
+    """Return the keys that are still to be pressed until the drives are enabled; o would switch off
+    what is on.
+    """
     steps = ["power (o)", "home (h)", "enable (e)"]
     done = {"ready": 1, "homed": 2}.get(s.drive, 0) if s.explicit else 0
     return ", ".join(steps[done:])
@@ -126,9 +147,15 @@ def _tried(plan: Plan, trial: Trial, moving: bool) -> Condition:
     """What the run would do by the simulated twin, before Start."""
     found, problem = trial.found(plan), trial.problem(plan)
     if found is not None:
-        return Condition(found.text, True) if found.trip is None else Condition("no limit is passed", False, found.text)
+        return (
+            Condition(found.text, True)
+            if found.trip is None
+            else Condition("no limit is passed", False, found.text)
+        )
     if moving:
-        return Condition("a program runs: Start pauses it, and tries the run on a simulated twin first", True)
+        return Condition(
+            "a program runs: Start pauses it, and tries the run on a simulated twin first", True
+        )
     if problem:
         return Condition("tried on a simulated twin", False, problem)
     return Condition("tried on a simulated twin", False, f"in progress, {100 * trial.share:.0f} %")

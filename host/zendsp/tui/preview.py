@@ -1,4 +1,6 @@
-"""Shows a reference on the scope: its curves by view, its path in the plane, its peaks against the limits."""
+"""Shows a reference on the scope: its curves by view, its path in the plane, its peaks against the
+limits.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ QUANTITIES = ("position", "velocity", "acceleration", "torque")
 
 
 def views_of(reference: Reference, tall: bool = True) -> list[str]:
-    """Return the views there are: everything at once for one or two joints where there is room, else one quantity."""
+    """Return the views there are: everything at once for one or two joints where there is room,
+    else one quantity.
+    """
     every = ["all"] if reference.joints <= 2 and tall else []
     return [*every, *QUANTITIES, "path"]
 
@@ -45,7 +49,9 @@ def curves_of(scope: Scope, reference: Reference, tau: Any, view: str) -> None:
     data = np.stack(columns, axis=1)[:, :8]
     history = History(data.shape[1], rows=len(data) + 1)
     history.append(np.arange(len(data)), data, reference.sample_time)
-    scope.settings = replace(scope.settings, mode="roll", window=max(reference.duration, 1e-3) * 1.0001, selected=0)
+    scope.settings = replace(
+        scope.settings, mode="roll", window=max(reference.duration, 1e-3) * 1.0001, selected=0
+    )
     scope.show_channels(channels, history)
 
 
@@ -64,14 +70,23 @@ def limits_of(machine: Machine) -> dict[str, list[float]]:
     }
 
 
-def peaks_of(machine: Machine, reference: Reference, tau: Any, brief: bool = False) -> list[list[tuple[float, str]]]:
-    """Return for each quantity the peaks of the joints as (share of the limit, words); ``brief`` leaves the values out."""
+def peaks_of(
+    machine: Machine, reference: Reference, tau: Any, brief: bool = False
+) -> list[list[tuple[float, str]]]:
+    """Return for each quantity the peaks of the joints as (share of the limit, words); ``brief``
+    leaves the values out.
+    """
     lim = machine.limits
     low, high = lim.position_min, lim.position_max
     reach = np.maximum(np.abs(low), np.abs(high))
     lines = []
     for name, (_, unit, values) in _columns(reference, tau).items():
-        limit = {"position": reach, "velocity": lim.speed, "acceleration": lim.acceleration, "torque": lim.torque}[name]
+        limit = {
+            "position": reach,
+            "velocity": lim.speed,
+            "acceleration": lim.acceleration,
+            "torque": lim.torque,
+        }[name]
         parts: list[tuple[float, str]] = [(0.0, f"{name:<13}")]
         for joint in range(min(reference.joints, len(limit))):
             peak = float(np.abs(values[:, joint]).max())
@@ -85,7 +100,9 @@ def peaks_of(machine: Machine, reference: Reference, tau: Any, brief: bool = Fal
 
 
 def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[str, str], bool]:
-    """Return the curves, the names of the axes and whether both have one scale: the tip's path, else the phase plane."""
+    """Return the curves, the names of the axes and whether both have one scale: the tip's path,
+    else the phase plane.
+    """
     if machine.kind == "planar2r":
         l1, l2 = float(machine.parameters["l1"]), float(machine.parameters["l2"])
         angle = np.linspace(0.0, 2.0 * np.pi, 181)
@@ -93,13 +110,19 @@ def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[
         tip = forward_kinematics(machine, reference.q)[:: max(reference.samples // 2000, 1)]
         q = reference.q[0]
         arm = np.array([[0.0, 0.0], [l1 * np.cos(q[0]), l1 * np.sin(q[0])], tip[0]])
-        curves = [Curve("reach", (l1 + l2) * circle, -1), Curve("arm at start", arm, 7), Curve("path of the tip", tip, 1)]
+        curves = [
+            Curve("reach", (l1 + l2) * circle, -1),
+            Curve("arm at start", arm, 7),
+            Curve("path of the tip", tip, 1),
+        ]
         return curves, ("x [m]", "y [m]"), True
     if machine.kind == "dh":
         return _spatial_path(machine, reference)
     step = max(reference.samples // 2000, 1)
     curves = [
-        Curve(f"joint {j + 1}", np.stack((reference.q[::step, j], reference.qd[::step, j]), axis=1), j)
+        Curve(
+            f"joint {j + 1}", np.stack((reference.q[::step, j], reference.qd[::step, j]), axis=1), j
+        )
         for j in range(min(reference.joints, 8))
     ]
     return curves, (f"q [{reference.unit}]", f"qd [{reference.unit}/s]"), False
@@ -139,12 +162,17 @@ def joint_positions(machine: Machine, q: Floats) -> Floats:
     return np.stack(places, axis=1)
 
 
-def _spatial_path(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[str, str], bool]:
+def _spatial_path(
+    machine: Machine, reference: Reference
+) -> tuple[list[Curve], tuple[str, str], bool]:
     """Path of the tip seen along the axis in which it moves least."""
     places = joint_positions(machine, np.asarray(reference.q)[:: max(reference.samples // 2000, 1)])
     tip = places[:, -1]
     extent = tip.max(axis=0) - tip.min(axis=0)
     extent[2] += 1e-9  # seen from the side where it makes no difference
     across, up = sorted(np.argsort(extent)[1:])
-    curves = [Curve("arm at start", places[0][:, [across, up]], 7), Curve("path of the tip", tip[:, [across, up]], 1)]
+    curves = [
+        Curve("arm at start", places[0][:, [across, up]], 7),
+        Curve("path of the tip", tip[:, [across, up]], 1),
+    ]
     return curves, (f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]"), True

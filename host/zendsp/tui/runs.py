@@ -50,13 +50,17 @@ class Run:
 
 
 def error_figures(recording: Recording) -> dict[str, float]:
-    """Return the root mean square of every column whose name begins with ``e``: e, e1, e[0], error …"""
+    """Return the root mean square of every column whose name begins with ``e``: e, e1, e[0], error
+    …
+    """
     figures = {}
     for k, name in enumerate(recording.columns):
         stem = name.split("[")[0].rstrip("0123456789")
         if stem in ("e", "err", "error"):
             column = recording.data[:, k]
-            figures[name] = float(np.sqrt(np.mean(column * column))) if len(column) else float("nan")
+            figures[name] = (
+                float(np.sqrt(np.mean(column * column))) if len(column) else float("nan")
+            )
     return figures
 
 
@@ -184,8 +188,15 @@ def compare(runs: Sequence[Run]) -> str:
             continue
         lines.append(f"source of {run.name} against {runs[0].name}:")
         for name in sorted(set(first.sources) | set(other.sources)):
-            a, b = first.sources.get(name, "").splitlines(), other.sources.get(name, "").splitlines()
-            lines += list(difflib.unified_diff(a, b, f"{runs[0].name}/{name}", f"{run.name}/{name}", lineterm="", n=1))
+            a, b = (
+                first.sources.get(name, "").splitlines(),
+                other.sources.get(name, "").splitlines(),
+            )
+            lines += list(
+                difflib.unified_diff(
+                    a, b, f"{runs[0].name}/{name}", f"{run.name}/{name}", lineterm="", n=1
+                )
+            )
     return "\n".join(lines)
 
 

@@ -1,4 +1,6 @@
-"""Pictures of the screens for the README, made by ``zendsp tui --screenshots DIR`` from a real target in its own process."""
+"""Pictures of the screens for the README, made by ``zendsp tui --screenshots DIR`` from a real
+target in its own process.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,15 @@ async def _until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
     while not condition():
         if time.monotonic() > deadline:
             app = pilot.app
-            said = [e.text for e in app.session.events.since(0)[1][-6:]] if isinstance(app, ZendspApp) else []
-            raise TimeoutError(f"a screen did not come to the state that its picture needs; the last events: {said}")
+            said = (
+                [e.text for e in app.session.events.since(0)[1][-6:]]
+                if isinstance(app, ZendspApp)
+                else []
+            )
+            raise TimeoutError(
+                "a screen did not come to the state that its picture needs; the last events:"
+                f" {said}"
+            )
         await pilot.pause(0.05)
 
 
@@ -37,7 +46,14 @@ async def _keys(pilot: Pilot[None], *keys: str) -> None:
 
 
 def _app(work: Path, first: str) -> ZendspApp:
-    app = ZendspApp(open_port, start_machine=start_machine, machines=("imi_planar",), folder=work, first=first, begin="imi_planar")
+    app = ZendspApp(
+        open_port,
+        start_machine=start_machine,
+        machines=("imi_planar",),
+        folder=work,
+        first=first,
+        begin="imi_planar",
+    )
     app.source = next(p for p in app.examples() if p.name == "pd.c")
     return app
 
@@ -46,7 +62,10 @@ async def _enabled(app: ZendspApp, pilot: Pilot[None]) -> None:
     """Build, power, enable."""
     await _until(pilot, lambda: app.session.snapshot.link == "up")
     await pilot.press("b")
-    await _until(pilot, lambda: app.session.snapshot.state == "loaded" and bool(app.session.snapshot.variables))
+    await _until(
+        pilot,
+        lambda: app.session.snapshot.state == "loaded" and bool(app.session.snapshot.variables),
+    )
     await _keys(pilot, "o", "e")
     await _until(pilot, lambda: app.session.snapshot.drive == "enabled")
 
@@ -77,7 +96,9 @@ async def _execute(folder: Path, work: Path) -> list[Path]:
         await pilot.pause(1.0)
         screen = app.screen
         assert isinstance(screen, ExecuteScreen)
-        await _until(pilot, lambda: bool(screen.references) and all(c.met for c in screen.conditions))
+        await _until(
+            pilot, lambda: bool(screen.references) and all(c.met for c in screen.conditions)
+        )
         await _keys(pilot, "s")
         await _until(pilot, lambda: app.session.snapshot.t > 4.0)
         made.append(_write(app, folder / "execute.svg"))

@@ -1,7 +1,9 @@
-"""Talks to the target from threads of its own and keeps the newest snapshot; screens only ever read that.
+"""Talks to the target from threads of its own and keeps the newest snapshot; screens only ever read
+that.
 
-Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects, the worker does what the
-user asked in order, and STOP has threads to itself that never stand behind either.
+Three lanes, so that nothing waits for something slower: the poller takes snapshots and reconnects,
+the worker does what the user asked in order, and STOP has threads to itself that never stand behind
+either.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ class Session:
         self._name = ""
         self._wake = threading.Event()
         self._closing = threading.Event()
-        self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = queue.Queue()
+        self._jobs: queue.Queue[tuple[Future[Any], str, Callable[[Port], Any]] | None] = (
+            queue.Queue()
+        )
         self.verdict: Verdict | None = None
         self.stopper: Stopper | None = None
         self._guarded = ""
@@ -69,11 +73,15 @@ class Session:
         self._lock = threading.Lock()
         self._threads = [background(f"tui-stop-{number}", self._stop) for number in range(STOPPERS)]
 
-    # -- life ---------------------------------------------------------------------------------------------------------
+    # -- life
+    # ----------------------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start the threads."""
-        self._threads += [background("tui-poller", self._poll), background("tui-worker", self._work)]
+        self._threads += [
+            background("tui-poller", self._poll),
+            background("tui-worker", self._work),
+        ]
 
     def close(self) -> None:
         """Leave the target as it is and end the threads."""
@@ -106,7 +114,9 @@ class Session:
         self._wake.set()
 
     def guard_keys(self, name: str = "") -> None:
-        """From now on a process of its own reads the keys first and does STOP, of this target; see :mod:`zendsp.tui.stopper`."""
+        """From now on a process of its own reads the keys first and does STOP, of this target; see
+        :mod:`zendsp.tui.stopper`.
+        """
         self.stopper = Stopper(self._told)
         self._ready_stopper(name)
 
@@ -134,10 +144,13 @@ class Session:
         if self.stopper is not None:
             self.stopper.want(name)
 
-    # -- what the user asks ---------------------------------------------------------------------------------------------
+    # -- what the user asks
+    # ---------------------------------------------------------------------------------------------
 
     def do(self, label: str, job: Callable[[Port], T]) -> Future[T]:
-        """Run a job against the target on the worker thread. What goes wrong becomes an event and the future's error."""
+        """Run a job against the target on the worker thread. What goes wrong becomes an event and
+        the future's error.
+        """
         future: Future[T] = Future()
         self._jobs.put((future, label, job))
         return future
@@ -155,7 +168,9 @@ class Session:
         return port
 
     def stop(self) -> Future[str]:
-        """STOP: at once, from any thread, past everything that waits; the verdict tells how it ended."""
+        """STOP: at once, from any thread, past everything that waits; the verdict tells how it
+        ended.
+        """
         future: Future[str] = Future()
         self._stops.put(future)
         return future
@@ -201,7 +216,8 @@ class Session:
         self._wake.set()
         return self.history
 
-    # -- the poller -----------------------------------------------------------------------------------------------------
+    # -- the poller
+    # ----------------------------------------------------------------------------------------------
 
     def _poll(self) -> None:
         while not self._closing.is_set():
@@ -222,7 +238,8 @@ class Session:
                 except ZendspError as error:
                     self.events.add(f"status: {error}", "error")
                     pause = 5 * POLL_S
-                except Exception as error:  # a screen that stays alive beats a thread that died unseen
+                except Exception as error:
+                    # a screen that stays alive beats a thread that died unseen
                     self.events.add(f"status: {type(error).__name__}: {error}", "error")
                     pause = 10 * POLL_S
             elif name:
@@ -237,10 +254,15 @@ class Session:
         if old.link != "up":
             return
         if new.state != old.state:
-            self.events.add(f"program {old.state or '—'} → {new.state}", "good" if new.state == "running" else "info")
+            self.events.add(
+                f"program {old.state or '—'} → {new.state}",
+                "good" if new.state == "running" else "info",
+            )
         if new.drive != old.drive:
             bad = new.drive in ("tripped", "stopped")
-            self.events.add(f"drives {old.drive or '—'} → {new.drive}", "warning" if bad else "info")
+            self.events.add(
+                f"drives {old.drive or '—'} → {new.drive}", "warning" if bad else "info"
+            )
         if new.trip != old.trip and new.trip is not None:
             self.events.add(f"trip at sample {new.trip.tick}: {new.trip.text}", "error")
         if new.crash != old.crash and new.crash:
@@ -254,7 +276,12 @@ class Session:
         """Ask again for curves that should come and do not."""
         count, tick, since = self._heard
         now = time.monotonic()
-        if self.history.count != count or snapshot.state != "running" or snapshot.tick == tick or not self.channels:
+        if (
+            self.history.count != count
+            or snapshot.state != "running"
+            or snapshot.tick == tick
+            or not self.channels
+        ):
             self._heard = (self.history.count, snapshot.tick, now)
         elif now - since > SILENCE_S:
             self._heard = (count, tick, now)
@@ -306,7 +333,9 @@ class Session:
             _close_quietly(port)
 
     def _follow(self, port: Port) -> None:
-        """Subscribe to the wanted channels; signals that the program lacks are left out with a word."""
+        """Subscribe to the wanted channels; signals that the program lacks are left out with a
+        word.
+        """
         self._live_wanted = False
         if self._live is not None:
             self._live()
@@ -321,7 +350,8 @@ class Session:
         except ZendspError as error:
             self.events.add(f"scope: {error}", "warning")
 
-    # -- the worker -----------------------------------------------------------------------------------------------------
+    # -- the worker
+    # ----------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         while True:
@@ -348,4 +378,3 @@ def _close_quietly(port: Port) -> None:
         port.close()
     except Exception:  # the link is gone anyway; nothing is left to be told
         return
-

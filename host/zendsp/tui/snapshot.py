@@ -1,4 +1,6 @@
-"""What the screens know of the target at one moment: made by the session's thread, read by anyone, never changed."""
+"""What the screens know of the target at one moment: made by the session's thread, read by anyone,
+never changed.
+"""
 
 from __future__ import annotations
 
@@ -54,9 +56,11 @@ class Snapshot:
     target: str = ""
     machine: str = ""
     joints: int = 0
-    state: str = ""  # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
+    # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"
+    state: str = ""
     drive: str = ""  # "off" | "ready" | "homed" | "enabled" | "running" | "stopped" | "tripped"
-    explicit: bool = False  # the safe sequence is in use; else drives go on at start and off at pause
+    # the safe sequence is in use; else drives go on at start and off at pause
+    explicit: bool = False
     program: str = ""
     clock: str = ""
     tick: int = 0
@@ -77,7 +81,8 @@ class Snapshot:
     crash: str = ""
     scheduling: str = ""
     io: Mapping[str, Any] = field(default_factory=dict)
-    position: tuple[float, ...] = ()  # of each joint by its encoder, rad or m; also while no program computes anything
+    # of each joint by its encoder, rad or m; also while no program computes anything
+    position: tuple[float, ...] = ()
     conditions: tuple[tuple[str, bool, str], ...] = ()  # of enabling: name, met, what to do
     variables: tuple[Variable, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)

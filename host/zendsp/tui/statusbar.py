@@ -19,10 +19,18 @@ from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.stopper import Field
 
 STATE_MARKS = {
-    "running": ("●", "success"), "enabled": ("●", "success"), "homed": ("◉", "primary"), "ready": ("○", "primary"),
-    "loaded": ("○", "primary"), "paused": ("‖", "warning"), "stopped": ("■", "warning"), "empty": ("○", "foreground"),
-    "off": ("○", "foreground"), "tripped": ("▲", "error"), "crashed": ("✖", "error"),
-}  # fmt: skip
+    "running": ("●", "success"),
+    "enabled": ("●", "success"),
+    "homed": ("◉", "primary"),
+    "ready": ("○", "primary"),
+    "loaded": ("○", "primary"),
+    "paused": ("‖", "warning"),
+    "stopped": ("■", "warning"),
+    "empty": ("○", "foreground"),
+    "off": ("○", "foreground"),
+    "tripped": ("▲", "error"),
+    "crashed": ("✖", "error"),
+}
 
 
 def microseconds(ns: float) -> str:
@@ -35,7 +43,9 @@ def microseconds(ns: float) -> str:
 
 
 def mean_and_max(mean_ns: float, max_ns: float) -> str:
-    """Return both times of execution, with the unit once where it is the same: ``1.13/27.4 µs``, ``0.473 µs/2.40 ms``."""
+    """Return both times of execution, with the unit once where it is the same: ``1.13/27.4 µs``,
+    ``0.473 µs/2.40 ms``.
+    """
     mean, most = microseconds(mean_ns), microseconds(max_ns)
     return f"{mean.removesuffix(most[-3:])}/{most}"
 
@@ -98,7 +108,9 @@ class StopButton(Static):
 
 
 class StatusBar(Widget):
-    """Target, state, rate, execution time, overruns, lost samples, latency, commander, recording light, time, STOP."""
+    """Target, state, rate, execution time, overruns, lost samples, latency, commander, recording
+    light, time, STOP.
+    """
 
     DEFAULT_CSS = """
     StatusBar { height: 3; background: $panel; layout: horizontal; dock: top; }
@@ -124,7 +136,9 @@ class StatusBar(Widget):
 
     @property
     def field(self) -> Field:
-        """Where STOP is on the screen: the process of the keys sees to a click there, and only without it the click comes here."""
+        """Where STOP is on the screen: the process of the keys sees to a click there, and only
+        without it the click comes here.
+        """
         return Field(*self.query_one(StopButton).region)
 
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
@@ -149,7 +163,12 @@ class StatusBar(Widget):
         """Return the line that says how STOP ended, over the whole width."""
         c = self.app.theme_variables
         colour = c["warning"] if verdict.state == "stopped" else c["error"]
-        line = Text(f" ■ {verdict.text} ", Style(bold=True, color=colour, reverse=True), no_wrap=True, overflow="ellipsis")
+        line = Text(
+            f" ■ {verdict.text} ",
+            Style(bold=True, color=colour, reverse=True),
+            no_wrap=True,
+            overflow="ellipsis",
+        )
         line.pad_right(max(0, self._line1.size.width - line.cell_len))
         return line
 
@@ -175,7 +194,9 @@ class StatusBar(Widget):
         line.append("cmd ", Style(dim=True))
         line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))
         if s.trip is not None or s.crash:
-            line.append(s.trip.text if s.trip is not None else s.crash, Style(color=c["error"], bold=True))
+            line.append(
+                s.trip.text if s.trip is not None else s.crash, Style(color=c["error"], bold=True)
+            )
         return line
 
     def loop(self, s: Snapshot) -> Text:
@@ -190,8 +211,13 @@ class StatusBar(Widget):
             line.append(f"{value}  ", bad if alarm else Style())
 
         line.append(f"{s.rate_hz:g} Hz{' fast' if s.clock == 'fast' else ''}  ")
-        share = "" if s.clock == "fast" else f" {100.0 * s.share:.1f}%"  # the fast clock has no deadline to miss
-        item("exec", mean_and_max(s.exec_mean_ns, s.exec_max_ns) + share, bool(share) and s.share > 0.8)
+        # the fast clock has no deadline to miss
+        share = "" if s.clock == "fast" else f" {100.0 * s.share:.1f}%"
+        item(
+            "exec",
+            mean_and_max(s.exec_mean_ns, s.exec_max_ns) + share,
+            bool(share) and s.share > 0.8,
+        )
         item("over", str(s.overruns), s.overruns > 0)
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))

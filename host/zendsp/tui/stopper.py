@@ -1,15 +1,15 @@
 """A small process between the keyboard and the terminal application, which does nothing but STOP.
 
-It reads the keys first, hands every byte on, and asks the target for STOP over a link of its own. Python runs one thread
-of a process at a time, and a library that plans a motion or is being loaded can hold that right for seconds: a thread
-of the application's own could not promise anything.
+It reads the keys first, hands every byte on, and asks the target for STOP over a link of its own.
+Python runs one thread of a process at a time, and a library that plans a motion or is being loaded
+can hold that right for seconds: a thread of the application's own could not promise anything.
 
     stdin  the terminal (or, in a browser, the packets of the page)
     1      what was read, for the application
     CONTROL    in, a line each: the name of the target to be ready for; "@ x y width height", where the red field is;
                "!", which is STOP (by the palette of commands)
     VERDICTS   out: a line of JSON for each STOP: asked, then how it ended
-"""
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ PASTE_S = 2.0  # of silence, after which a paste whose end did not come is over
 
 
 def is_stop(key: str) -> bool:
-    """Whether a key, by Textual's name, is STOP: F9 whatever is held with it, and Ctrl+Space by both its names."""
+    """Whether a key, by Textual's name, is STOP: F9 whatever is held with it, and Ctrl+Space by
+    both its names.
+    """
     return key.rpartition("+")[2] == "f9" or key in ("ctrl+@", "ctrl+space")
 
 
@@ -64,11 +66,14 @@ class Field:
 
     def holds(self, event: MouseDown) -> bool:
         """Whether the first button was pressed in it."""
-        inside = self.x <= event.x < self.x + self.width and self.y <= event.y < self.y + self.height
+        inside = (
+            self.x <= event.x < self.x + self.width and self.y <= event.y < self.y + self.height
+        )
         return inside and event.button == 1
 
 
-# -- the process ----------------------------------------------------------------------------------------------------------
+# -- the process
+# --------------------------------------------------------------------------------------------------
 
 
 class Links:
@@ -104,7 +109,8 @@ class Links:
                 old.close()
             while name and self.target is None and not self._wanted.is_set():
                 try:
-                    self.target = connect(name, shown=False)  # the terminal itself stands there already
+                    # the terminal itself stands there already
+                    self.target = connect(name, shown=False)
                 except ZendspError:
                     self._wanted.wait(RETRY_S)
 
@@ -112,8 +118,8 @@ class Links:
 class Stops:
     """Asks the target for STOP, and tells how each ended.
 
-    The request itself is one byte in shared memory, written where the key is read, if the target runs here and is this
-    user's; the rest, and targets elsewhere, have threads.
+    The request itself is one byte in shared memory, written where the key is read, if the target
+    runs here and is this user's; the rest, and targets elsewhere, have threads.
     """
 
     def __init__(self, links: Links, tell: Callable[..., None]) -> None:
@@ -144,12 +150,16 @@ class Stops:
             target = links.target
             try:
                 if target is None:
-                    raise NotStopped(f"{EMERGENCY} (there is no link to {links.name or 'a target'})")
+                    raise NotStopped(
+                        f"{EMERGENCY} (there is no link to {links.name or 'a target'})"
+                    )
                 self._tell("stopped", stopped(target.stop()))
                 return
             except Exception as error:
                 if not told:
-                    detail = str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
+                    detail = (
+                        str(error) if isinstance(error, NotStopped) else f"{EMERGENCY} ({error})"
+                    )
                     self._tell("not stopped", EMERGENCY, detail)
                 told = True
             if time.monotonic() > until or name not in ("", links.name):
@@ -158,13 +168,19 @@ class Stops:
 
 
 def be_prompt() -> None:
-    """Have this process run before ordinary ones, where that is permitted: it does little, and what it does cannot wait."""
+    """Have this process run before ordinary ones, where that is permitted: it does little, and what
+    it does cannot wait.
+    """
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
+        os.sched_setscheduler(
+            0, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR))
+        )
 
 
 def presses_of(web: bool) -> Callable[[bytes], Iterator[str | MouseDown]]:
-    """Make what finds keys (their names) and clicks in bytes read; Textual's own parser tells them from pasted text in all terminals."""
+    """Make what finds keys (their names) and clicks in bytes read; Textual's own parser tells them
+    from pasted text in all terminals.
+    """
     from codecs import getincrementaldecoder
 
     from textual import events
@@ -192,7 +208,9 @@ def presses_of(web: bool) -> Callable[[bytes], Iterator[str | MouseDown]]:
                 yield "f9"
 
     def parsed(data: bytes) -> Iterator[str | MouseDown]:
-        parts: Iterable[Any] = (p for kind, p in packets.feed(data) if kind == "D" and p) if web else (data,)
+        parts: Iterable[Any] = (
+            (p for kind, p in packets.feed(data) if kind == "D" and p) if web else (data,)
+        )
         for part in parts if data else ():  # nothing means the end to the parser
             for event in parser.feed(decode(part)):
                 if isinstance(event, events.Key):
@@ -258,11 +276,13 @@ def serve(control: int, verdicts: int, web: bool) -> None:
                 waiting = waiting[os.write(1, waiting) :]
 
 
-# -- the application's side --------------------------------------------------------------------------------------------------
+# -- the application's side
+# --------------------------------------------------------------------------------------------------
 
 
 class Stopper:
-    """Puts the process between the terminal and this one; where it ends, the terminal is this one's again.
+    """Puts the process between the terminal and this one; where it ends, the terminal is this one's
+    again.
 
     Parameters
     ----------
@@ -279,9 +299,12 @@ class Stopper:
         web = "web_driver" in os.environ.get("TEXTUAL_DRIVER", "")
         call = f"from zendsp.tui.stopper import serve; serve({control_in}, {verdicts_out}, {web})"
         self._process = subprocess.Popen(
-            [sys.executable, "-c", call], stdin=self.terminal, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            [sys.executable, "-c", call],
+            stdin=self.terminal,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
             pass_fds=(control_in, verdicts_out),
-        )  # fmt: skip
+        )
         os.close(control_in)
         os.close(verdicts_out)
         assert self._process.stdout is not None
@@ -330,7 +353,9 @@ class Stopper:
             os.dup2(self.terminal, 0)
 
 
-def with_stop(base: type[Driver], stopper: Callable[[], Stopper | None], stop: Callable[[], object]) -> type[Driver]:
+def with_stop(
+    base: type[Driver], stopper: Callable[[], Stopper | None], stop: Callable[[], object]
+) -> type[Driver]:
     """Make a driver like ``base`` that reads what the process hands on, and lets it do STOP.
 
     Where the process is gone, the thread that reads the keys calls ``stop`` itself.
@@ -359,7 +384,12 @@ def with_stop(base: type[Driver], stopper: Callable[[], Stopper | None], stop: C
                 if not alive:
                     stop()
                 return
-            if alive and process is not None and isinstance(message, events.MouseDown) and process.field.holds(message):
+            if (
+                alive
+                and process is not None
+                and isinstance(message, events.MouseDown)
+                and process.field.holds(message)
+            ):
                 return
             super().process_message(message)
 

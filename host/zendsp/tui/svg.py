@@ -1,4 +1,6 @@
-"""Makes exported screenshots look the same everywhere: braille as drawn dots, no font from the network."""
+"""Makes exported screenshots look the same everywhere: braille as drawn dots, no font from the
+network.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,9 @@ import html
 import re
 
 _TEXT = re.compile(
-    r'<text class="(?P<cls>[^"]+)" x="(?P<x>[-\d.]+)" y="(?P<y>[-\d.]+)" textLength="(?P<len>[-\d.]+)"'
-    r'(?P<rest>[^>]*)>(?P<text>[^<]*)</text>'
+    r'<text class="(?P<cls>[^"]+)" x="(?P<x>[-\d.]+)" y="(?P<y>[-\d.]+)"'
+    r' textLength="(?P<len>[-\d.]+)"'
+    r"(?P<rest>[^>]*)>(?P<text>[^<]*)</text>"
 )
 _FACE = re.compile(r"@font-face \{.*?\}", re.DOTALL)
 LINE = 24.4  # height of a line in Rich's export, px
@@ -17,10 +20,11 @@ _DOTS = ((0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1, 3))
 
 
 def portable(svg: str) -> str:
-    """Return an exported screenshot whose curves are shapes and whose font is the reader's own monospace.
+    """Return an exported screenshot whose curves are shapes and whose font is the reader's own
+    monospace.
 
-    Viewers rarely have a monospaced font with braille, and a README may not fetch fonts; so each braille character
-    becomes its dots.
+    Viewers rarely have a monospaced font with braille, and a README may not fetch fonts; so each
+    braille character becomes its dots.
 
     Parameters
     ----------
@@ -53,5 +57,8 @@ def _redraw(match: re.Match[str]) -> str:
     left = "".join(rest)
     if not left.strip("\u00a0 "):
         return drawn
-    words = f'<text class="{match["cls"]}" x="{match["x"]}" y="{match["y"]}" textLength="{match["len"]}"{match["rest"]}>'
+    words = (
+        f'<text class="{match["cls"]}" x="{match["x"]}" y="{match["y"]}"'
+        f' textLength="{match["len"]}"{match["rest"]}>'
+    )
     return drawn + words + html.escape(left) + "</text>"

@@ -1,4 +1,5 @@
-"""What the next run would do on a simulated twin: tried as soon as it is known, shown before Start."""
+"""What the next run would do on a simulated twin: tried as soon as it is known, shown before Start.
+"""
 
 from __future__ import annotations
 
@@ -52,20 +53,32 @@ class Plan:
     @property
     def tables(self) -> dict[str, Any]:
         """What the program is sent, in this order: the motion begins when `ref` switches over."""
-        torque = {self.player.torque_table: self.playlist.torque} if self.player.torque_table else {}
+        torque = (
+            {self.player.torque_table: self.playlist.torque} if self.player.torque_table else {}
+        )
         return {**torque, self.player.table: self.playlist.rows}
 
     def same(self, other: Plan) -> bool:
         """Whether the other would go the same way."""
-        if (self.program, self.parameters, self.values, self.lead) != (other.program, other.parameters, other.values, other.lead):
+        if (self.program, self.parameters, self.values, self.lead) != (
+            other.program,
+            other.parameters,
+            other.values,
+            other.lead,
+        ):
             return False
         mine, theirs = self.playlist, other.playlist
         if mine.rows.shape != theirs.rows.shape or mine.rate != theirs.rate:
             return False
-        return bool(np.allclose(mine.rows, theirs.rows, 0.0, CLOSE) and np.allclose(mine.torque, theirs.torque))
+        return bool(
+            np.allclose(mine.rows, theirs.rows, 0.0, CLOSE)
+            and np.allclose(mine.torque, theirs.torque)
+        )
 
 
-def make_plan(snapshot: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup) -> Plan:
+def make_plan(
+    snapshot: Snapshot, references: Sequence[Reference], machine: Machine, setup: Setup
+) -> Plan:
     """Plan the run from where the arm stands now.
 
     Raises
@@ -80,9 +93,22 @@ def make_plan(snapshot: Snapshot, references: Sequence[Reference], machine: Mach
     if player is None or here is None:
         raise Refused("the loaded program cannot play a table: see the preflight list")
     playlist = make_playlist(references, machine, here, setup, player)
-    own = [v.name for v in snapshot.variables if v.kind == "parameter" and v.name not in player.parameters]
-    parameters = {name: np.asarray(snapshot.values[name]).tolist() for name in own if name in snapshot.values}
-    return Plan(snapshot.program, parameters, player, playlist, player_values(player, playlist), lead_time(player))
+    own = [
+        v.name
+        for v in snapshot.variables
+        if v.kind == "parameter" and v.name not in player.parameters
+    ]
+    parameters = {
+        name: np.asarray(snapshot.values[name]).tolist() for name in own if name in snapshot.values
+    }
+    return Plan(
+        snapshot.program,
+        parameters,
+        player,
+        playlist,
+        player_values(player, playlist),
+        lead_time(player),
+    )
 
 
 class Cancelled(Exception):

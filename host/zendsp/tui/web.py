@@ -17,10 +17,15 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 def is_ours(request_host: str, origin: str | None) -> bool:
     """Tell whether a request comes from a page of ours.
 
-    Any page that a user has open may try to reach a port on his own computer, and this one can move a machine. So the name
-    by which the server was called must be loopback, and a page that opens the socket must have come from the same place.
+    Any page that a user has open may try to reach a port on his own computer, and this one can move
+    a machine. So the name by which the server was called must be loopback, and a page that opens
+    the socket must have come from the same place.
     """
-    name = request_host.rpartition(":")[0] if not request_host.endswith("]") and ":" in request_host else request_host
+    name = (
+        request_host.rpartition(":")[0]
+        if not request_host.endswith("]") and ":" in request_host
+        else request_host
+    )
     if name not in LOOPBACK:
         return False
     return origin is None or urlsplit(origin).netloc == request_host
@@ -38,7 +43,13 @@ class LoopbackServer(Server):
     """textual-serve with a page that needs no network, and with an eye on who asks."""
 
     def __init__(self, command: str, port: int) -> None:
-        super().__init__(command, host="127.0.0.1", port=port, title="zendsp", templates_path=Path(__file__).parent / "page")
+        super().__init__(
+            command,
+            host="127.0.0.1",
+            port=port,
+            title="zendsp",
+            templates_path=Path(__file__).parent / "page",
+        )
 
     async def _make_app(self) -> web.Application:
         app = await super()._make_app()

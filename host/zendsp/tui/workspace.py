@@ -48,7 +48,9 @@ class Workspace:
         return sorted(self.references.glob("*.mat"), key=lambda p: p.stat().st_mtime, reverse=True)
 
     def sources(self) -> list[Path]:
-        """Return the C files in this folder and beneath it, the nearest first; hidden folders are left out."""
+        """Return the C files in this folder and beneath it, the nearest first; hidden folders are
+        left out.
+        """
         found = list(self.root.glob("*.c"))
         found += [p for p in self.root.glob("*/*.c") if not p.parent.name.startswith(".")]
         return sorted(found)[:200]

@@ -1,4 +1,6 @@
-"""The library of physical effects: one file each; a file in a user's folder adds his own (see ``load_effects``)."""
+"""The library of physical effects: one file each; a file in a user's folder adds his own (see
+``load_effects``).
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,28 @@ from pathlib import Path
 from zendsp.errors import ModelError
 from zendsp.physics.effects.base import MECHANISMS, Effect, Parameter, unit_of
 
-__all__ = ["MECHANISMS", "Effect", "Parameter", "get_effect", "is_supported", "laws_of", "library", "load_effects", "mechanism_of", "unit_of"]
+__all__ = [
+    "MECHANISMS",
+    "Effect",
+    "Parameter",
+    "get_effect",
+    "is_supported",
+    "laws_of",
+    "library",
+    "load_effects",
+    "mechanism_of",
+    "unit_of",
+]
 
 # names of findings that no term of a model stands for
-OUTSIDE = {"disturbance": "disturbance", "payload": "inertia", "body": "inertia", "base_tilt": "inertia"}
-SUPPORT = {"dry": ("dry",), "friction": ("dry", "viscous")}  # what else an effect may need, by the sites that give it
+OUTSIDE = {
+    "disturbance": "disturbance",
+    "payload": "inertia",
+    "body": "inertia",
+    "base_tilt": "inertia",
+}
+# what else an effect may need, by the sites that give it
+SUPPORT = {"dry": ("dry",), "friction": ("dry", "viscous")}
 
 _extra: dict[str, Effect] = {}
 
@@ -67,7 +86,9 @@ def get_effect(name: str) -> Effect:
     try:
         return _shipped().get(name) or _extra[name]
     except KeyError:
-        raise ModelError(f"no physical effect is called {name!r}; known: {', '.join(library())}") from None
+        raise ModelError(
+            f"no physical effect is called {name!r}; known: {', '.join(library())}"
+        ) from None
 
 
 def mechanism_of(name: str) -> str:
@@ -81,7 +102,8 @@ def mechanism_of(name: str) -> str:
     Returns
     -------
     str
-        One of ``MECHANISMS``; the name itself where none is stated: an effect of a user's own is a mechanism by itself.
+        One of ``MECHANISMS``; the name itself where none is stated: an effect of a user's own is a
+        mechanism by itself.
 
     Examples
     --------
@@ -129,7 +151,9 @@ def is_supported(effect: Effect, present: Collection[str]) -> bool:
     bool
     """
     sites = {get_effect(name).site for name in present}
-    return all(need in present or bool(sites.intersection(SUPPORT.get(need, ()))) for need in effect.needs)
+    return all(
+        need in present or bool(sites.intersection(SUPPORT.get(need, ()))) for need in effect.needs
+    )
 
 
 def load_effects(path: str | Path) -> list[Effect]:
@@ -138,7 +162,8 @@ def load_effects(path: str | Path) -> list[Effect]:
     Parameters
     ----------
     path : str or Path
-        A Python file that defines one or more ``Effect`` objects, written like the files of this folder.
+        A Python file that defines one or more ``Effect`` objects, written like the files of this
+        folder.
 
     Returns
     -------

@@ -14,8 +14,8 @@ from zendsp.physics.effects.axes import (
 )
 from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 
-# While the gap is open the motor's inertia alone is moved: a basin spans a factor of three in the gap, of sixteen in the stiffness,
-# 12 % in that inertia.
+# While the gap is open the motor's inertia alone is moved: a basin spans a factor of three in the
+# gap, of sixteen in the stiffness, 12 % in that inertia.
 GAPS = (0.001, 0.0025, 0.006, 0.015, 0.04)  # shares of the motion's range
 SHARES = tuple(1.0 - 0.92 * 0.9**i for i in range(16))  # of the inertia, on the load
 RESONANCE = 35.0  # Hz
@@ -27,7 +27,14 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
     for gap, share in itertools.product(GAPS, SHARES):
         stiffness, load = resonance(facts, RESONANCE, share), share * facts.inertia
         damping = 0.8 * math.sqrt(stiffness * load)
-        starts.append({"gap": gap * facts.scale.position, "stiffness": stiffness, "load_inertia": load, "damping": damping})
+        starts.append(
+            {
+                "gap": gap * facts.scale.position,
+                "stiffness": stiffness,
+                "load_inertia": load,
+                "damping": damping,
+            }
+        )
     return starts
 
 
@@ -40,13 +47,20 @@ EFFECT = Effect(
         Parameter("stiffness", "torque/position", lower=1e-09, limits=transmission_limits),
         Parameter("load_inertia", "inertia", lower=1e-12, limits=load_limits),
         Parameter(
-            "damping", "torque/speed", lower=0, default=0.0, limits=transmission_damping_limits,
+            "damping",
+            "torque/speed",
+            lower=0,
+            default=0.0,
+            limits=transmission_damping_limits,
             meaning="of the contact; 0: a tenth of critical",
         ),
     ),
-    c="two_mass = 1; gap = p[0]; k_spring = p[1]; j_load = p[2]; c_spring = p[3] > 0 ? p[3] : 0.1 * sqrt(p[1] * p[2]);",
-    sentence=("Joint {joint} has backlash of {gap} between motor and load."),
-    experiment=("Small reversals around zero load torque."),
+    c=(
+        "two_mass = 1; gap = p[0]; k_spring = p[1]; j_load = p[2]; c_spring = p[3] > 0 ? p[3] : 0.1"
+        " * sqrt(p[1] * p[2]);"
+    ),
+    sentence="Joint {joint} has backlash of {gap} between motor and load.",
+    experiment="Small reversals around zero load torque.",
     equation="k dz(qm - ql, gap)",
     over="position",
     scan=_starts,

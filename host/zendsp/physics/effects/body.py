@@ -10,24 +10,45 @@ EFFECT = Effect(
     mechanism="inertia",
     parameters=(
         Parameter("mass", "mass", default=0.0, meaning="difference from the file"),
-        Parameter("com_x", "length", lower=-3, upper=3, default=0, meaning="difference, in the link's frame"),
-        Parameter("com_y", "length", lower=-3, upper=3, default=0, meaning="difference, in the link's frame"),
-        Parameter("com_z", "length", lower=-3, upper=3, default=0, meaning="difference, in the link's frame"),
         Parameter(
-            "inertia", "body_inertia", default=0.0,
+            "com_x",
+            "length",
+            lower=-3,
+            upper=3,
+            default=0,
+            meaning="difference, in the link's frame",
+        ),
+        Parameter(
+            "com_y",
+            "length",
+            lower=-3,
+            upper=3,
+            default=0,
+            meaning="difference, in the link's frame",
+        ),
+        Parameter(
+            "com_z",
+            "length",
+            lower=-3,
+            upper=3,
+            default=0,
+            meaning="difference, in the link's frame",
+        ),
+        Parameter(
+            "inertia",
+            "body_inertia",
+            default=0.0,
             meaning="difference, about the centre of mass, the same about every axis",
         ),
     ),
     c="",
     sentence=(
-        "The link of joint {joint} is not what the model's file says: its mass differs by {mass}, its centre of"
-        " mass by {com_x}, {com_y}, {com_z}."
+        "The link of joint {joint} is not what the model's file says: its mass differs by {mass},"
+        " its centre of mass by {com_x}, {com_y}, {com_z}."
     ),
-    experiment=(
-        "Weigh the link and find its balance, or look up its maker's figures."
-    ),
+    experiment="Weigh the link and find its balance, or look up its maker's figures.",
     equation="m, c, J of a link: Y(q, q̇, q̈) Δφ at every joint that moves it",
     over="position",
     why_not="it acts on all joints: the improved model in C has it (zendsp model2c)",
     rivals=("payload", "torque_gain"),
-)  # fmt: skip
+)

@@ -11,9 +11,12 @@ EFFECT = Effect(
     parameters=(Parameter("level", "torque", lower=0),),
     c="return p[0];",
     sentence=(
-        "Joint {joint} lacks Coulomb friction of {level}: the torque opposes the motion whatever the speed."
+        "Joint {joint} lacks Coulomb friction of {level}: the torque opposes the motion whatever"
+        " the speed."
     ),
-    experiment=("Slow moves both ways with reversals: the torque steps by twice the level at each reversal."),
+    experiment=(
+        "Slow moves both ways with reversals: the torque steps by twice the level at each reversal."
+    ),
     equation="Fc sign(q̇)",
     linear=("level",),
     odds=0.01,

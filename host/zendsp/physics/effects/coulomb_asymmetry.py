@@ -14,9 +14,10 @@ EFFECT = Effect(
     ),
     c="return dir > 0 ? p[0] : p[1];",
     sentence=(
-        "Dry friction of joint {joint} differs with direction: {level_pos} for positive, {level_neg} for negative speed."
+        "Dry friction of joint {joint} differs with direction: {level_pos} for positive,"
+        " {level_neg} for negative speed."
     ),
-    experiment=("The same slow poses passed in both directions."),
+    experiment="The same slow poses passed in both directions.",
     equation="Fc± sign(q̇)",
     linear=("level_pos", "level_neg"),
     replaces=("coulomb",),

@@ -21,9 +21,14 @@ EFFECT = Effect(
         Parameter("coefficient", "torque"),
         Parameter("smooth", "speed", lower=1e-09, default=0.01, fitted=False),
     ),
-    c="int law = (int)p[1]; return p[2] * (law == 0 ? s->oqdd : law == 1 ? s->oqd * s->oqd : law == 2 ? s->oqd : tanh((s->qd + s->oqd) / p[3]));",
-    sentence=("The motion of joint {from_joint} acts on joint {joint}: {law} coupling of {coefficient}."),
-    experiment=("Move joint {from_joint} alone and hold joint {joint}."),
+    c=(
+        "int law = (int)p[1]; return p[2] * (law == 0 ? s->oqdd : law == 1 ? s->oqd * s->oqd : law"
+        " == 2 ? s->oqd : tanh((s->qd + s->oqd) / p[3]));"
+    ),
+    sentence=(
+        "The motion of joint {from_joint} acts on joint {joint}: {law} coupling of {coefficient}."
+    ),
+    experiment="Move joint {from_joint} alone and hold joint {joint}.",
     equation="c q̈_from | c q̇_from² | c q̇_from | c sign(q̇ + q̇_from)",
     linear=("coefficient",),
     grid={

@@ -22,7 +22,13 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
     starts = []
     for hertz, share in itertools.product(RESONANCES, SHARES):
         stiffness, load = resonance(facts, hertz, share), share * facts.inertia
-        starts.append({"stiffness": stiffness, "load_inertia": load, "damping": 0.1 * math.sqrt(stiffness * load)})
+        starts.append(
+            {
+                "stiffness": stiffness,
+                "load_inertia": load,
+                "damping": 0.1 * math.sqrt(stiffness * load),
+            }
+        )
     return starts
 
 
@@ -36,8 +42,10 @@ EFFECT = Effect(
         Parameter("load_inertia", "inertia", lower=1e-12, limits=load_limits),
     ),
     c="two_mass = 1; k_spring = p[0]; c_spring = p[1]; j_load = p[2];",
-    sentence=("Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."),
-    experiment=("Chirp or multisine around the resonance; steps and listen to the ringing."),
+    sentence=(
+        "Joint {joint} is elastic: stiffness {stiffness} between motor and load of {load_inertia}."
+    ),
+    experiment="Chirp or multisine around the resonance; steps and listen to the ringing.",
     equation="k (qm - ql) + c (q̇m - q̇l)",
     over="acceleration",
     scan=_starts,

@@ -15,9 +15,10 @@ EFFECT = Effect(
     ),
     c="return 1.0 + p[0] * (1.0 - exp(-s->t / p[1]));",
     sentence=(
-        "Friction of joint {joint} drifts by {ratio} of itself with a time constant of {time_constant}."
+        "Friction of joint {joint} drifts by {ratio} of itself with a time constant of"
+        " {time_constant}."
     ),
-    experiment=("A long record at constant excitation, starting cold."),
+    experiment="A long record at constant excitation, starting cold.",
     equation="friction (1 + r (1 - exp(-t/T)))",
     over="time",
     linear=("ratio",),

@@ -29,9 +29,10 @@ EFFECT = Effect(
     ),
     c="bw_force = p[0]; bw_a = p[0] > 0 ? p[1] / p[0] : 0; bw_n = p[2];",
     sentence=(
-        "A hysteretic restoring force of {force} with initial stiffness {stiffness} acts on joint {joint}."
+        "A hysteretic restoring force of {force} with initial stiffness {stiffness} acts on joint"
+        " {joint}."
     ),
-    experiment=("Slow cycles of several amplitudes: loops that close."),
+    experiment="Slow cycles of several amplitudes: loops that close.",
     equation="F z, ż = A q̇ - β |q̇||z|ⁿ⁻¹z - γ q̇|z|ⁿ",
     over="position",
     scan=_starts,

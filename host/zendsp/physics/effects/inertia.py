@@ -11,9 +11,10 @@ EFFECT = Effect(
     parameters=(Parameter("amount", "inertia"),),
     c="j_extra += p[0];",
     sentence=(
-        "Joint {joint} carries {amount} of inertia that the model lacks (a payload, or a wrong figure)."
+        "Joint {joint} carries {amount} of inertia that the model lacks (a payload, or a wrong"
+        " figure)."
     ),
-    experiment=("Fast accelerations with and without the suspected payload."),
+    experiment="Fast accelerations with and without the suspected payload.",
     equation="ΔJ q̈",
     over="acceleration",
     linear=("amount",),

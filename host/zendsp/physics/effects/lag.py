@@ -24,8 +24,10 @@ EFFECT = Effect(
     mechanism="actuator",
     parameters=(Parameter("time_constant", "time", lower=1e-05, upper=0.2),),
     c="lag_on = 1; lag = p[0];",
-    sentence=("The actuator of joint {joint} lags the command with a time constant of {time_constant}."),
-    experiment=("Torque at high frequency: chirp or PRBS."),
+    sentence=(
+        "The actuator of joint {joint} lags the command with a time constant of {time_constant}."
+    ),
+    experiment="Torque at high frequency: chirp or PRBS.",
     equation="T τ' + τ = u",
     over="acceleration",
     linear=("time_constant",),

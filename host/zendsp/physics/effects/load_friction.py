@@ -10,8 +10,10 @@ EFFECT = Effect(
     mechanism="dry_friction",
     parameters=(Parameter("coefficient", "ratio", lower=0, upper=0.9),),
     c="return p[0] * fabs(s->tau);",
-    sentence=("Friction of joint {joint} grows with the transmitted torque: coefficient {coefficient}."),
-    experiment=("The same slow move with and without a payload."),
+    sentence=(
+        "Friction of joint {joint} grows with the transmitted torque: coefficient {coefficient}."
+    ),
+    experiment="The same slow move with and without a payload.",
     equation="μ |τ| sign(q̇)",
     over="command",
     linear=("coefficient",),

@@ -1,4 +1,6 @@
-"""Pre-sliding: dry friction acts through bristles that bend before they slide (Dahl 1968; Canudas de Wit 1995)."""
+"""Pre-sliding: dry friction acts through bristles that bend before they slide (Dahl 1968; Canudas
+de Wit 1995).
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,10 @@ EFFECT = Effect(
         Parameter("damping", "torque/speed", lower=0, default=0.0),
     ),
     c="s0 = p[0]; s1 = p[1];",
-    sentence=("Dry friction of joint {joint} builds up over a bristle deflection: stiffness {stiffness}."),
-    experiment=("Small slow torque cycles below breakaway, with a fine position sensor."),
+    sentence=(
+        "Dry friction of joint {joint} builds up over a bristle deflection: stiffness {stiffness}."
+    ),
+    experiment="Small slow torque cycles below breakaway, with a fine position sensor.",
     equation="σ0 z + σ1 ż, ż = q̇ - σ0 |q̇| z / F(q̇)",
     over="position",
     scan=_starts,

@@ -14,8 +14,10 @@ EFFECT = Effect(
         Parameter("neutral", "position", default=0.0, limits=neutral_limits),
     ),
     c="return p[0] * (s->q - p[1]);",
-    sentence=("A spring of {coefficient} with its neutral point at {neutral} pulls on joint {joint}."),
-    experiment=("Slow motion over the whole range."),
+    sentence=(
+        "A spring of {coefficient} with its neutral point at {neutral} pulls on joint {joint}."
+    ),
+    experiment="Slow motion over the whole range.",
     equation="k (q - q0)",
     over="position",
     linear=("coefficient",),

@@ -1,4 +1,6 @@
-"""Stribeck effect: friction falls from breakaway to the Coulomb level as speed grows (Stribeck 1902; Armstrong-Hélouvry 1994)."""
+"""Stribeck effect: friction falls from breakaway to the Coulomb level as speed grows (Stribeck
+1902; Armstrong-Hélouvry 1994).
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,19 @@ EFFECT = Effect(
     mechanism="dry_friction",
     parameters=(
         Parameter("breakaway", "torque", lower=0),
-        Parameter("velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest)),
+        Parameter(
+            "velocity", "speed", lower=1e-06, limits=lambda f: (2e-3 * f.fastest, 2.0 * f.fastest)
+        ),
         Parameter("exponent", "number", lower=0.3, upper=4, default=2.0, fitted=False),
     ),
     c="return p[0] * exp(-pow(fabs(s->qd) / p[1], p[2]));",
     sentence=(
-        "Friction of joint {joint} falls with speed (Stribeck): breakaway {breakaway}, characteristic speed {velocity}."
+        "Friction of joint {joint} falls with speed (Stribeck): breakaway {breakaway},"
+        " characteristic speed {velocity}."
     ),
     experiment=(
-        "Many slow constant-speed moves below and above the characteristic speed; a slow multisine with many reversals."
+        "Many slow constant-speed moves below and above the characteristic speed; a slow multisine"
+        " with many reversals."
     ),
     equation="(Fs - Fc) exp(-|q̇/vs|^δ) sign(q̇)",
     linear=("breakaway",),

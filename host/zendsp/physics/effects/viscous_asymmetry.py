@@ -14,9 +14,10 @@ EFFECT = Effect(
     ),
     c="return s->qd > 0 ? p[0] * s->qd : p[1] * s->qd;",
     sentence=(
-        "Viscous friction of joint {joint} differs with direction: {coefficient_pos} for positive, {coefficient_neg} for negative speed."
+        "Viscous friction of joint {joint} differs with direction: {coefficient_pos} for positive,"
+        " {coefficient_neg} for negative speed."
     ),
-    experiment=("Constant-speed moves, the same speeds both ways."),
+    experiment="Constant-speed moves, the same speeds both ways.",
     equation="b± q̇",
     linear=("coefficient_pos", "coefficient_neg"),
     replaces=("viscous",),

@@ -1,1 +1,2 @@
-"""Machines simulated by MuJoCo: equations and numerics that neither zendsp nor its own proof wrote."""
+"""Machines simulated by MuJoCo: equations and numerics that neither zendsp nor its own proof wrote.
+"""

@@ -1,4 +1,5 @@
-"""A chain of rigid bodies as data, written as MJCF for the reality and as URDF for the given model."""
+"""A chain of rigid bodies as data, written as MJCF for the reality and as URDF for the given model.
+"""
 
 from __future__ import annotations
 
@@ -142,13 +143,17 @@ def mjcf(links: list[Link], joints: list[Joint], world: World, step: float, inte
     """The reality as an MJCF document; joint k is ``j0``… and its motor ``m0``…."""
     heads, tails, beside = [], [], []
     for k, (link, joint) in enumerate(zip(links, joints, strict=True)):
-        body = f'<inertial pos="{numbers(link.com)}" mass="{numbers(link.mass)}" fullinertia="{numbers(link.inertia)}"/>'
+        body = (
+            f'<inertial pos="{numbers(link.com)}" mass="{numbers(link.mass)}"'
+            f' fullinertia="{numbers(link.inertia)}"/>'
+        )
         kind = "slide" if link.slides else "hinge"
         motor = (
-            f'<joint name="j{k}" type="{kind}" axis="{numbers(link.axis)}" armature="{numbers(joint.armature)}" '
-            f'damping="{numbers(joint.damping)}" frictionloss="{numbers(joint.dry)}" solreffriction="{numbers(joint.solref)}" '
-            f'solimpfriction="{numbers(joint.solimp)}" stiffness="{numbers(joint.stiffness)}" '
-            f'springref="{numbers(joint.springref)}"{stops(joint)}/>'
+            f'<joint name="j{k}" type="{kind}" axis="{numbers(link.axis)}"'
+            f' armature="{numbers(joint.armature)}" damping="{numbers(joint.damping)}"'
+            f' frictionloss="{numbers(joint.dry)}" solreffriction="{numbers(joint.solref)}"'
+            f' solimpfriction="{numbers(joint.solimp)}" stiffness="{numbers(joint.stiffness)}"'
+            f' springref="{numbers(joint.springref)}"{stops(joint)}/>'
         )
         place = f'pos="{numbers(link.place)}"'
         if joint.equality is not None:
@@ -169,13 +174,15 @@ def mjcf(links: list[Link], joints: list[Joint], world: World, step: float, inte
         mass = '<inertial pos="0 0 0" mass="20" diaginertia="0.5 0.5 0.5"/>'
         chain = f"<body>{world.base}{mass}{chain}</body>"
     equal = "".join(
-        f'<joint joint1="f{k}" joint2="j{k}" solref="{numbers(j.equality)}" solimp="0.9 0.9 0.001"/>'
+        f'<joint joint1="f{k}" joint2="j{k}" solref="{numbers(j.equality)}" solimp="0.9 0.9'
+        ' 0.001"/>'
         for k, j in enumerate(joints)
         if j.equality is not None
     )
     return (
         f'<mujoco><compiler angle="radian" autolimits="true"/><option timestep="{numbers(step)}" '
-        f'integrator="{integrator}" gravity="{numbers(world.gravity)}" iterations="200" tolerance="1e-12"/>'
+        f'integrator="{integrator}" gravity="{numbers(world.gravity)}" iterations="200"'
+        ' tolerance="1e-12"/>'
         f"<worldbody>{world.still}{''.join(beside)}{chain}</worldbody>"
         f"{'<tendon>' + world.tendons + '</tendon>' if world.tendons else ''}"
         f"{'<equality>' + equal + '</equality>' if equal else ''}"
@@ -202,8 +209,9 @@ def flexible(k: int, joint: Joint, kind: str, link: Link) -> str:
     if joint.gap is not None:
         width, contact, damping = joint.gap
         return (
-            f'{head} range="{numbers((-width / 2, width / 2))}" solreflimit="{numbers((contact, 1.0))}" '
-            f'solimplimit="0.95 0.99 0.001" damping="{numbers(damping)}"/>'
+            f'{head} range="{numbers((-width / 2, width / 2))}"'
+            f' solreflimit="{numbers((contact, 1.0))}" solimplimit="0.95 0.99 0.001"'
+            f' damping="{numbers(damping)}"/>'
         )
     assert joint.spring is not None
     return f'{head} stiffness="{numbers(joint.spring[0])}" damping="{numbers(joint.spring[1])}"/>'
@@ -235,7 +243,10 @@ def urdf(links: list[Link], limits: list[float], name: str) -> str:
             "  </inertial></link>",
             f'  <joint name="joint{k}" type="revolute">',
             f'    <parent link="{parent}"/><child link="link{k}"/>',
-            f'    <origin xyz="{numbers(link.place)}" rpy="0 0 0"/><axis xyz="{numbers(link.axis)}"/>',
+            (
+                f'    <origin xyz="{numbers(link.place)}" rpy="0 0 0"/><axis'
+                f' xyz="{numbers(link.axis)}"/>'
+            ),
             f'    <limit lower="-6" upper="6" effort="{limit!r}" velocity="10"/>',
             "  </joint>",
         ]

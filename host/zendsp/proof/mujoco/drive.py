@@ -155,9 +155,16 @@ def _filter(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     b.faults.append(f"filter {seconds!r}")
     alone = b.n == 1  # as with lag
     return truth(
-        b, "position_filter", 0, size, {"time_constant": (seconds, "s")}, ("lag",) if alone else (),
-        ("actuator",) if alone else (), joints=tuple(range(b.n)), note="every position column low-passed",
-    )  # fmt: skip
+        b,
+        "position_filter",
+        0,
+        size,
+        {"time_constant": (seconds, "s")},
+        ("lag",) if alone else (),
+        ("actuator",) if alone else (),
+        joints=tuple(range(b.n)),
+        note="every position column low-passed",
+    )
 
 
 # from outside

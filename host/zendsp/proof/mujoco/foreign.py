@@ -1,4 +1,6 @@
-"""Foreign torques in a MuJoCo reality: the forms of formulas, and six of MuJoCo's own parts and of two joints."""
+"""Foreign torques in a MuJoCo reality: the forms of formulas, and six of MuJoCo's own parts and of
+two joints.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,9 @@ def _hose(b: Bench, joint: int, s: Scale, rng: Rng) -> Callable[[float], None]:
 
     def scaled(factor: float) -> None:
         b.world.tendons = (
-            f'<spatial springlength="0 0.25" stiffness="{numbers(size * factor)}" damping="{numbers(0.01 * size * factor)}">'
-            '<site site="hook"/><site site="end"/></spatial>'
+            f'<spatial springlength="0 0.25" stiffness="{numbers(size * factor)}"'
+            f' damping="{numbers(0.01 * size * factor)}"><site site="hook"/><site'
+            ' site="end"/></spatial>'
         )
 
     return scaled

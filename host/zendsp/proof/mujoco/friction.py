@@ -55,7 +55,8 @@ def _tanh(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
 
 
 def lugre(fc: float, fs: float, vs: float, stiffness: float, damping: float) -> Law:
-    """Bristle friction of Canudas de Wit et al. 1995, the bristle stepped exactly for a held speed."""
+    """Bristle friction of Canudas de Wit et al. 1995, the bristle stepped exactly for a held speed.
+    """
 
     def fresh(h: float) -> Callable[[float, float, float, float], float]:
         z = 0.0
@@ -83,9 +84,15 @@ def _lugre(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed:
     rise, slip = rng.uniform(1.2, 1.7), rng.uniform(0.03, 0.1) * s.v_rms
     b.laws.append((joint, lugre(level, rise * level, slip, stiffness, 0.0)))
     return truth(
-        b, "presliding", joint, size, {"stiffness": (stiffness, unit(b, "/rad"))},
-        ("coulomb", "stribeck", "hysteresis"), unscored=("stiffness",), note="LuGre, no damping of the bristle",
-    )  # fmt: skip
+        b,
+        "presliding",
+        joint,
+        size,
+        {"stiffness": (stiffness, unit(b, "/rad"))},
+        ("coulomb", "stribeck", "hysteresis"),
+        unscored=("stiffness",),
+        note="LuGre, no damping of the bristle",
+    )
 
 
 @maker("stribeck")

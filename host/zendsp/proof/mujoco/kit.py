@@ -1,4 +1,5 @@
-"""What the makers of concealed effects share: the table of makers, and how a truth is written down."""
+"""What the makers of concealed effects share: the table of makers, and how a truth is written down.
+"""
 
 from __future__ import annotations
 
@@ -30,11 +31,27 @@ def unit(b: Bench, per: str = "") -> str:
 
 
 def truth(
-    b: Bench, effect: str, joint: int, size: float, parameters: dict[str, tuple[float, str]],
-    accepted: tuple[str, ...] = (), mechanisms: tuple[str, ...] = (), unscored: tuple[str, ...] = (),
-    note: str = "", body: str = "", joints: tuple[int, ...] = (),
-) -> Concealed:  # fmt: skip
+    b: Bench,
+    effect: str,
+    joint: int,
+    size: float,
+    parameters: dict[str, tuple[float, str]],
+    accepted: tuple[str, ...] = (),
+    mechanisms: tuple[str, ...] = (),
+    unscored: tuple[str, ...] = (),
+    note: str = "",
+    body: str = "",
+    joints: tuple[int, ...] = (),
+) -> Concealed:
     return Concealed(
-        effect, joint + 1, parameters, size, accepted=list(accepted), unscored=list(unscored), note=note,
-        mechanisms=list(mechanisms), body=body, accepted_joints=[j + 1 for j in joints],
-    )  # fmt: skip
+        effect,
+        joint + 1,
+        parameters,
+        size,
+        accepted=list(accepted),
+        unscored=list(unscored),
+        note=note,
+        mechanisms=list(mechanisms),
+        body=body,
+        accepted_joints=[j + 1 for j in joints],
+    )

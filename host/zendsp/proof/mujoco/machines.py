@@ -1,6 +1,7 @@
 """Five machines for MuJoCo: motor and link, cart, two links, a six-joint and a seven-joint arm.
 
-Masses and lengths of the arms are near published figures (Universal Robots UR5, KUKA LBR iiwa 14); their bodies are cylinders.
+Masses and lengths of the arms are near published figures (Universal Robots UR5, KUKA LBR iiwa 14);
+their bodies are cylinders.
 """
 
 from __future__ import annotations
@@ -114,7 +115,9 @@ def hardness(soft: bool) -> tuple[tuple[float, float], tuple[float, float, float
 
 
 def harden(b: Bench) -> None:
-    """Make the dry friction that is known stick: what is soft is not the Coulomb of the given model."""
+    """Make the dry friction that is known stick: what is soft is not the Coulomb of the given
+    model.
+    """
     for joint in b.joints:
         joint.solref, joint.solimp = hardness(False)
     b.also_true.discard("presliding")
@@ -134,7 +137,8 @@ def loop_of(rng: Rng, cascade: bool = True) -> str:
 
 
 def joint(rng: Rng) -> Bench:
-    """A motor and a link that hangs from it: rotor inertia, gravity, 10 to 20 s at 1 kHz or 500 Hz."""
+    """A motor and a link that hangs from it: rotor inertia, gravity, 10 to 20 s at 1 kHz or 500 Hz.
+    """
     mass, length, radius = log_uniform(rng, 0.1, 1.0), rng.uniform(0.12, 0.4), 0.01
     link = replace(rod(mass, length, radius, 2).moved((0.0, 0.0, -length)), axis=(0.0, -1.0, 0.0))
     swung = mass * (length**2 / 3 + radius**2 / 4)
@@ -180,14 +184,28 @@ def cart(rng: Rng) -> Bench:
     dry(rng, [j], [felt * rng.uniform(0.06, 0.15)], flavour)
     train, held = drawn(rng, ("multisine", "mixed", "sines", "triangles", "moves"))
     return Bench(
-        "mj_cart", "linear", [body], [j], float(rng.choice([1e-3, 2e-3], p=[0.75, 0.25])),
-        float(rng.choice([10.0, 15.0, 20.0])), [rng.uniform(0.15, 0.4)], [speed], [0.0],
-        [round(8 * felt / gain, 3)], [float(rng.choice([1e-5, 2e-6, 5e-7]))], rng.uniform(15.0, 30.0), 0.7,
-        loop_of(rng), str(rng.choice(INTEGRATORS)), feedforward=bool(rng.random() < 0.5),
-        noise=float(rng.choice([0.0, 0.5, 1.0])), train_shape=train, heldout_shape=held,
+        "mj_cart",
+        "linear",
+        [body],
+        [j],
+        float(rng.choice([1e-3, 2e-3], p=[0.75, 0.25])),
+        float(rng.choice([10.0, 15.0, 20.0])),
+        [rng.uniform(0.15, 0.4)],
+        [speed],
+        [0.0],
+        [round(8 * felt / gain, 3)],
+        [float(rng.choice([1e-5, 2e-6, 5e-7]))],
+        rng.uniform(15.0, 30.0),
+        0.7,
+        loop_of(rng),
+        str(rng.choice(INTEGRATORS)),
+        feedforward=bool(rng.random() < 0.5),
+        noise=float(rng.choice([0.0, 0.5, 1.0])),
+        train_shape=train,
+        heldout_shape=held,
         notes=[f"dry friction that is known: {flavour}"],
         also_true={"presliding"} if flavour == "soft" else set(),
-    ).freeze()  # fmt: skip
+    ).freeze()
 
 
 def planar2r(rng: Rng) -> Bench:
@@ -206,14 +224,28 @@ def planar2r(rng: Rng) -> Bench:
     dry(rng, joints, [f * rng.uniform(0.06, 0.15) for f in felt], flavour)
     train, held = drawn(rng, ("multisine", "mixed", "sines", "moves"))
     return Bench(
-        "mj_planar2r", "planar2r", [first, second], joints, float(rng.choice([1e-3, 2e-3])), 15.0,
-        [rng.uniform(1.0, 2.0), rng.uniform(1.0, 2.0)], speed, [0.0, 0.0], [round(8 * f, 2) for f in felt],
-        [2 * np.pi / 2**17] * 2, rng.uniform(10.0, 18.0), 0.8, loop_of(rng, cascade=False),
-        str(rng.choice(INTEGRATORS)), feedforward=bool(rng.random() < 0.5),
-        noise=float(rng.choice([0.0, 0.5])), train_shape=train, heldout_shape=held,
+        "mj_planar2r",
+        "planar2r",
+        [first, second],
+        joints,
+        float(rng.choice([1e-3, 2e-3])),
+        15.0,
+        [rng.uniform(1.0, 2.0), rng.uniform(1.0, 2.0)],
+        speed,
+        [0.0, 0.0],
+        [round(8 * f, 2) for f in felt],
+        [2 * np.pi / 2**17] * 2,
+        rng.uniform(10.0, 18.0),
+        0.8,
+        loop_of(rng, cascade=False),
+        str(rng.choice(INTEGRATORS)),
+        feedforward=bool(rng.random() < 0.5),
+        noise=float(rng.choice([0.0, 0.5])),
+        train_shape=train,
+        heldout_shape=held,
         notes=[f"dry friction that is known: {flavour}"],
         also_true={"presliding"} if flavour == "soft" else set(),
-    ).freeze()  # fmt: skip
+    ).freeze()
 
 
 Z, Y = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
@@ -241,14 +273,29 @@ def arm(
     slow = dt > 5e-3
     train, held = drawn(rng, ("multisine", "sines", "mixed", "moves"))
     bench = Bench(
-        name, "urdf", links, joints, dt, 20.0 if slow else 12.0,
-        [float(x) for x in rng.uniform(0.4, 0.9, n)], [float(x) for x in rng.uniform(1.0, 2.2, n)],
-        list(centre), list(limit), [2 * np.pi / 2**19] * n, 6.0 if slow else rng.uniform(9.0, 15.0), 0.9,
-        loop_of(rng, cascade=False), str(rng.choice(INTEGRATORS)), feedforward=True,
-        velocity_filter=2 * dt, noise=float(rng.choice([0.0, 0.5])),
-        train_shape=train, heldout_shape=held, notes=[f"dry friction that is known: {flavour}"],
+        name,
+        "urdf",
+        links,
+        joints,
+        dt,
+        20.0 if slow else 12.0,
+        [float(x) for x in rng.uniform(0.4, 0.9, n)],
+        [float(x) for x in rng.uniform(1.0, 2.2, n)],
+        list(centre),
+        list(limit),
+        [2 * np.pi / 2**19] * n,
+        6.0 if slow else rng.uniform(9.0, 15.0),
+        0.9,
+        loop_of(rng, cascade=False),
+        str(rng.choice(INTEGRATORS)),
+        feedforward=True,
+        velocity_filter=2 * dt,
+        noise=float(rng.choice([0.0, 0.5])),
+        train_shape=train,
+        heldout_shape=held,
+        notes=[f"dry friction that is known: {flavour}"],
         also_true={"presliding"} if flavour == "soft" else set(),
-    )  # fmt: skip
+    )
     bench.known = [Term("inertia", k + 1, {"amount": a}) for k, a in enumerate(armature)]
     return bench.freeze()
 

@@ -138,7 +138,9 @@ def middle(x: Array) -> Array:
 
 
 def scales_of(b: Bench, record: Record) -> list[Scale]:
-    """Sizes of the motion at the middle of each sample, and the stated actuator's torque less the nuisance."""
+    """Sizes of the motion at the middle of each sample, and the stated actuator's torque less the
+    nuisance.
+    """
     r = record.run
     q, v = middle(r.q), middle(r.v)
     a = np.diff(r.v, axis=0) / np.diff(r.time)[:, None]
@@ -163,7 +165,8 @@ def scales_of(b: Bench, record: Record) -> list[Scale]:
 
 
 def check(b: Bench, record: Record, base: Record) -> None:
-    """Refuse motions that no laboratory would keep, and those that what is concealed has blown up."""
+    """Refuse motions that no laboratory would keep, and those that what is concealed has blown up.
+    """
     r = record.run
     for i in range(b.n):
         if np.mean(np.abs(r.command[:, i]) >= 0.999 * b.limit[i]) > 0.02:
@@ -180,7 +183,9 @@ def check(b: Bench, record: Record, base: Record) -> None:
 
 
 def visible(b: Bench, record: Record, joint: int) -> dict[str, Any]:
-    """What a refit of the given model leaves of the torque along the true motion, and how plainly it shows."""
+    """What a refit of the given model leaves of the torque along the true motion, and how plainly
+    it shows.
+    """
     scales = scales_of(b, record)
     s = scales[joint]
     nominal = Nominal(b)
@@ -255,7 +260,9 @@ def truth_of(b: Bench, request: Request, train: Record) -> dict[str, Any]:
 
 
 def given(b: Bench, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, Any]:
-    """The model file: inertial figures off by 3 %, known friction by 5 %; exact where they are fixed."""
+    """The model file: inertial figures off by 3 %, known friction by 5 %; exact where they are
+    fixed.
+    """
 
     def near(value: float, spread: float) -> float:
         return value * (1 + (0.0 if b.fixed else spread * float(rng.standard_normal())))

@@ -48,9 +48,16 @@ def _gravity(b: Bench, joint: int, s: Scale, size: float, rng: Rng) -> Concealed
     pos = numbers((side * reach, 0.0, 0.0))
     b.world.on_link[joint] = body_of("weight", pos, mass)
     return truth(
-        b, "gravity", joint, size, {"torque": (mass * 9.81 * reach, unit(b)), "angle": (0.0, "rad")},
-        ("payload", "body"), ("inertia",), ("torque", "angle"), note="a weight beside the link",
-    )  # fmt: skip
+        b,
+        "gravity",
+        joint,
+        size,
+        {"torque": (mass * 9.81 * reach, unit(b)), "angle": (0.0, "rad")},
+        ("payload", "body"),
+        ("inertia",),
+        ("torque", "angle"),
+        note="a weight beside the link",
+    )
 
 
 @maker("ripple")

@@ -1,4 +1,6 @@
-"""Which cases a MuJoCo reality is judged on: machine, kind, what is concealed, size as a share of the torque."""
+"""Which cases a MuJoCo reality is judged on: machine, kind, what is concealed, size as a share of
+the torque.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from zendsp.proof.mujoco.make import FAULTS
 from zendsp.proof.mujoco.truths import MAKERS
 
 BODIES = ("payload", "heavier", "com", "base_tilt")
-# what cannot be put on a machine: bodies need a chain, once per turn needs turns, unbalance needs a link that hangs
+# what cannot be put on a machine: bodies need a chain, once per turn needs turns, unbalance needs a
+# link that hangs
 UNFIT: dict[str, tuple[str, ...]] = {
     "mj_joint": BODIES,
     "mj_cart": (*BODIES, "gravity", "sensor_harmonic", "encoder_eccentricity"),
@@ -20,15 +23,30 @@ UNFIT: dict[str, tuple[str, ...]] = {
     "mj_arm7": ("gravity", "encoder_eccentricity", "sensor_harmonic"),
 }
 PAIRS = (
-    "dry_hard+stiffness", "lugre+ripple", "dry_soft+quadratic_drag", "dry_hard+delay", "viscous+stiffness",
-    "stribeck+torque_offset", "dead_zone+ripple", "quadratic_drag+ripple", "lag+stiffness",
-    "position_friction+quadratic_drag", "backlash+viscous", "elasticity+dry_hard",
-)  # fmt: skip
+    "dry_hard+stiffness",
+    "lugre+ripple",
+    "dry_soft+quadratic_drag",
+    "dry_hard+delay",
+    "viscous+stiffness",
+    "stribeck+torque_offset",
+    "dead_zone+ripple",
+    "quadratic_drag+ripple",
+    "lag+stiffness",
+    "position_friction+quadratic_drag",
+    "backlash+viscous",
+    "elasticity+dry_hard",
+)
 # dry friction in every joint, and one thing more
 ALL = (
-    "dry_hard", "dry_hard+payload", "dry_hard+stiffness", "dry_soft", "dry_hard+heavier", "dry_soft+payload",
-    "dry_hard+elasticity", "dry_hard+base_tilt",
-)  # fmt: skip
+    "dry_hard",
+    "dry_hard+payload",
+    "dry_hard+stiffness",
+    "dry_soft",
+    "dry_hard+heavier",
+    "dry_soft+payload",
+    "dry_hard+elasticity",
+    "dry_hard+base_tilt",
+)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,6 @@
-"""Runs a bench in MuJoCo: reference, controller, motor, own torques, sensor; one recording at a time."""
+"""Runs a bench in MuJoCo: reference, controller, motor, own torques, sensor; one recording at a
+time.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def library() -> Any:
 
 
 class Nominal:
-    """Inverse dynamics of what the given model says of the bodies: for controllers and for the oracle."""
+    """Inverse dynamics of what the given model says of the bodies: for controllers and for the
+    oracle.
+    """
 
     def __init__(self, bench: Bench) -> None:
         self.mj = library()
@@ -98,7 +102,9 @@ def plan(bench: Bench, shape: str, rng: Rng) -> Plan:
 
 
 class Controller:
-    """PD with feedforward, cascaded PI, or computed torque; the measured position is all that it sees."""
+    """PD with feedforward, cascaded PI, or computed torque; the measured position is all that it
+    sees.
+    """
 
     def __init__(self, bench: Bench, nominal: Nominal, p: Plan) -> None:
         self.kind, self.nominal, self.p = bench.controller, nominal, p
@@ -141,7 +147,8 @@ def actuated(command: Array, joints: list[Joint]) -> Array:
 
 
 def nuisance_of(bench: Bench, t: Array, size: list[float], rng: Rng) -> Array:
-    """Coloured torque that is nobody's physics: noise through a low pass of 1 to 20 Hz, (rows, n)."""
+    """Coloured torque that is nobody's physics: noise through a low pass of 1 to 20 Hz, (rows, n).
+    """
     out = np.zeros((t.size, bench.n))
     if bench.nuisance == 0.0:
         return out

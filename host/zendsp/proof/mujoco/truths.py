@@ -1,4 +1,5 @@
-"""What is concealed in a MuJoCo reality, by effect: MuJoCo's own parts where it has them, else formulas of ours.
+"""What is concealed in a MuJoCo reality, by effect: MuJoCo's own parts where it has them, else
+formulas of ours.
 
 Each maker changes the bench and returns the truth in the words of the contract. Sizes are shares of
 the RMS torque.

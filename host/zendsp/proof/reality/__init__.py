@@ -1,4 +1,6 @@
-"""Machines with concealed physics, simulated by code and numerics that the diagnosis does not share."""
+"""Machines with concealed physics, simulated by code and numerics that the diagnosis does not
+share.
+"""
 
 from zendsp.proof.reality.machine import (
     CouplingTruth,
@@ -11,4 +13,13 @@ from zendsp.proof.reality.machine import (
     run,
 )
 
-__all__ = ["CouplingTruth", "ForeignTable", "JointTruth", "LinkTruth", "MachineTruth", "Run", "inverse_dynamics", "run"]
+__all__ = [
+    "CouplingTruth",
+    "ForeignTable",
+    "JointTruth",
+    "LinkTruth",
+    "MachineTruth",
+    "Run",
+    "inverse_dynamics",
+    "run",
+]

@@ -19,9 +19,12 @@ FLAGS = ("-O2", "-std=gnu11", "-ffp-contract=off", "-shared", "-fPIC")
 
 
 def cache_folder() -> Path:
-    """Folder of compiled libraries: ``$XDG_CACHE_HOME/zendsp`` or one below the temporary folder."""
+    """Folder of compiled libraries: ``$XDG_CACHE_HOME/zendsp`` or one below the temporary folder.
+    """
     root = os.environ.get("XDG_CACHE_HOME")
-    folder = Path(root) / "zendsp" if root else Path(tempfile.gettempdir()) / f"zendsp-{os.getuid()}"
+    folder = (
+        Path(root) / "zendsp" if root else Path(tempfile.gettempdir()) / f"zendsp-{os.getuid()}"
+    )
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     return folder
 
@@ -54,10 +57,14 @@ def compile_to(path: Path, source: str) -> None:
         code.write_text(source, encoding="utf-8")
         try:
             done = subprocess.run(
-                [compiler, *FLAGS, str(code), "-o", str(product), "-lm"], capture_output=True, text=True
+                [compiler, *FLAGS, str(code), "-o", str(product), "-lm"],
+                capture_output=True,
+                text=True,
             )
         except FileNotFoundError as error:
-            raise RuntimeError(f"no C compiler {compiler!r} found; install one or set CC") from error
+            raise RuntimeError(
+                f"no C compiler {compiler!r} found; install one or set CC"
+            ) from error
         if done.returncode != 0:
             raise RuntimeError(f"{compiler} refused the simulator of the proof:\n{done.stderr}")
         os.replace(product, path)

@@ -16,7 +16,9 @@ KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2}
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """A torque over position and speed that opposes, like every effect; between its points it is bilinear."""
+    """A torque over position and speed that opposes, like every effect; between its points it is
+    bilinear.
+    """
 
     torque: Array  # (positions, speeds), N m or N
     position: tuple[float, float]  # of the first row and the last, rad or m
@@ -25,7 +27,9 @@ class ForeignTable:
 
 @dataclass(frozen=True)
 class JointTruth:
-    """Everything that acts on one joint; names, units and signs are those of ``Joint`` in ``reality.h``."""
+    """Everything that acts on one joint; names, units and signs are those of ``Joint`` in
+    ``reality.h``.
+    """
 
     coulomb_pos: float = 0.0
     coulomb_neg: float = 0.0
@@ -124,7 +128,8 @@ class MachineTruth:
 
 @dataclass(frozen=True)
 class Run:
-    """What a recording shows (measured, command) and what only the simulator knows (q, v, energy)."""
+    """What a recording shows (measured, command) and what only the simulator knows (q, v, energy).
+    """
 
     time: Array  # s, (rows,)
     measured: Array  # rad or m, (rows, n)
@@ -165,11 +170,13 @@ def run(
     rows, n = reference.shape
     zero = np.zeros((rows, n))
     given = [
-        np.ascontiguousarray(zero if a is None else a, float) for a in (reference, feedforward, torque, noise)
+        np.ascontiguousarray(zero if a is None else a, float)
+        for a in (reference, feedforward, torque, noise)
     ]
     if any(a.shape != (rows, n) for a in given) or n != len(truth.joints):
         raise ValueError(
-            f"arrays of shape {[a.shape for a in given]} for {len(truth.joints)} joints; expected ({rows}, n)"
+            f"arrays of shape {[a.shape for a in given]} for {len(truth.joints)} joints; expected"
+            f" ({rows}, n)"
         )
     made = [np.empty((rows, n)) for _ in range(4)] + [np.empty(rows)]
     pointers = [ffi.cast("double *", ffi.from_buffer(a)) for a in given + made]
@@ -180,17 +187,27 @@ def run(
         )
     measured, command, q, v, energy = made
     return Run(
-        np.arange(rows, dtype=np.float64) * truth.sample_time, measured, command, given[0], q, v, energy
+        np.arange(rows, dtype=np.float64) * truth.sample_time,
+        measured,
+        command,
+        given[0],
+        q,
+        v,
+        energy,
     )
 
 
 def inverse_dynamics(truth: MachineTruth, q: Array, v: Array, a: Array) -> Array:
-    """M(q) a + Coriolis, centrifugal and gravity torque of the mechanism alone, (rows, n), N m or N."""
+    """M(q) a + Coriolis, centrifugal and gravity torque of the mechanism alone, (rows, n), N m or
+    N.
+    """
     ffi, lib = library()
     rows, n = q.shape
     given = [np.ascontiguousarray(x, float) for x in (q, v, a)]
     out = np.empty((rows, n))
-    lib.inverse(to_c(ffi, truth), rows, *[ffi.cast("double *", ffi.from_buffer(x)) for x in (*given, out)])
+    lib.inverse(
+        to_c(ffi, truth), rows, *[ffi.cast("double *", ffi.from_buffer(x)) for x in (*given, out)]
+    )
     return out
 
 
@@ -222,7 +239,11 @@ def to_c(ffi: object, truth: MachineTruth) -> object:
         m.link[i].rotation, m.link[i].place = link.rotation, link.place
         m.link[i].mass, m.link[i].com, m.link[i].inertia = link.mass, link.com, link.inertia
     m.down = truth.down
-    m.sample_time, m.substeps, m.velocity_filter = truth.sample_time, truth.substeps, truth.velocity_filter
+    m.sample_time, m.substeps, m.velocity_filter = (
+        truth.sample_time,
+        truth.substeps,
+        truth.velocity_filter,
+    )
     return m
 
 

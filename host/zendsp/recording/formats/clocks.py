@@ -1,4 +1,6 @@
-"""Logs whose series have clocks of their own, put on one: that of the positions, on which everything else is held."""
+"""Logs whose series have clocks of their own, put on one: that of the positions, on which
+everything else is held.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from zendsp.recording.formats.raw import Raw
 from zendsp.recording.names import FloatArray
 from zendsp.recording.roles import Role, role_of
 
-WEIGHTY = 0.1  # of the rows of the clock: a series with so many bounds the time that is read; others are held over it
+# of the rows of the clock: a series with so many bounds the time that is read; others are held over
+# it
+WEIGHTY = 0.1
 
 
 @dataclass(frozen=True)
@@ -29,12 +33,14 @@ class Series:
     units: dict[str, str] = field(default_factory=dict)
 
 
-def on_one_clock(path: Path, found: list[Series], refused: dict[str, str] | None = None, *, prefix: bool) -> Raw:
+def on_one_clock(
+    path: Path, found: list[Series], refused: dict[str, str] | None = None, *, prefix: bool
+) -> Raw:
     """One table of all series.
 
-    Its rows are those of the series that holds positions (of the longest, where none does). Of the others each row takes
-    the newest value, as a machine holds its command. Rows before the first or after the last value of a series of any
-    weight are left out.
+    Its rows are those of the series that holds positions (of the longest, where none does). Of the
+    others each row takes the newest value, as a machine holds its command. Rows before the first or
+    after the last value of a series of any weight are left out.
 
     Parameters
     ----------
@@ -50,7 +56,9 @@ def on_one_clock(path: Path, found: list[Series], refused: dict[str, str] | None
     refused = refused or {}
     if not found:
         why = "; ".join(f"{name} {reason}" for name, reason in list(refused.items())[:3])
-        raise RecordingError(f"{path}: holds no series of numbers over time{f' ({why})' if why else ''}")
+        raise RecordingError(
+            f"{path}: holds no series of numbers over time{f' ({why})' if why else ''}"
+        )
     names = _names(found, prefix)
     master = max(found, key=lambda s: (_positions(s), len(s.t)))
     heavy = [s for s in found if len(s.t) >= WEIGHTY * len(master.t)]
@@ -69,24 +77,32 @@ def on_one_clock(path: Path, found: list[Series], refused: dict[str, str] | None
         for name, values in series.columns.items():
             whole = names[series.name, name]
             columns[whole] = (
-                values[kept] if series is master else np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
+                values[kept]
+                if series is master
+                else np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
             )
             units[whole] = series.units.get(name, "")
     notes: list[str] = []
     if len(found) > 1:
         others = ", ".join(s.name for s in found if s is not master)
-        notes.append(f"{path.name}: rows are those of {master.name}; the newest value is held of {others}")
+        notes.append(
+            f"{path.name}: rows are those of {master.name}; the newest value is held of {others}"
+        )
     if (left := len(master.t) - len(t)) > 0:
         notes.append(f"{path.name}: {left} rows left out in which not everything was recorded")
     return Raw(columns, units, {}, "", refused, tuple(notes))
 
 
 def _positions(series: Series) -> int:
-    return sum(role_of(name, series.units.get(name, "")) is Role.POSITION for name in series.columns)
+    return sum(
+        role_of(name, series.units.get(name, "")) is Role.POSITION for name in series.columns
+    )
 
 
 def _names(found: list[Series], prefix: bool) -> dict[tuple[str, str], str]:
-    """Names of columns: their own where no other series has it, else with that of the series before it."""
+    """Names of columns: their own where no other series has it, else with that of the series before
+    it.
+    """
     every = [name for s in found for name in s.columns]
     names = {}
     for s in found:

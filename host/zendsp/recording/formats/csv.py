@@ -1,7 +1,9 @@
-"""CSV and TSV: a header of names (``q1`` or ``q1 [rad]``), perhaps a row of units, then rows of numbers.
+"""CSV and TSV: a header of names (``q1`` or ``q1 [rad]``), perhaps a row of units, then rows of
+numbers.
 
-Recordings carry their circumstances in one comment line before the header; readers that know ``#`` skip it.
-Separators ``,`` ``;`` and tab are told from the header; ``;`` with decimal commas is understood. Gzip by suffix ``.gz``.
+Recordings carry their circumstances in one comment line before the header; readers that know ``#``
+skip it. Separators ``,`` ``;`` and tab are told from the header; ``;`` with decimal commas is
+understood. Gzip by suffix ``.gz``.
 """
 
 from __future__ import annotations
@@ -27,9 +29,12 @@ MARK = "# zendsp "
 
 
 def write(recording: Recording, circumstances: str, path: Path) -> None:
-    """Write ``recording`` with 17 significant digits, so that reading gives back the same numbers."""
+    """Write ``recording`` with 17 significant digits, so that reading gives back the same numbers.
+    """
     units = ["s", *recording.column_units]
-    header = [f"{n} [{u}]" if u else n for n, u in zip(["t", *recording.columns], units, strict=True)]
+    header = [
+        f"{n} [{u}]" if u else n for n, u in zip(["t", *recording.columns], units, strict=True)
+    ]
     with path.open("w", newline="") as file:
         file.write(f"{MARK}{circumstances}\n")
         csv.writer(file, lineterminator="\n").writerow(header)
@@ -47,7 +52,9 @@ def read(path: Path) -> Raw:
             circumstances = line[len(MARK) :]
     header_line, _, rows = body.partition("\n")
     if not header_line.strip():
-        raise RecordingError(f"{path}: is empty; expected a line of column names, then rows of numbers")
+        raise RecordingError(
+            f"{path}: is empty; expected a line of column names, then rows of numbers"
+        )
     delimiter = next((d for d in (";", "\t", ",") if d in header_line), ",")
     names, units = _header(path, header_line, delimiter, first_line)
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
@@ -66,7 +73,9 @@ def _text(path: Path) -> str:
             f"{path}: is not text in UTF-8 ({error.reason} at byte {error.start})"
         ) from error
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise RecordingError(f"{path}: is not a readable gzip file, or it is cut short ({error})") from error
+        raise RecordingError(
+            f"{path}: is not a readable gzip file, or it is cut short ({error})"
+        ) from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
 
@@ -75,7 +84,8 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
     if all(_is_number(cell) for cell in cells):
         raise RecordingError(
-            f"{path}: line {number} holds numbers ({line[:40].strip()}); expected the names of the columns there"
+            f"{path}: line {number} holds numbers ({line[:40].strip()}); expected the names of the"
+            " columns there"
         )
     split = [split_unit(cell) for cell in cells]
     names = [name for name, _ in split]
@@ -89,15 +99,24 @@ def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[st
 
 def _unit_row(line: str, delimiter: str, width: int) -> list[str]:
     """The units in the row below the header; empty where that row holds anything else."""
-    cells = [cell.strip().strip("[]()").strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    cells = [
+        cell.strip().strip("[]()").strip()
+        for cell in next(csv.reader([line], delimiter=delimiter), [])
+    ]
     words = [cell for cell in cells if cell not in ("", "-", "1")]
     known = [word for word in words if to_si(word)]
-    if len(cells) != width or any(_is_number(word) for word in words) or 2 * len(known) <= len(words):
+    if (
+        len(cells) != width
+        or any(_is_number(word) for word in words)
+        or 2 * len(known) <= len(words)
+    ):
         return []
     return ["" if cell in ("-", "1") else cell for cell in cells]
 
 
-def _numbers(path: Path, rows: str, names: list[str], delimiter: str, first_line: int) -> dict[str, Any]:
+def _numbers(
+    path: Path, rows: str, names: list[str], delimiter: str, first_line: int
+) -> dict[str, Any]:
     decimal = "," if delimiter == ";" and "," in rows[:4096] and "." not in rows[:4096] else "."
     if not rows.strip():
         raise RecordingError(f"{path}: has column names but no rows")
@@ -129,7 +148,13 @@ def _with_gaps(text: str, width: int, delimiter: str) -> Any:
 
 
 def _first_fault(
-    path: Path, rows: str, names: list[str], delimiter: str, decimal: str, first_line: int, error: Exception
+    path: Path,
+    rows: str,
+    names: list[str],
+    delimiter: str,
+    decimal: str,
+    first_line: int,
+    error: Exception,
 ) -> RecordingError:
     """Find the line that the fast reader refused and say what is wrong with it."""
     for number, cells in enumerate(csv.reader(io.StringIO(rows), delimiter=delimiter), first_line):

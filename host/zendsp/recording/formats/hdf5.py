@@ -1,4 +1,6 @@
-"""HDF5 of any origin: every one- or two-dimensional set of numbers is a column; units stand in its attributes."""
+"""HDF5 of any origin: every one- or two-dimensional set of numbers is a column; units stand in its
+attributes.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ UNITS = ("units", "unit", "Units", "Unit")
 
 
 def read(path: Path) -> Raw:
-    """Read a file; groups become parts of names: ``/run/q`` is ``run.q``, or ``q`` where no other group has one."""
+    """Read a file; groups become parts of names: ``/run/q`` is ``run.q``, or ``q`` where no other
+    group has one.
+    """
     import h5py
 
     columns: dict[str, FloatArray] = {}

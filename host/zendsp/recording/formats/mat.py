@@ -1,8 +1,9 @@
 """MATLAB files: version 5 written and read through SciPy, version 7.3 (HDF5) read through h5py.
 
-A recording is written as ``data`` (a matrix, one column per signal, time first), ``names`` and ``units`` (cell arrays with one
-entry per column) and ``zendsp`` (the circumstances as JSON text). In foreign files, structures and cells are walked: the
-fields become names such as ``Theta1.signals.values`` and ``Y_id{1}``.
+A recording is written as ``data`` (a matrix, one column per signal, time first), ``names`` and
+``units`` (cell arrays with one entry per column) and ``zendsp`` (the circumstances as JSON text).
+In foreign files, structures and cells are walked: the fields become names such as
+``Theta1.signals.values`` and ``Y_id{1}``.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
         "data": np.column_stack([recording.t, recording.data]),
         "names": _cells(names),
         "units": _cells(units),
-        # MAT v5 characters are UTF-16: text outside ASCII is escaped by JSON, so any reader gets it whole.
+        # MAT v5 characters are UTF-16: text outside ASCII is escaped by JSON, so any reader gets it
+        # whole.
         KEY: circumstances,
     }
     scipy.io.savemat(str(path), contents, appendmat=False, format="5", do_compression=True)
@@ -71,9 +73,12 @@ def _read_v5(path: Path) -> dict[str, Any]:
 
     try:
         contents = scipy.io.loadmat(path, squeeze_me=False, chars_as_strings=True)
-    # SciPy raises whatever its parser stumbles over (struct, zlib, Type, Value, Key, NotImplemented …).
+    # SciPy raises whatever its parser stumbles over (struct, zlib, Type, Value, Key, NotImplemented
+    # …).
     except Exception as error:
-        raise RecordingError(f"{path}: is not a readable MAT file, or it is cut short ({error})") from error
+        raise RecordingError(
+            f"{path}: is not a readable MAT file, or it is cut short ({error})"
+        ) from error
     return {name: value for name, value in contents.items() if not name.startswith("__")}
 
 
@@ -82,7 +87,11 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
 
     try:
         with h5py.File(path, "r") as file:
-            return {name: _hdf5_value(file, item) for name, item in file.items() if not name.startswith("#")}
+            return {
+                name: _hdf5_value(file, item)
+                for name, item in file.items()
+                if not name.startswith("#")
+            }
     except (OSError, KeyError, RuntimeError, ValueError) as error:
         raise RecordingError(
             f"{path}: is not a readable MAT 7.3 file, or it is cut short ({error})"
@@ -118,7 +127,9 @@ def _walk(
     refused: dict[str, str],
 ) -> None:
     """Collect numeric vectors, matrices and scalars from nested structures and cells."""
-    visit: Callable[[str, Any], None] = lambda inner, item: _walk(inner, item, columns, constants, refused)  # noqa: E731
+    visit: Callable[[str, Any], None] = lambda inner, item: _walk(  # noqa: E731
+        inner, item, columns, constants, refused
+    )
     if isinstance(value, Mapping):
         for key, item in value.items():
             visit(f"{name}.{key}", item)
@@ -149,7 +160,8 @@ def _own(path: Path, contents: dict[str, Any]) -> Raw:
     data = np.asarray(contents["data"], dtype=np.float64)
     if data.ndim != 2 or not len(names) == len(units) == data.shape[1]:
         raise RecordingError(
-            f"{path}: data has shape {data.shape}, names {len(names)} and units {len(units)} entries; they must agree"
+            f"{path}: data has shape {data.shape}, names {len(names)} and units {len(units)}"
+            " entries; they must agree"
         )
     columns = {name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(names)}
     return Raw(columns, dict(zip(names, units, strict=True)), {}, "".join(_texts(contents[KEY])))

@@ -1,8 +1,8 @@
 """MCAP: recordings of zendsp, and of ROS 2 or JSON by anyone.
 
-A recording is one topic whose messages are its rows, in the encoding of ROS 2 (doubles in a row, so nothing is rounded), with
-the unit of each field beside it; Foxglove and PlotJuggler draw it. All else that a recording carries stands in the file's
-metadata.
+A recording is one topic whose messages are its rows, in the encoding of ROS 2 (doubles in a row, so
+nothing is rounded), with the unit of each field beside it; Foxglove and PlotJuggler draw it. All
+else that a recording carries stands in the file's metadata.
 """
 
 from __future__ import annotations
@@ -45,17 +45,24 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
         writer.start(profile="ros2", library="zendsp")
         schema = writer.register_schema(SCHEMA, "ros2msg", "\n".join(lines).encode())
         channel = writer.register_channel(
-            TOPIC, "cdr", schema, {name: unit for name, unit in zip(fields, units, strict=True) if unit}
+            TOPIC,
+            "cdr",
+            schema,
+            {name: unit for name, unit in zip(fields, units, strict=True) if unit},
         )
         for k, t in enumerate(recording.t):
             stamp = start_ns + round(float(t) * 1e9)
-            writer.add_message(channel, max(stamp, 0), HEAD + rows[k].tobytes(), max(stamp, 0), k & 0xFFFFFFFF)
+            writer.add_message(
+                channel, max(stamp, 0), HEAD + rows[k].tobytes(), max(stamp, 0), k & 0xFFFFFFFF
+            )
         writer.add_metadata(KEY, {"circumstances": circumstances, "fields": json.dumps(fields)})
         writer.finish()
 
 
 def _fields(names: list[str]) -> list[str]:
-    """Names that ROS 2 allows, all different: lower case, beginning with a letter, single underscores."""
+    """Names that ROS 2 allows, all different: lower case, beginning with a letter, single
+    underscores.
+    """
     fields: list[str] = []
     for name in names:
         plain = re.sub(r"_+", "_", re.sub(r"[^a-z0-9]", "_", name.lower())).strip("_")
@@ -76,12 +83,18 @@ def read(path: Path) -> Raw:
         if own:
             return _own(reader, own)
         if KEY in reader.get_header().library:
-            raise RecordingError(f"{path}: is damaged: it was written by zendsp, and its description is gone. Take another copy")
+            raise RecordingError(
+                f"{path}: is damaged: it was written by zendsp, and its description is gone. Take"
+                " another copy"
+            )
         return _foreign(path, reader)
 
 
 def _own(reader: Any, own: dict[str, str]) -> Raw:
-    rows = [message.data[4:] for _, _, message in reader.iter_messages(topics=[TOPIC], log_time_order=False)]
+    rows = [
+        message.data[4:]
+        for _, _, message in reader.iter_messages(topics=[TOPIC], log_time_order=False)
+    ]
     channels = json.loads(own["circumstances"])["channels"]
     width = 1 + sum(channel["width"] for channel in channels)
     data = np.frombuffer(b"".join(rows), dtype="<f8").reshape(-1, width).astype(np.float64)
@@ -120,7 +133,7 @@ def _decoder(channel: Any, schema: Any) -> Any:
         store = get_typestore(Stores.EMPTY)
         store.register(get_types_from_msg(schema.data.decode(), schema.name))
         return lambda data: store.deserialize_cdr(data, schema.name)
-    encoding = f"{channel.message_encoding} with {schema.encoding}" if schema else channel.message_encoding
+    encoding = (
+        f"{channel.message_encoding} with {schema.encoding}" if schema else channel.message_encoding
+    )
     return f"is in {encoding or 'an unknown encoding'}; ROS 2 (cdr with ros2msg) and JSON are read"
-
-

@@ -27,7 +27,9 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
     asammdf = _library()
     signals = [
         asammdf.Signal(np.ascontiguousarray(values), recording.t, unit=unit, name=name)
-        for name, unit, values in zip(recording.columns, recording.column_units, recording.data.T, strict=True)
+        for name, unit, values in zip(
+            recording.columns, recording.column_units, recording.data.T, strict=True
+        )
     ]
     buffer = io.BytesIO()
     with asammdf.MDF(version="4.10") as file:
@@ -52,8 +54,15 @@ def parse(path: Path) -> Raw:
         refused: dict[str, str] = {}
         for index, group in enumerate(file.groups):
             found += _group(file, index, group, refused)
-        if not attached and any(group.channel_group.comment == MARK for group in file.groups if hasattr(group.channel_group, "comment")):
-            raise RecordingError(f"{path}: is damaged: it was written by zendsp, and its description is gone. Take another copy")
+        if not attached and any(
+            group.channel_group.comment == MARK
+            for group in file.groups
+            if hasattr(group.channel_group, "comment")
+        ):
+            raise RecordingError(
+                f"{path}: is damaged: it was written by zendsp, and its description is gone. Take"
+                " another copy"
+            )
         if not attached:
             return on_one_clock(path, found, refused, prefix=False)
     (own,) = found
@@ -90,7 +99,11 @@ def _group(file: Any, index: int, group: Any, refused: dict[str, str]) -> list[S
             values[np.asarray(signal.invalidation_bits, dtype=bool)] = np.nan
         t = signal.timestamps
         columns[channel.name], units[channel.name] = values, str(signal.unit or "")
-    name = str(group.channel_group.acq_name or f"group{index}") if hasattr(group.channel_group, "acq_name") else f"group{index}"
+    name = (
+        str(group.channel_group.acq_name or f"group{index}")
+        if hasattr(group.channel_group, "acq_name")
+        else f"group{index}"
+    )
     return [] if t is None else [Series(name, np.asarray(t, dtype=np.float64), columns, units)]
 
 

@@ -26,7 +26,9 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
 
 
 def read(path: Path) -> Raw:
-    """Read any NPZ of numeric arrays; pickled objects are refused, since loading them would run code."""
+    """Read any NPZ of numeric arrays; pickled objects are refused, since loading them would run
+    code.
+    """
     columns, constants, refused = {}, {}, {}
     circumstances = ""
     try:
@@ -47,6 +49,15 @@ def read(path: Path) -> Raw:
                     refused[name] = f"has {values.ndim} dimensions; at most 2 can be columns"
                 else:
                     columns[name] = values.astype(np.float64)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError) as error:
-        raise RecordingError(f"{path}: is not a readable NPZ file, or it is cut short ({error})") from error
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        ValueError,
+        NotImplementedError,
+    ) as error:
+        raise RecordingError(
+            f"{path}: is not a readable NPZ file, or it is cut short ({error})"
+        ) from error
     return Raw(columns, {}, constants, circumstances, refused)

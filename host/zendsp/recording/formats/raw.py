@@ -11,9 +11,9 @@ from zendsp.recording.names import FloatArray
 class Raw:
     """Named arrays as the file has them.
 
-    ``columns`` may still differ in length; ``circumstances`` is the JSON text that zendsp writes beside its own data,
-    empty in foreign files; ``refused`` names what is there but holds no numbers, with the reason; ``notes`` say what
-    the reader did to the numbers.
+    ``columns`` may still differ in length; ``circumstances`` is the JSON text that zendsp writes
+    beside its own data, empty in foreign files; ``refused`` names what is there but holds no
+    numbers, with the reason; ``notes`` say what the reader did to the numbers.
     """
 
     columns: dict[str, FloatArray]

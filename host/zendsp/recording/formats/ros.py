@@ -1,4 +1,6 @@
-"""ROS: messages of any type become columns; JointState and its like are told apart by the names of their joints."""
+"""ROS: messages of any type become columns; JointState and its like are told apart by the names of
+their joints.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +31,18 @@ class Topics:
         self.refused: dict[str, str] = {}
 
     def add(self, topic: str, stamp_ns: int, message: Any) -> None:
-        """Take one message, received at ``stamp_ns``; its own header's time counts where it has one."""
+        """Take one message, received at ``stamp_ns``; its own header's time counts where it has
+        one.
+        """
         if topic in self.refused:
             return
         found: dict[str, float] = {}
         _flatten(message, "", found)
         own = _header(message)
         if len(found) > MOST:
-            self.refused[topic] = f"has {len(found)} numbers in a message; signals have {MOST} at most"
+            self.refused[topic] = (
+                f"has {len(found)} numbers in a message; signals have {MOST} at most"
+            )
         elif found:
             times, rows = self._rows.setdefault((topic, tuple(found)), ([], []))
             times.append(own if own is not None else stamp_ns)
@@ -51,7 +57,9 @@ class Topics:
             data = np.array(rows)
             number = seen.count(topic)
             seen.append(topic)
-            columns: dict[str, FloatArray] = {n: np.ascontiguousarray(data[:, k]) for k, n in enumerate(names)}
+            columns: dict[str, FloatArray] = {
+                n: np.ascontiguousarray(data[:, k]) for k, n in enumerate(names)
+            }
             t: FloatArray = (np.array(times, dtype=np.int64) - start).astype(np.float64) * 1e-9
             series.append(Series(topic if not number else f"{topic}_{number + 1}", t, columns))
         return on_one_clock(path, series, self.refused, prefix=True)
@@ -68,7 +76,9 @@ def read(path: Path) -> Raw:
         known = reader.typestore.fielddefs
         for connection in reader.connections:
             if connection.msgtype not in known:
-                topics.refused[connection.topic] = f"is a {connection.msgtype}, which the bag does not define"
+                topics.refused[connection.topic] = (
+                    f"is a {connection.msgtype}, which the bag does not define"
+                )
         wanted = [c for c in reader.connections if c.msgtype in known]
         for connection, stamp, data in reader.messages(connections=wanted):
             if connection.topic not in topics.refused:
@@ -97,7 +107,11 @@ def _flatten(message: Any, where: str, found: dict[str, float]) -> None:
             found[place] = float(value)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
             _array(value.reshape(-1), where, key, names, found)
-        elif isinstance(value, list | tuple) and value and all(isinstance(v, int | float) for v in value):
+        elif (
+            isinstance(value, list | tuple)
+            and value
+            and all(isinstance(v, int | float) for v in value)
+        ):
             _array(value, where, key, names, found)
         elif isinstance(value, list | tuple) and len(value) == 1 and _fields(value[0]):
             _named(value[0], f"{place}.", names, found)  # a trajectory of one point is a command
@@ -113,11 +127,17 @@ def _named(message: Any, where: str, names: list[str], found: dict[str, float]) 
             _flatten({key: value}, where, found)
 
 
-def _array(values: Iterable[Any], where: str, key: str, names: list[str], found: dict[str, float]) -> None:
+def _array(
+    values: Iterable[Any], where: str, key: str, names: list[str], found: dict[str, float]
+) -> None:
     items = list(values)
     for k, value in enumerate(items):
         own = len(items) == len(names)
-        place = f"{where}{names[k]}.{key}" if own else f"{where}{key}[{k}]" if len(items) > 1 else f"{where}{key}"
+        place = (
+            f"{where}{names[k]}.{key}"
+            if own
+            else f"{where}{key}[{k}]" if len(items) > 1 else f"{where}{key}"
+        )
         found[place] = float(value)
 
 
@@ -128,4 +148,6 @@ def _fields(message: Any) -> list[tuple[str, Any]]:
 
 
 def _strings(value: Any) -> bool:
-    return isinstance(value, list | tuple) and bool(value) and all(isinstance(v, str) for v in value)
+    return (
+        isinstance(value, list | tuple) and bool(value) and all(isinstance(v, str) for v in value)
+    )

@@ -17,7 +17,8 @@ from zendsp.recording.units import in_si
 
 
 def read(path: Path) -> Raw:
-    """Read a file. Channels without a clock of their own belong to the time channel of their group."""
+    """Read a file. Channels without a clock of their own belong to the time channel of their group.
+    """
     nptdms = need("nptdms", "files", "a TDMS file", RecordingError)
     found: list[Series] = []
     refused: dict[str, str] = {}
@@ -57,11 +58,14 @@ def _group(path: Path, group: Any, refused: dict[str, str]) -> list[Series]:
     if clock is not None:
         t = in_si({clock: plain.pop(clock)}, units)[0][clock]
         for name in [n for n in plain if len(plain[n]) != len(t)]:
-            refused[name] = f"has {len(plain.pop(name))} rows where the time channel {clock!r} has {len(t)}"
+            refused[name] = (
+                f"has {len(plain.pop(name))} rows where the time channel {clock!r} has {len(t)}"
+            )
         series.append(Series(group.name, t, plain, units))
     elif plain and not series:
         raise RecordingError(
-            f"{path}: the channels of group {group.name!r} have no clock (property wf_increment, or a channel named time)"
+            f"{path}: the channels of group {group.name!r} have no clock (property wf_increment, or"
+            " a channel named time)"
         )
     else:
         refused |= dict.fromkeys(plain, "has no clock")

@@ -17,11 +17,17 @@ from zendsp.reference.profiles import fade, make_grid
 Sweep = Literal["linear", "logarithmic"]
 
 
-def _phase(t: Array, f0: float, f1: float, duration: float, sweep: Sweep) -> tuple[Array, Array, Array]:
+def _phase(
+    t: Array, f0: float, f1: float, duration: float, sweep: Sweep
+) -> tuple[Array, Array, Array]:
     """Phase and its two derivatives: rad, rad/s, rad/s^2."""
     if sweep == "linear":
         rate = (f1 - f0) / duration
-        return 2 * np.pi * (f0 * t + 0.5 * rate * t**2), 2 * np.pi * (f0 + rate * t), np.full_like(t, 2 * np.pi * rate)
+        return (
+            2 * np.pi * (f0 * t + 0.5 * rate * t**2),
+            2 * np.pi * (f0 + rate * t),
+            np.full_like(t, 2 * np.pi * rate),
+        )
     if sweep != "logarithmic":
         raise ReferenceError_(f'sweep is "{sweep}"; expected "linear" or "logarithmic"')
     growth = np.log(f1 / f0) / duration
@@ -66,7 +72,8 @@ def make_chirp(
     sweep : {"linear", "logarithmic"}
         How the frequency rises.
     fade_time : float
-        Rise of the window at the start and its fall at the end, s: the motion begins and ends at rest.
+        Rise of the window at the start and its fall at the end, s: the motion begins and ends at
+        rest.
     sample_time : float, optional
         s.
 
@@ -90,7 +97,10 @@ def make_chirp(
     dt = sample_time or machine.sample_time
     for name, f in (("f0", f0), ("f1", f1)):
         if not 0.0 < f < 0.5 / dt:
-            raise ReferenceError_(f"{name} is {f:g} Hz; it must lie between 0 and half the sampling rate, {0.5 / dt:g} Hz")
+            raise ReferenceError_(
+                f"{name} is {f:g} Hz; it must lie between 0 and half the sampling rate,"
+                f" {0.5 / dt:g} Hz"
+            )
     t = make_grid(duration, dt)
     w, wd, wdd = fade(t, duration, fade_time)
     p, pd, pdd = _phase(t, f0, f1, duration, sweep)
@@ -98,9 +108,20 @@ def make_chirp(
     x = amplitude * w * s
     xd = amplitude * (wd * s + w * c * pd)
     xdd = amplitude * (wdd * s + 2 * wd * c * pd + w * (c * pdd - s * pd**2))
-    signal = (on_joints(machine, joint, x), on_joints(machine, joint, xd), on_joints(machine, joint, xdd))
-    used = {"joint": joint, "amplitude": amplitude, "f0": f0, "f1": f1, "duration": duration, "sweep": sweep,
-            "fade_time": fade_time}  # fmt: skip
+    signal = (
+        on_joints(machine, joint, x),
+        on_joints(machine, joint, xd),
+        on_joints(machine, joint, xdd),
+    )
+    used = {
+        "joint": joint,
+        "amplitude": amplitude,
+        "f0": f0,
+        "f1": f1,
+        "duration": duration,
+        "sweep": sweep,
+        "fade_time": fade_time,
+    }
     return make_signal(machine, "chirp", quantity, start, signal, dt, used)
 
 
@@ -112,11 +133,20 @@ KIND = Kind(
         QUANTITY,
         Parameter("joint", "int", "", 1, "Joint that moves; 0: all.", 0, 64),
         START,
-        Parameter("amplitude", "float", "rad or N m", 0.2, "Amplitude.", 0.0, by_machine={"wam7": 0.04}),
+        Parameter(
+            "amplitude", "float", "rad or N m", 0.2, "Amplitude.", 0.0, by_machine={"wam7": 0.04}
+        ),
         Parameter("f0", "float", "Hz", 0.1, "First frequency.", 1e-4, 1e5),
         Parameter("f1", "float", "Hz", 2.0, "Last frequency.", 1e-4, 1e5),
         Parameter("duration", "float", "s", 10.0, "Duration.", 0.01, 3600.0),
-        Parameter("sweep", "choice", "", "linear", "How the frequency rises.", choices=("linear", "logarithmic")),
+        Parameter(
+            "sweep",
+            "choice",
+            "",
+            "linear",
+            "How the frequency rises.",
+            choices=("linear", "logarithmic"),
+        ),
         Parameter("fade_time", "float", "s", 0.5, "Fade at each end.", 0.0, 600.0),
     ),
     make_chirp,

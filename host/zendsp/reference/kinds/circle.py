@@ -76,11 +76,22 @@ def make_circle(
     v = radius * np.stack([-sn * w, c * w], axis=1)
     a = radius * np.stack([-c * w**2 - sn * wd, -sn * w**2 + c * wd], axis=1)
     q, qd, qdd = cartesian_to_joint(machine, xy, v, a, elbow)
-    used = {"radius": radius, "x": x, "y": y, "duration": duration, "turns": turns, "phase": phase, "elbow": elbow,
-            "law": law, "blend": blend}  # fmt: skip
+    used = {
+        "radius": radius,
+        "x": x,
+        "y": y,
+        "duration": duration,
+        "turns": turns,
+        "phase": phase,
+        "elbow": elbow,
+        "law": law,
+        "blend": blend,
+    }
     # a circle around the base turns the first joint once more each time: then the ends do not meet
     meets = bool(np.abs(q[-1] - q[0]).max() < 1e-9)
-    return Reference(q, dt, qd, qdd, kind="circle", parameters=used, machine=machine.name, cyclic=meets)
+    return Reference(
+        q, dt, qd, qdd, kind="circle", parameters=used, machine=machine.name, cyclic=meets
+    )
 
 
 KIND = Kind(
@@ -92,10 +103,21 @@ KIND = Kind(
         Parameter("x", "float", "m", 0.5, "Centre, x."),
         Parameter("y", "float", "m", 0.0, "Centre, y."),
         Parameter("duration", "float", "s", 4.5, "Time of all turns together.", 0.05, 3600.0),
-        Parameter("turns", "int", "", 1, "Counterclockwise turns; negative: clockwise.", -1000, 1000),
+        Parameter(
+            "turns", "int", "", 1, "Counterclockwise turns; negative: clockwise.", -1000, 1000
+        ),
         Parameter("phase", "float", "rad", 0.0, "Where it starts, from the x axis."),
-        Parameter("elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")),
-        Parameter("law", "choice", "", "quintic", "Time law along the circle.", choices=("quintic", "trapezoid")),
+        Parameter(
+            "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
+        ),
+        Parameter(
+            "law",
+            "choice",
+            "",
+            "quintic",
+            "Time law along the circle.",
+            choices=("quintic", "trapezoid"),
+        ),
         Parameter("blend", "float", "", 0.15, "Share of each ramp (trapezoid).", 0.01, 0.5),
     ),
     make_circle,

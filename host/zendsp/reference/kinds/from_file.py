@@ -1,4 +1,6 @@
-"""A reference from a table: MAT, CSV, NPZ, with columns q (or q1, q2, …) and optionally t, qd, qdd, tau."""
+"""A reference from a table: MAT, CSV, NPZ, with columns q (or q1, q2, …) and optionally t, qd, qdd,
+tau.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,15 @@ from zendsp.reference.machine import Machine
 
 
 def _resample(t: Array, columns: dict[str, Array], dt: float) -> dict[str, Array]:
-    """Columns on the grid of the machine: cubic where the table is smooth, untouched where the grid is the same."""
+    """Columns on the grid of the machine: cubic where the table is smooth, untouched where the grid
+    is the same.
+    """
     if np.any(np.diff(t) <= 0.0):
         row = int(np.argmax(np.diff(t) <= 0.0)) + 1
-        raise ReferenceError_(f"time does not increase at row {row}: {t[row - 1]:g} s, then {t[row]:g} s; sort the table")
+        raise ReferenceError_(
+            f"time does not increase at row {row}: {t[row - 1]:g} s, then {t[row]:g} s; sort the"
+            " table"
+        )
     grid = np.arange(int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1) * dt + t[0]
     if len(grid) == len(t) and np.allclose(grid, t, rtol=0.0, atol=1e-6 * dt):
         return columns
@@ -30,12 +37,15 @@ def _resample(t: Array, columns: dict[str, Array], dt: float) -> dict[str, Array
             made["q"], made["qd"], made["qdd"] = spline(grid), spline(grid, 1), spline(grid, 2)
         elif name == "tau":
             # a torque is held until its next sample
-            made["tau"] = x[np.clip(np.searchsorted(t, grid + 1e-9, side="right") - 1, 0, len(t) - 1)]
+            made["tau"] = x[
+                np.clip(np.searchsorted(t, grid + 1e-9, side="right") - 1, 0, len(t) - 1)
+            ]
     return made
 
 
 def make_from_file(machine: Machine, *, path: str, sample_time: float | None = None) -> Reference:
-    """Read a reference file of zendsp, or any table with position columns, onto the machine's sample time.
+    """Read a reference file of zendsp, or any table with position columns, onto the machine's
+    sample time.
 
     Parameters
     ----------
@@ -71,11 +81,20 @@ def make_from_file(machine: Machine, *, path: str, sample_time: float | None = N
         saved = load_reference(Path(path))
         if abs(saved.sample_time - dt) < 1e-9 and saved.joints == machine.joints:
             return saved
-    arrays: dict[str, Array] = {k: np.asarray(columns[k], dtype=np.float64) for k in ("q", "qd", "qdd", "tau") if k in columns}
+    arrays: dict[str, Array] = {
+        k: np.asarray(columns[k], dtype=np.float64)
+        for k in ("q", "qd", "qdd", "tau")
+        if k in columns
+    }
     if "q" not in arrays:
-        raise ReferenceError_(f"{path}: no column q (or q1, q2, …); found {', '.join(sorted(columns)) or 'nothing'}")
+        raise ReferenceError_(
+            f"{path}: no column q (or q1, q2, …); found {', '.join(sorted(columns)) or 'nothing'}"
+        )
     if arrays["q"].shape[1] != machine.joints:
-        raise ReferenceError_(f"{path}: {arrays['q'].shape[1]} position column(s), {machine.name} has {machine.joints} joint(s)")
+        raise ReferenceError_(
+            f"{path}: {arrays['q'].shape[1]} position column(s), {machine.name} has"
+            f" {machine.joints} joint(s)"
+        )
     if "t" in columns:
         arrays = _resample(np.ravel(columns["t"]).astype(np.float64), arrays, dt)
     return Reference(

@@ -67,13 +67,24 @@ def make_line(
 
     def plan(t: Array, duration: float) -> tuple[Array, Array, Array]:
         s, sd, sdd = rest_to_rest(t, duration, law, blend)
-        return cartesian_to_joint(machine, begin + np.outer(s, way), np.outer(sd, way), np.outer(sdd, way), elbow)
+        return cartesian_to_joint(
+            machine, begin + np.outer(s, way), np.outer(sd, way), np.outer(sdd, way), elbow
+        )
 
     if duration <= 0.0:
         _, qd, qdd = plan(np.linspace(0.0, 1.0, 2001), 1.0)
         duration = max(fastest_duration(machine, qd, qdd, 1.0), 10 * dt)
     q, qd, qdd = plan(make_grid(duration, dt), duration)
-    used = {"x0": x0, "y0": y0, "x1": x1, "y1": y1, "duration": duration, "elbow": elbow, "law": law, "blend": blend}
+    used = {
+        "x0": x0,
+        "y0": y0,
+        "x1": x1,
+        "y1": y1,
+        "duration": duration,
+        "elbow": elbow,
+        "law": law,
+        "blend": blend,
+    }
     return Reference(q, dt, qd, qdd, kind="line", parameters=used, machine=machine.name)
 
 
@@ -86,9 +97,26 @@ KIND = Kind(
         Parameter("y0", "float", "m", -0.2, "Start, y."),
         Parameter("x1", "float", "m", 0.3, "Goal, x."),
         Parameter("y1", "float", "m", 0.4, "Goal, y."),
-        Parameter("duration", "float", "s", 0.0, "Time of the move; 0: the shortest within the limits.", 0.0, 3600.0),
-        Parameter("elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")),
-        Parameter("law", "choice", "", "quintic", "Time law along the way.", choices=("quintic", "trapezoid")),
+        Parameter(
+            "duration",
+            "float",
+            "s",
+            0.0,
+            "Time of the move; 0: the shortest within the limits.",
+            0.0,
+            3600.0,
+        ),
+        Parameter(
+            "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
+        ),
+        Parameter(
+            "law",
+            "choice",
+            "",
+            "quintic",
+            "Time law along the way.",
+            choices=("quintic", "trapezoid"),
+        ),
         Parameter("blend", "float", "", 0.25, "Share of each ramp (trapezoid).", 0.01, 0.5),
     ),
     make_line,

@@ -15,9 +15,9 @@ from zendsp.reference.profiles import integrate_velocity, make_grid
 def blend_acceleration(q_i: float, q_f: float, t_f: float, t_c: float) -> float:
     """Acceleration of the blends, 4 (q_f - q_i) / (t_f^2 - (-2 (t_c - 0.5 t_f))^2), rad/s^2.
 
-    The WAM paper prints this as the cruise velocity, with the acceleration numerically equal to it: true at its
-    blend time t_c = 1 s. In general it is the acceleration, and the cruise velocity is t_c times as much; so the
-    position reached is q_f for any t_c.
+    The WAM paper prints this as the cruise velocity, with the acceleration numerically equal to it:
+    true at its blend time t_c = 1 s. In general it is the acceleration, and the cruise velocity is
+    t_c times as much; so the position reached is q_f for any t_c.
 
     Parameters
     ----------
@@ -90,16 +90,30 @@ def make_lspb(
     """
     dt = sample_time or machine.sample_time
     if not 0.0 < blend_time <= 0.5 * duration:
-        raise ReferenceError_(f"blend_time is {blend_time} s; with a duration of {duration} s it must be in 0 … {duration / 2:g} s")
+        raise ReferenceError_(
+            f"blend_time is {blend_time} s; with a duration of {duration} s it must be in 0 …"
+            f" {duration / 2:g} s"
+        )
     a, b = spread(machine, "start", start), spread(machine, "goal", goal)
     knots = [0.0, blend_time, duration - blend_time, duration]
-    speeds = np.array([0.0, 1.0, 1.0, 0.0]) * blend_time * blend_acceleration(0.0, 1.0, duration, blend_time)
+    speeds = (
+        np.array([0.0, 1.0, 1.0, 0.0])
+        * blend_time
+        * blend_acceleration(0.0, 1.0, duration, blend_time)
+    )
     way = duration + hold
     if back:
         knots, speeds = knots + [way + k for k in knots], np.concatenate([speeds, -speeds])
     t = make_grid(2 * way if back else way, dt)
     s, sd, sdd = integrate_velocity(t, knots, speeds.tolist())
-    used = {"start": a.tolist(), "goal": b.tolist(), "duration": duration, "blend_time": blend_time, "hold": hold, "back": back}
+    used = {
+        "start": a.tolist(),
+        "goal": b.tolist(),
+        "duration": duration,
+        "blend_time": blend_time,
+        "hold": hold,
+        "back": back,
+    }
     return Reference(
         a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),
         kind="lspb", parameters=used, machine=machine.name, cyclic=back,
@@ -109,12 +123,28 @@ def make_lspb(
 KIND = Kind(
     "lspb",
     "LSPB",
-    "Linear segment with parabolic blends, as in the WAM paper: 0.5 rad in 7 s cruises at 0.083 rad/s.",
+    "Linear segment with parabolic blends, as in the WAM paper: 0.5 rad in 7 s cruises at 0.083"
+    " rad/s.",
     (
         Parameter("start", "joints", "rad", None, "Start of every joint."),
-        Parameter("goal", "joints", "rad", 0.5, "Goal of every joint.", by_machine={"wam7": [0.5, -1.4, 0.5, 2.5, 0.5, 0.5, 0.5]}),
+        Parameter(
+            "goal",
+            "joints",
+            "rad",
+            0.5,
+            "Goal of every joint.",
+            by_machine={"wam7": [0.5, -1.4, 0.5, 2.5, 0.5, 0.5, 0.5]},
+        ),
         Parameter("duration", "float", "s", 7.0, "Time of one way.", 0.01, 3600.0),
-        Parameter("blend_time", "float", "s", 1.0, "Time of each parabola; at most half the duration.", 1e-3, 1800.0),
+        Parameter(
+            "blend_time",
+            "float",
+            "s",
+            1.0,
+            "Time of each parabola; at most half the duration.",
+            1e-3,
+            1800.0,
+        ),
         Parameter("hold", "float", "s", 0.0, "Rest after each way.", 0.0, 600.0),
         Parameter("back", "bool", "", False, "Return to the start the same way."),
     ),

@@ -1,4 +1,6 @@
-"""Multisine with low crest factor: every joint its own lines of the spectrum, so that joints can be told apart."""
+"""Multisine with low crest factor: every joint its own lines of the spectrum, so that joints can be
+told apart.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import fade
 
 Spectrum = Literal["flat", "velocity", "acceleration"]
-POWER = {"flat": 0, "velocity": 1, "acceleration": 2}  # amplitude of line k is 1/k^power: flat in that derivative
+# amplitude of line k is 1/k^power: flat in that derivative
+POWER = {"flat": 0, "velocity": 1, "acceleration": 2}
 
 
 def crest_factor(x: Array) -> float:
@@ -41,9 +44,10 @@ def crest_factor(x: Array) -> float:
 def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array, rounds: int = 300) -> Array:
     """Phases of a multisine that keep its peaks low.
 
-    Schroeder's phases first (Schroeder 1970), then time–frequency swapping (Van der Ouderaa, Schoukens, Renneboog 1988):
-    clip the signal a little below its peak, keep the phases of what that gives, restore the amplitudes, repeat.
-    Schroeder: phi_n = -2 pi sum_{l<n} (n - l) p_l, with p_l the share of line l in the power.
+    Schroeder's phases first (Schroeder 1970), then time–frequency swapping (Van der Ouderaa,
+    Schoukens, Renneboog 1988): clip the signal a little below its peak, keep the phases of what
+    that gives, restore the amplitudes, repeat. Schroeder: phi_n = -2 pi sum_{l<n} (n - l) p_l, with
+    p_l the share of line l in the power.
 
     Parameters
     ----------
@@ -81,7 +85,9 @@ def low_crest_phases(lines: npt.NDArray[np.int64], amplitudes: Array, rounds: in
         if crest < lowest:
             best, lowest = phases, crest
         level = (0.75 + 0.22 * swap / rounds) * np.max(np.abs(x))
-        phases = np.asarray(np.angle(np.fft.rfft(np.clip(x, -level, level))[lines]), dtype=np.float64)
+        phases = np.asarray(
+            np.angle(np.fft.rfft(np.clip(x, -level, level))[lines]), dtype=np.float64
+        )
     return np.asarray(best)
 
 
@@ -101,8 +107,8 @@ def make_multisine(
 ) -> Reference:
     """Sum of cosines at multiples of 1/period, dealt out to the joints in turn.
 
-    x_j = a_j Σ_k k^-p cos(2 π k t / period + φ_k), scaled so that its peak is ``amplitude``; joint j has the lines
-    k_min + j, k_min + j + joints, … so that no two joints share one.
+    x_j = a_j Σ_k k^-p cos(2 π k t / period + φ_k), scaled so that its peak is ``amplitude``; joint
+    j has the lines k_min + j, k_min + j + joints, … so that no two joints share one.
 
     Parameters
     ----------
@@ -147,12 +153,15 @@ def make_multisine(
     dt = sample_time or machine.sample_time
     peak = spread(machine, "amplitude", amplitude)
     samples = max(2, round(period / dt))
-    k_min, k_max = max(1, int(np.ceil(f_min * samples * dt - 1e-9))), int(np.floor(f_max * samples * dt + 1e-9))
+    k_min, k_max = max(1, int(np.ceil(f_min * samples * dt - 1e-9))), int(
+        np.floor(f_max * samples * dt + 1e-9)
+    )
     moving = np.flatnonzero(peak)
     if k_max - k_min + 1 < max(1, len(moving)) or k_max >= samples // 2:
         raise ReferenceError_(
-            f"the band {f_min:g} … {f_max:g} Hz holds {max(0, k_max - k_min + 1)} multiples of 1/{period:g} Hz for {len(moving)} joint(s) "
-            f"below {0.5 / dt:g} Hz: lengthen the period, widen or lower the band"
+            f"the band {f_min:g} … {f_max:g} Hz holds {max(0, k_max - k_min + 1)} multiples of"
+            f" 1/{period:g} Hz for {len(moving)} joint(s) below {0.5 / dt:g} Hz: lengthen the"
+            " period, widen or lower the band"
         )
     t = np.arange(samples * periods + 1, dtype=np.float64) * dt
     w, wd, wdd = fade(t, float(t[-1]), fade_time)
@@ -169,27 +178,58 @@ def make_multisine(
         x[:, j] = scale * w * p
         xd[:, j] = scale * (wd * p + w * v)
         xdd[:, j] = scale * (wdd * p + 2 * wd * v + w * c)
-    used = {"amplitude": peak.tolist(), "period": period, "f_min": f_min, "f_max": f_max, "periods": periods,
-            "spectrum": spectrum, "fade_time": fade_time, "crest": crest}  # fmt: skip
+    used = {
+        "amplitude": peak.tolist(),
+        "period": period,
+        "f_min": f_min,
+        "f_max": f_max,
+        "periods": periods,
+        "spectrum": spectrum,
+        "fade_time": fade_time,
+        "crest": crest,
+    }
     return make_signal(machine, "multisine", quantity, start, (x, xd, xdd), dt, used)
 
 
 KIND = Kind(
     "multisine",
     "Multisine",
-    "Many sines with low crest factor, every joint with lines of its own: excites friction and inertia together.",
+    "Many sines with low crest factor, every joint with lines of its own: excites friction and"
+    " inertia together.",
     (
         QUANTITY,
         START,
-        Parameter("amplitude", "joints", "rad or N m", 0.3, "Peak of each joint; 0 keeps one still.", 0.0, 1e6,
-                  by_machine={"wam7": [0.2, 0.15, 0.2, 0.2, 0.3, 0.3, 0.25]}),
-        Parameter("period", "float", "s", 10.0, "Period; its inverse is the spacing of the lines.", 0.05, 3600.0),
+        Parameter(
+            "amplitude",
+            "joints",
+            "rad or N m",
+            0.3,
+            "Peak of each joint; 0 keeps one still.",
+            0.0,
+            1e6,
+            by_machine={"wam7": [0.2, 0.15, 0.2, 0.2, 0.3, 0.3, 0.25]},
+        ),
+        Parameter(
+            "period",
+            "float",
+            "s",
+            10.0,
+            "Period; its inverse is the spacing of the lines.",
+            0.05,
+            3600.0,
+        ),
         Parameter("f_min", "float", "Hz", 0.1, "Lowest frequency.", 1e-4, 1e5),
         Parameter("f_max", "float", "Hz", 2.0, "Highest frequency.", 1e-4, 1e5),
         Parameter("periods", "int", "", 2, "Repetitions.", 1, 10000),
-        Parameter("spectrum", "choice", "", "velocity", "In which quantity the lines are equal.",
-                  choices=("flat", "velocity", "acceleration")),
+        Parameter(
+            "spectrum",
+            "choice",
+            "",
+            "velocity",
+            "In which quantity the lines are equal.",
+            choices=("flat", "velocity", "acceleration"),
+        ),
         Parameter("fade_time", "float", "s", 0.5, "Fade at each end.", 0.0, 600.0),
     ),
     make_multisine,
-)  # fmt: skip
+)

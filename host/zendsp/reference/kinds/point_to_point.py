@@ -14,8 +14,8 @@ from zendsp.reference.profiles import Law, make_grid, rest_to_rest
 def fastest_duration(machine: Machine, qd: Array, qdd: Array, duration: float) -> float:
     """Shortest duration of a path within the speed and acceleration limits, s.
 
-    Slowing a path down by r divides its speeds by r and its accelerations by r^2, so one plan at any duration
-    tells the answer.
+    Slowing a path down by r divides its speeds by r and its accelerations by r^2, so one plan at
+    any duration tells the answer.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def make_point_to_point(
     >>> ref = make_point_to_point(load_machine("imi_planar"), start=0.0, goal=[1.0, -0.5], duration=2.0)
     >>> ref.q[-1].tolist()
     [1.0, -0.5]
-    """
+    """  # noqa: E501
     dt = sample_time or machine.sample_time
     a, b = spread(machine, "start", start), spread(machine, "goal", goal)
     if duration <= 0.0:
@@ -90,7 +90,13 @@ def make_point_to_point(
         duration = max(duration, 10 * dt)
     t = make_grid(duration, dt)
     s, sd, sdd = rest_to_rest(t, duration, law, blend)
-    used = {"start": a.tolist(), "goal": b.tolist(), "duration": duration, "law": law, "blend": blend}
+    used = {
+        "start": a.tolist(),
+        "goal": b.tolist(),
+        "duration": duration,
+        "law": law,
+        "blend": blend,
+    }
     return Reference(
         a + s[:, None] * (b - a), dt, sd[:, None] * (b - a), sdd[:, None] * (b - a),
         kind="point_to_point", parameters=used, machine=machine.name,
@@ -103,11 +109,32 @@ KIND = Kind(
     "All joints move from start to goal together, at rest at both ends.",
     (
         Parameter("start", "joints", "rad", None, "Start of every joint."),
-        Parameter("goal", "joints", "rad", 0.5, "Goal of every joint.",
-                  by_machine={"imi_planar": [1.0, -0.5], "wam7": [0.5, -1.4, 0.5, 2.5, 0.3, 0.3, 0.3]}),
-        Parameter("duration", "float", "s", 0.0, "Time of the move; 0: the shortest within the limits.", 0.0, 3600.0),
-        Parameter("law", "choice", "", "quintic", "Time law along the way.", choices=("quintic", "trapezoid")),
+        Parameter(
+            "goal",
+            "joints",
+            "rad",
+            0.5,
+            "Goal of every joint.",
+            by_machine={"imi_planar": [1.0, -0.5], "wam7": [0.5, -1.4, 0.5, 2.5, 0.3, 0.3, 0.3]},
+        ),
+        Parameter(
+            "duration",
+            "float",
+            "s",
+            0.0,
+            "Time of the move; 0: the shortest within the limits.",
+            0.0,
+            3600.0,
+        ),
+        Parameter(
+            "law",
+            "choice",
+            "",
+            "quintic",
+            "Time law along the way.",
+            choices=("quintic", "trapezoid"),
+        ),
         Parameter("blend", "float", "", 0.25, "Share of each ramp (trapezoid).", 0.01, 0.5),
     ),
     make_point_to_point,
-)  # fmt: skip
+)

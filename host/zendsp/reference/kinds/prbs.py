@@ -14,8 +14,20 @@ from zendsp.reference.kinds.signal import START, make_signal, on_joints
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import integrate_velocity, make_grid
 
-# Feedback taps that give sequences of full length 2^n - 1 (primitive polynomials; Golomb, Shift Register Sequences).
-TAPS = {3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 8: (8, 6, 5, 4), 9: (9, 5), 10: (10, 7), 11: (11, 9), 12: (12, 6, 4, 1)}
+# Feedback taps that give sequences of full length 2^n - 1 (primitive polynomials; Golomb, Shift
+# Register Sequences).
+TAPS = {
+    3: (3, 2),
+    4: (4, 3),
+    5: (5, 3),
+    6: (6, 5),
+    7: (7, 6),
+    8: (8, 6, 5, 4),
+    9: (9, 5),
+    10: (10, 7),
+    11: (11, 9),
+    12: (12, 6, 4, 1),
+}
 
 
 def maximum_length_sequence(order: int) -> Array:
@@ -103,10 +115,13 @@ def make_prbs(
     >>> ref = make_prbs(load_machine("pendulum"), quantity="torque", start=0.0, amplitude=0.1, order=4, clock=0.05)
     >>> sorted(set(ref.tau[:-1, 0].tolist()))
     [-0.1, 0.1]
-    """
+    """  # noqa: E501
     dt = sample_time or machine.sample_time
     if clock < dt or (quantity == "velocity" and not 0.0 <= ramp <= clock):
-        raise ReferenceError_(f"clock is {clock:g} s and ramp {ramp:g} s; expected sample time {dt:g} <= clock and ramp <= clock")
+        raise ReferenceError_(
+            f"clock is {clock:g} s and ramp {ramp:g} s; expected sample time {dt:g} <= clock and"
+            " ramp <= clock"
+        )
     clock = round(clock / dt) * dt
     bits = maximum_length_sequence(order)
     used = {"joint": joint, "amplitude": amplitude, "order": order, "clock": clock, "ramp": ramp}
@@ -123,7 +138,11 @@ def make_prbs(
     knots.append(knots[-1] + max(ramp, dt))
     values.append(0.0)
     x, xd, xdd = integrate_velocity(make_grid(knots[-1], dt), knots, values)
-    signal = (on_joints(machine, joint, x), on_joints(machine, joint, xd), on_joints(machine, joint, xdd))
+    signal = (
+        on_joints(machine, joint, x),
+        on_joints(machine, joint, xd),
+        on_joints(machine, joint, xdd),
+    )
     moved = make_signal(machine, "prbs", "position", start, signal, dt, used)
     return Reference(moved.q, dt, moved.qd, moved.qdd, kind="prbs", machine=machine.name,
                      parameters={**moved.parameters, "quantity": "velocity"})  # fmt: skip
@@ -134,13 +153,24 @@ KIND = Kind(
     "PRBS",
     "Pseudo-random binary velocity or torque (maximum-length sequence).",
     (
-        Parameter("quantity", "choice", "", "velocity", "What is binary.", choices=("velocity", "torque")),
+        Parameter(
+            "quantity", "choice", "", "velocity", "What is binary.", choices=("velocity", "torque")
+        ),
         Parameter("joint", "int", "", 1, "Joint that moves; 0: all.", 0, 64),
         START,
         Parameter("amplitude", "float", "rad/s or N m", 0.3, "Level, plus and minus.", 0.0),
         Parameter("order", "int", "", 7, "Length of 2^order - 1 bits.", 3, 12),
         Parameter("clock", "float", "s", 0.1, "Time of a bit.", 1e-4, 60.0),
-        Parameter("ramp", "float", "s", 0.02, "Time of a change of velocity.", 0.0, 60.0, by_machine={"wam7": 0.1}),
+        Parameter(
+            "ramp",
+            "float",
+            "s",
+            0.02,
+            "Time of a change of velocity.",
+            0.0,
+            60.0,
+            by_machine={"wam7": 0.1},
+        ),
     ),
     make_prbs,
 )

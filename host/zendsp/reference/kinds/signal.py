@@ -1,4 +1,6 @@
-"""What step, chirp, multisine and PRBS share: a test signal as a position to follow or a torque to play."""
+"""What step, chirp, multisine and PRBS share: a test signal as a position to follow or a torque to
+play.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,22 @@ from zendsp.reference.machine import Machine
 
 Quantity = Literal["position", "torque"]
 
-START = Parameter("start", "joints", "rad", None, "Middle (position) or start (torque) of every joint.",
-                  by_machine={"wam7": [0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0]})  # fmt: skip
-QUANTITY = Parameter("quantity", "choice", "", "position", "A position to follow, or a torque to play open loop.",
-                     choices=("position", "torque"))  # fmt: skip
+START = Parameter(
+    "start",
+    "joints",
+    "rad",
+    None,
+    "Middle (position) or start (torque) of every joint.",
+    by_machine={"wam7": [0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0]},
+)
+QUANTITY = Parameter(
+    "quantity",
+    "choice",
+    "",
+    "position",
+    "A position to follow, or a torque to play open loop.",
+    choices=("position", "torque"),
+)
 
 
 def make_signal(
@@ -32,7 +46,8 @@ def make_signal(
     parameters: Mapping[str, Any],
     cyclic: bool = False,
 ) -> Reference:
-    """A signal and its derivatives as a reference: added to ``start``, or as torque with the motion it should cause.
+    """A signal and its derivatives as a reference: added to ``start``, or as torque with the motion
+    it should cause.
 
     Parameters
     ----------
@@ -65,18 +80,32 @@ def make_signal(
     >>> zero = np.zeros((5, 1))
     >>> make_signal(load_machine("pendulum"), "none", "torque", 0.0, (zero, zero, zero), 0.001, {}).mode
     'torque'
-    """
+    """  # noqa: E501
     base = spread(machine, "start", start)
     used = {**parameters, "quantity": quantity, "start": base.tolist()}
     x, xd, xdd = signal
     if quantity == "position":
-        return Reference(base + x, sample_time, xd, xdd, kind=kind, parameters=used, machine=machine.name, cyclic=cyclic)
+        return Reference(
+            base + x,
+            sample_time,
+            xd,
+            xdd,
+            kind=kind,
+            parameters=used,
+            machine=machine.name,
+            cyclic=cyclic,
+        )
     if quantity != "torque":
         raise ReferenceError_(f'quantity is "{quantity}"; expected "position" or "torque"')
     if machine.kind == "dh":
-        raise ReferenceError_(f"an open-loop torque lets {machine.name} fall under its own weight: plan a position instead")
+        raise ReferenceError_(
+            f"an open-loop torque lets {machine.name} fall under its own weight: plan a position"
+            " instead"
+        )
     q, qd, qdd = predict_motion(machine.dynamics, x, sample_time, base)
-    return Reference(q, sample_time, qd, qdd, x, kind=kind, parameters=used, machine=machine.name, mode="torque")
+    return Reference(
+        q, sample_time, qd, qdd, x, kind=kind, parameters=used, machine=machine.name, mode="torque"
+    )
 
 
 def on_joints(machine: Machine, joint: int, x: Array) -> Array:
@@ -90,7 +119,10 @@ def on_joints(machine: Machine, joint: int, x: Array) -> Array:
     [[1.0, 0.0]]
     """
     if not 0 <= joint <= machine.joints:
-        raise ReferenceError_(f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of them)")
+        raise ReferenceError_(
+            f"joint is {joint}; {machine.name} has joints 1 to {machine.joints} (0 moves all of"
+            " them)"
+        )
     out = np.zeros((len(x), machine.joints))
     if joint == 0:
         out[:] = x[:, None]

@@ -24,9 +24,11 @@ def make_step(
     hold: float = 1.0,
     sample_time: float | None = None,
 ) -> Reference:
-    """``wait`` seconds of nothing, then ``steps`` equal increments that add up to ``amplitude``, ``hold`` seconds each.
+    """``wait`` seconds of nothing, then ``steps`` equal increments that add up to ``amplitude``,
+    ``hold`` seconds each.
 
-    The speed and acceleration of a position step are given as zero: what follows it is the loop's step response.
+    The speed and acceleration of a position step are given as zero: what follows it is the loop's
+    step response.
 
     Parameters
     ----------
@@ -58,7 +60,7 @@ def make_step(
     >>> ref = make_step(load_machine("pendulum"), start=0.0, amplitude=0.4, steps=2, wait=0.1, hold=0.1)
     >>> sorted(set(ref.q[:, 0].round(6).tolist()))
     [0.0, 0.2, 0.4]
-    """
+    """  # noqa: E501
     dt = sample_time or machine.sample_time
     t = make_grid(wait + steps * hold, dt)
     level = np.clip(np.floor((t - wait) / hold + 1e-9) + 1.0, 0.0, steps) * amplitude / steps

@@ -1,4 +1,6 @@
-"""Optimal swing of the pendulum, with friction in its model: direct collocation with CasADi, solved by IPOPT."""
+"""Optimal swing of the pendulum, with friction in its model: direct collocation with CasADi, solved
+by IPOPT.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from zendsp.reference.machine import Machine
 
 Objective = Literal["time", "energy"]
 DEGREE = 3  # Radau points an interval: stiff decay at standstill, where tanh(beta qd) is steep
-# Friction is smoothed at first and sharpened step by step, each solution the first guess of the next.
+# Friction is smoothed at first and sharpened step by step, each solution the first guess of the
+# next.
 SLOPES = (0.1, 0.3, 1.0)
 MORE_INTERVALS = 4  # than the least time asks for
 
@@ -41,8 +44,12 @@ class _Problem:
     intervals: int
 
 
-def _collocate(p: _Problem, beta: float, duration: float | None, guess: dict[str, Array] | None) -> dict[str, Array]:
-    """Solve on Radau points with the torque held over each interval; ``duration`` None minimises the time."""
+def _collocate(
+    p: _Problem, beta: float, duration: float | None, guess: dict[str, Array] | None
+) -> dict[str, Array]:
+    """Solve on Radau points with the torque held over each interval; ``duration`` None minimises
+    the time.
+    """
     ca = need("casadi", "swing", "the optimal swing", ReferenceError_)
 
     taus = np.append(0.0, ca.collocation_points(DEGREE, "radau"))
@@ -51,7 +58,8 @@ def _collocate(p: _Problem, beta: float, duration: float | None, guess: dict[str
         for r, tr in enumerate(taus):
             if r != j:
                 basis[j] = basis[j] * np.poly1d([1.0, -tr]) / (tj - tr)
-    slope = np.array([[np.polyder(b)(t) for t in taus] for b in basis])  # slope[j, k]: d basis_j / ds at point k
+    # slope[j, k]: d basis_j / ds at point k
+    slope = np.array([[np.polyder(b)(t) for t in taus] for b in basis])
 
     opti: Any = ca.Opti()
     n = p.intervals
@@ -87,8 +95,16 @@ def _collocate(p: _Problem, beta: float, duration: float | None, guess: dict[str
     opti.set_initial(u, guess["u"])
     if duration is None:
         opti.set_initial(total, guess["total"])
-    quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 400, "ipopt.tol": 1e-7,
-             "ipopt.mu_strategy": "adaptive", "ipopt.acceptable_tol": 1e-5, "ipopt.acceptable_iter": 10}  # fmt: skip
+    quiet = {
+        "print_time": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.max_iter": 400,
+        "ipopt.tol": 1e-7,
+        "ipopt.mu_strategy": "adaptive",
+        "ipopt.acceptable_tol": 1e-5,
+        "ipopt.acceptable_iter": 10,
+    }
     opti.solver("ipopt", quiet)
     try:
         solution = opti.solve()
@@ -98,7 +114,11 @@ def _collocate(p: _Problem, beta: float, duration: float | None, guess: dict[str
             f"{'' if duration is None else f' in {duration:g} s'} ({opti.return_status()}): "
             "allow more torque, more time or a nearer goal"
         ) from error
-    return {"x": np.array(solution.value(x)), "u": np.atleast_1d(solution.value(u)), "total": np.array(float(solution.value(total)))}
+    return {
+        "x": np.array(solution.value(x)),
+        "u": np.atleast_1d(solution.value(u)),
+        "total": np.array(float(solution.value(total))),
+    }
 
 
 def _first_guess(p: _Problem, duration: float | None) -> dict[str, Array]:
@@ -118,11 +138,13 @@ def _first_guess(p: _Problem, duration: float | None) -> dict[str, Array]:
     return {"x": np.stack([q, v]), "u": u, "total": np.array(total)}
 
 
-def _sharpen(p: _Problem, duration: float | None, guess: dict[str, Array] | None, slopes: tuple[float, ...]) -> dict[str, Array]:
+def _sharpen(
+    p: _Problem, duration: float | None, guess: dict[str, Array] | None, slopes: tuple[float, ...]
+) -> dict[str, Array]:
     """Solve with ever steeper friction; where the steepest does not converge the one before stands.
 
-    Near standstill the slopes differ by a torque over a few milliseconds; the simulation that follows measures what
-    that costs.
+    Near standstill the slopes differ by a torque over a few milliseconds; the simulation that
+    follows measures what that costs.
     """
     for factor in slopes:
         try:
@@ -142,11 +164,15 @@ def _solve(p: _Problem, objective: Objective, duration: float, dt: float) -> tup
     found = _sharpen(p, None, None, SLOPES)
     least = float(found["total"])
     hold = math.ceil(least / (p.intervals * dt) - 1e-9) * dt
-    # As many intervals as the least time needs: with all of them the swing would be longer by up to intervals * dt.
+    # As many intervals as the least time needs: with all of them the swing would be longer by up to
+    # intervals * dt.
     first = math.ceil(least / hold - 1e-9)
     for n in range(first, first + MORE_INTERVALS):
         try:
-            return _sharpen(replace(p, intervals=n), hold * n, _resampled(found, n), SLOPES[-1:])["u"], hold
+            return (
+                _sharpen(replace(p, intervals=n), hold * n, _resampled(found, n), SLOPES[-1:])["u"],
+                hold,
+            )
         except ReferenceError_:
             continue  # the least time of held torques is a little longer
     return _sharpen(p, hold * p.intervals, found, SLOPES[-1:])["u"], hold
@@ -177,12 +203,14 @@ def make_swing(
     mode: Mode = "torque",
     sample_time: float | None = None,
 ) -> Reference:
-    """Torque and motion that bring the pendulum from rest to rest in least time or with least ∫ tau^2 dt.
+    """Torque and motion that bring the pendulum from rest to rest in least time or with least ∫
+    tau^2 dt.
 
-    The model is theta1 qdd + theta2 g sin q + theta3 tanh(beta qd) + viscous qd = tau, with |tau| <= torque_limit and
+    The model is theta1 qdd + theta2 g sin q + theta3 tanh(beta qd) + viscous qd = tau, with |tau|
+    <= torque_limit and
     |k_a qd + R_a tau / k_a| <= supply. The torque is constant over each interval, an interval is a whole number of
-    samples, so what is optimised is what a sampled controller plays. Torque in, motion out: the motion is the
-    simulation of the model under that torque.
+    samples, so what is optimised is what a sampled controller plays. Torque in, motion out: the
+    motion is the simulation of the model under that torque.
 
     Parameters
     ----------
@@ -197,7 +225,8 @@ def make_swing(
     torque_limit : float
         N m.
     friction : float, optional
-        theta3 of the model, N m; the machine's nominal value where not given. 0 plans as if there were none.
+        theta3 of the model, N m; the machine's nominal value where not given. 0 plans as if there
+        were none.
     intervals : int
         Number of torque levels.
     mode : {"torque", "position"}
@@ -208,7 +237,8 @@ def make_swing(
     Returns
     -------
     Reference
-        Kind "swing", tau included; ``parameters["miss"]`` is |q(end) - goal| of the simulation, rad.
+        Kind "swing", tau included; ``parameters["miss"]`` is |q(end) - goal| of the simulation,
+        rad.
 
     Raises
     ------
@@ -221,18 +251,30 @@ def make_swing(
     >>> ref = make_swing(load_machine("pendulum"), goal=1.0, duration=0.5, intervals=50)
     >>> abs(float(ref.q[-1, 0]) - 1.0) < 0.01
     True
-    """
+    """  # noqa: E501
     if machine.kind != "pendulum":
-        raise ReferenceError_(f"{machine.name} is no pendulum: the optimal swing is planned for pendulums only")
+        raise ReferenceError_(
+            f"{machine.name} is no pendulum: the optimal swing is planned for pendulums only"
+        )
     dt = sample_time or machine.sample_time
     n = dict(machine.parameters)
     if friction is not None and friction >= 0.0:
         n["theta3"] = friction
     problem = _Problem(
-        theta1=n["theta1"], gravity=n["theta2"] * G, friction=n["theta3"], viscous=n.get("viscous", 0.0), beta=n["beta"],
-        q0=start, q1=goal, torque=torque_limit, k_a=n["k_a"], R_a=n["R_a"], supply=n["supply"],
-        speed=float(machine.allowed.speed[0]), intervals=intervals,
-    )  # fmt: skip
+        theta1=n["theta1"],
+        gravity=n["theta2"] * G,
+        friction=n["theta3"],
+        viscous=n.get("viscous", 0.0),
+        beta=n["beta"],
+        q0=start,
+        q1=goal,
+        torque=torque_limit,
+        k_a=n["k_a"],
+        R_a=n["R_a"],
+        supply=n["supply"],
+        speed=float(machine.allowed.speed[0]),
+        intervals=intervals,
+    )
     u, hold = _solve(problem, objective, duration, dt)
     tau = np.append(np.repeat(u, round(hold / dt)), 0.0)[:, None]
     model = machine.dynamics if friction is None or friction < 0.0 else type(machine.dynamics)(n)  # type: ignore[call-arg]
@@ -240,26 +282,56 @@ def make_swing(
     miss = abs(float(q[-1, 0]) - goal)
     if miss > 0.05:
         raise ReferenceError_(
-            f"the swing found misses its goal by {miss:.3g} rad when simulated at {dt:g} s: raise intervals (now {intervals})"
+            f"the swing found misses its goal by {miss:.3g} rad when simulated at {dt:g} s: raise"
+            f" intervals (now {intervals})"
         )
-    used = {"start": start, "goal": goal, "objective": objective, "duration": hold * len(u), "torque_limit": torque_limit,
-            "friction": n["theta3"], "intervals": intervals, "mode": mode, "miss": miss}  # fmt: skip
-    return Reference(q, dt, qd, qdd, tau, kind="swing", parameters=used, machine=machine.name, mode=mode)
+    used = {
+        "start": start,
+        "goal": goal,
+        "objective": objective,
+        "duration": hold * len(u),
+        "torque_limit": torque_limit,
+        "friction": n["theta3"],
+        "intervals": intervals,
+        "mode": mode,
+        "miss": miss,
+    }
+    return Reference(
+        q, dt, qd, qdd, tau, kind="swing", parameters=used, machine=machine.name, mode=mode
+    )
 
 
 KIND = Kind(
     "swing",
     "Optimal swing",
-    "Least time or least squared torque from rest to rest, with friction in the model (optimal control).",
+    "Least time or least squared torque from rest to rest, with friction in the model (optimal"
+    " control).",
     (
         Parameter("start", "float", "rad", 0.0, "Start; hanging down is 0."),
         Parameter("goal", "float", "rad", math.pi, "Goal; upright is pi."),
-        Parameter("objective", "choice", "", "energy", "What is minimised.", choices=("time", "energy")),
+        Parameter(
+            "objective", "choice", "", "energy", "What is minimised.", choices=("time", "energy")
+        ),
         Parameter("duration", "float", "s", 0.8, "Duration (objective energy).", 0.02, 30.0),
         Parameter("torque_limit", "float", "N m", 0.5, "Largest torque.", 1e-3, 100.0),
-        Parameter("friction", "float", "N m", -1.0, "Friction level of the model; negative: the machine's.", -1.0, 100.0),
+        Parameter(
+            "friction",
+            "float",
+            "N m",
+            -1.0,
+            "Friction level of the model; negative: the machine's.",
+            -1.0,
+            100.0,
+        ),
         Parameter("intervals", "int", "", 100, "Number of torque levels.", 10, 1000),
-        Parameter("mode", "choice", "", "torque", "Play open loop, or follow with feed-forward.", choices=("torque", "position")),
+        Parameter(
+            "mode",
+            "choice",
+            "",
+            "torque",
+            "Play open loop, or follow with feed-forward.",
+            choices=("torque", "position"),
+        ),
     ),
     make_swing,
     machine_kinds=("pendulum",),

@@ -60,7 +60,7 @@ def make_trapezoid(
     >>> ref = make_trapezoid(load_machine("wam7"), joint=2, start=0.0, travel=0.4, speeds=[0.1, 0.2])
     >>> round(float(ref.qd[:, 1].max()), 6), round(float(ref.q[:, 1].max()), 6)
     (0.2, 0.4)
-    """
+    """  # noqa: E501
     dt = sample_time or machine.sample_time
     a = spread(machine, "start", start)
     knots, values, now = [0.0], [0.0], 0.0
@@ -69,21 +69,38 @@ def make_trapezoid(
         cruise = abs(travel) / speed - ramp
         if speed <= 0.0 or cruise < 0.0:
             raise ReferenceError_(
-                f"a travel of {abs(travel):g} rad with {acceleration:g} rad/s^2 reaches {np.sqrt(abs(travel) * acceleration):.4g} rad/s, "
-                f"not {speed:g} rad/s: raise the acceleration or the travel"
+                f"a travel of {abs(travel):g} rad with {acceleration:g} rad/s^2 reaches"
+                f" {np.sqrt(abs(travel) * acceleration):.4g} rad/s, not {speed:g} rad/s: raise the"
+                " acceleration or the travel"
             )
         for direction in (np.sign(travel), -np.sign(travel)):
             v = direction * speed
-            knots += [now + ramp, now + ramp + cruise, now + 2 * ramp + cruise, now + 2 * ramp + cruise + hold]
+            knots += [
+                now + ramp,
+                now + ramp + cruise,
+                now + 2 * ramp + cruise,
+                now + 2 * ramp + cruise + hold,
+            ]
             values += [v, v, 0.0, 0.0]
             now = knots[-1]
     t = make_grid(now, dt)
     motion = integrate_velocity(t, knots, values)
     rest = np.zeros(machine.joints)
-    q, qd, qdd = (move_one_joint(machine, base, joint, x) for base, x in zip((a, rest, rest), motion, strict=True))
-    used = {"joint": joint, "start": a.tolist(), "travel": travel, "speeds": np.ravel(speeds).tolist(),
-            "acceleration": acceleration, "hold": hold}  # fmt: skip
-    return Reference(q, dt, qd, qdd, kind="trapezoid", parameters=used, machine=machine.name, cyclic=True)
+    q, qd, qdd = (
+        move_one_joint(machine, base, joint, x)
+        for base, x in zip((a, rest, rest), motion, strict=True)
+    )
+    used = {
+        "joint": joint,
+        "start": a.tolist(),
+        "travel": travel,
+        "speeds": np.ravel(speeds).tolist(),
+        "acceleration": acceleration,
+        "hold": hold,
+    }
+    return Reference(
+        q, dt, qd, qdd, kind="trapezoid", parameters=used, machine=machine.name, cyclic=True
+    )
 
 
 KIND = Kind(

@@ -1,4 +1,5 @@
-"""Triangular velocity, repeated: the low-speed friction experiment of the fast-prototyping paper."""
+"""Triangular velocity, repeated: the low-speed friction experiment of the fast-prototyping paper.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ def make_triangle(
     cycles: int = 4,
     sample_time: float | None = None,
 ) -> Reference:
-    """Velocity 0 → peak → 0 → -peak → 0 in straight lines of ``rise`` seconds each, ``cycles`` times.
+    """Velocity 0 → peak → 0 → -peak → 0 in straight lines of ``rise`` seconds each, ``cycles``
+    times.
 
     Parameters
     ----------
@@ -63,7 +65,9 @@ def make_triangle(
     q = move_one_joint(machine, a, joint, s - 0.5 * peak * rise)
     qd, qdd = move_one_joint(machine, rest, joint, sd), move_one_joint(machine, rest, joint, sdd)
     used = {"joint": joint, "start": a.tolist(), "peak": peak, "rise": rise, "cycles": cycles}
-    return Reference(q, dt, qd, qdd, kind="triangle", parameters=used, machine=machine.name, cyclic=True)
+    return Reference(
+        q, dt, qd, qdd, kind="triangle", parameters=used, machine=machine.name, cyclic=True
+    )
 
 
 KIND = Kind(

@@ -24,7 +24,7 @@ class Dialog(ModalScreen[Result | None]):
     Dialog .buttons { height: 1; width: 100%; align-horizontal: right; margin-top: 1; }
     Dialog .buttons Button { margin-left: 2; }
     Dialog .hint { color: $text-muted; height: auto; }
-    """
+    """  # noqa: E501
     BINDINGS = [Binding("escape", "cancel", "Cancel", priority=True)]  # noqa: RUF012
 
     opened = False  # whether it takes keys already
@@ -46,7 +46,9 @@ class Dialog(ModalScreen[Result | None]):
 
     def on_click(self, event: events.Click) -> None:
         """A click on the red field stops, although the field belongs to the screen below."""
-        below = [button for screen in self.app.screen_stack[:-1] for button in screen.query(StopButton)]
+        below = [
+            button for screen in self.app.screen_stack[:-1] for button in screen.query(StopButton)
+        ]
         if any(button.region.contains(event.screen_x, event.screen_y) for button in below):
             event.stop()
             self.app.call_later(self.app.run_action, "stop")

@@ -25,12 +25,14 @@ class Option:
 
 
 class Choose(Dialog[list[str]]):
-    """Choose one option, or several (space marks) in the order of marking; the result is the list of keys."""
+    """Choose one option, or several (space marks) in the order of marking; the result is the list
+    of keys.
+    """
 
     DEFAULT_CSS = """
     Choose OptionList { height: auto; max-height: 16; border: none; padding: 0; background: $surface; }
     Choose Input { margin-bottom: 1; }
-    """
+    """  # noqa: E501
 
     def __init__(
         self,
@@ -54,7 +56,11 @@ class Choose(Dialog[list[str]]):
                 yield Static(self._text, classes="hint", markup=False)
             yield Input(placeholder="type to filter", compact=True)
             yield OptionList(markup=False, compact=True)
-            keys = "space marks, ⏎ takes the marked ones (or this one)" if self._several else "⏎ chooses"
+            keys = (
+                "space marks, ⏎ takes the marked ones (or this one)"
+                if self._several
+                else "⏎ chooses"
+            )
             yield Static(f"{keys}, esc closes", classes="hint", id="keys", markup=False)
             if self._several:
                 with Horizontal(classes="buttons"):
@@ -73,7 +79,9 @@ class Choose(Dialog[list[str]]):
         for o in shown:
             text = Text(no_wrap=True, overflow="ellipsis")
             if self._several:
-                text.append(f"{self._marked.index(o.key) + 1} ▐ " if o.key in self._marked else "  · ")
+                text.append(
+                    f"{self._marked.index(o.key) + 1} ▐ " if o.key in self._marked else "  · "
+                )
             text.append(o.text.ljust(width))
             text.append(f"  {o.detail}", "dim")
             rows.add_option(Row(text, id=o.key))
@@ -90,7 +98,12 @@ class Choose(Dialog[list[str]]):
 
     def on_key(self, event: events.Key) -> None:
         rows = self.query_one(OptionList)
-        if event.key == "space" and self._several and rows.has_focus and rows.highlighted is not None:
+        if (
+            event.key == "space"
+            and self._several
+            and rows.has_focus
+            and rows.highlighted is not None
+        ):
             event.stop()
             key = str(rows.get_option_at_index(rows.highlighted).id)
             if key in self._marked:

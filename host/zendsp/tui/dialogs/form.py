@@ -25,7 +25,9 @@ def not_empty(text: str) -> str:
 
 @dataclass(frozen=True)
 class Field:
-    """One line of a form. With ``choices`` a list, with a bool ``value`` a switch, else text that ``check`` converts."""
+    """One line of a form. With ``choices`` a list, with a bool ``value`` a switch, else text that
+    ``check`` converts.
+    """
 
     key: str
     label: str
@@ -70,7 +72,13 @@ class Form(Dialog[Mapping[str, Any]]):
     def _widget(self, field: Field) -> Input | Select[str] | Switch:
         if field.choices:
             options = [(choice, choice) for choice in field.choices]
-            return Select(options, value=str(field.value), allow_blank=False, compact=True, id=f"f-{field.key}")
+            return Select(
+                options,
+                value=str(field.value),
+                allow_blank=False,
+                compact=True,
+                id=f"f-{field.key}",
+            )
         if isinstance(field.value, bool):
             return Switch(field.value, id=f"f-{field.key}")
         return Input(str(field.value), compact=True, id=f"f-{field.key}", placeholder=field.hint)
@@ -89,7 +97,9 @@ class Form(Dialog[Mapping[str, Any]]):
             widget = self.query_one(f"#f-{field.key}")
             raw = widget.value if isinstance(widget, Input | Select | Switch) else ""
             try:
-                values[field.key] = raw if isinstance(widget, Select | Switch) else field.check(str(raw))
+                values[field.key] = (
+                    raw if isinstance(widget, Select | Switch) else field.check(str(raw))
+                )
             except ValueError as error:
                 self.query_one("#problem", Static).update(f"{field.label}: {error}")
                 self.query_one("#ok", Button).disabled = True

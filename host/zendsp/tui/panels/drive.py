@@ -1,4 +1,6 @@
-"""Where the drives are in the safe sequence, what the next step needs, and the signals of the machine."""
+"""Where the drives are in the safe sequence, what the next step needs, and the signals of the
+machine.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Snapshot
 
 LADDER = ("off", "ready", "homed", "enabled", "running")
-STEPS = (("power", "Power o"), ("home", "Home h"), ("enable", "Enable e"), ("start", "Start s"), ("pause", "Pause p"))
+STEPS = (
+    ("power", "Power o"),
+    ("home", "Home h"),
+    ("enable", "Enable e"),
+    ("start", "Start s"),
+    ("pause", "Pause p"),
+)
 
 
 class DrivePanel(Vertical):
@@ -63,7 +71,10 @@ class DrivePanel(Vertical):
             if k:
                 text.append(" ─ ", Style(dim=True))
             if k == reached:
-                text.append(f" {name} ", Style(bold=True, reverse=True, color=c["success" if k > 2 else "primary"]))
+                text.append(
+                    f" {name} ",
+                    Style(bold=True, reverse=True, color=c["success" if k > 2 else "primary"]),
+                )
             else:
                 text.append(name, Style(color=c["success"]) if k < reached else Style(dim=True))
         if s.drive in ("stopped", "tripped"):
@@ -73,7 +84,8 @@ class DrivePanel(Vertical):
         return text
 
     def flags(self, s: Snapshot) -> Text:
-        """Return unmet conditions, the host-lost setting, and the inputs and outputs of each joint."""
+        """Return unmet conditions, the host-lost setting, and the inputs and outputs of each joint.
+        """
         c = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
         unmet = [(name, advice) for name, met, advice in s.conditions if not met]
@@ -86,12 +98,20 @@ class DrivePanel(Vertical):
         if s.host_lost:
             text.append("if the host is lost: ", Style(dim=True))
             text.append(f"{s.host_lost}\n")
-        for name, unit in (("enc", "counts"), ("aout", "mV"), ("adc", ""), ("din", ""), ("dout", "")):
+        for name, unit in (
+            ("enc", "counts"),
+            ("aout", "mV"),
+            ("adc", ""),
+            ("din", ""),
+            ("dout", ""),
+        ):
             values = s.io.get(name)
             if values is None or len(values) == 0:
                 continue
             text.append(f"{name:<5}", Style(dim=True))
-            text.append(" ".join(f"{number(float(v)):>9}" for v in list(values)[: max(s.joints, 1)]))
+            text.append(
+                " ".join(f"{number(float(v)):>9}" for v in list(values)[: max(s.joints, 1)])
+            )
             text.append(f" {unit}\n", Style(dim=True))
         if s.scheduling:
             text.append(s.scheduling, Style(dim=True))

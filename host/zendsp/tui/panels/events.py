@@ -18,7 +18,9 @@ class EventsPanel(RichLog):
     """Newest at the bottom; bounded."""
 
     def __init__(self, *, id: str | None = None) -> None:
-        super().__init__(id=id, max_lines=1000, wrap=True, markup=False, highlight=False, min_width=20)
+        super().__init__(
+            id=id, max_lines=1000, wrap=True, markup=False, highlight=False, min_width=20
+        )
         self._count = 0
         self.border_title = "Events"
 
@@ -28,13 +30,17 @@ class EventsPanel(RichLog):
         self._count = 0
 
     def show(self, log: EventLog) -> None:
-        """Append what is new; nothing while it is hidden, since lines are broken at the width of the moment."""
+        """Append what is new; nothing while it is hidden, since lines are broken at the width of
+        the moment.
+        """
         if not self.size.width:
             return
         self._count, fresh = log.since(self._count)
         c = self.app.theme_variables
         for event in fresh:
-            line = Text(time.strftime("%H:%M:%S ", time.localtime(event.host_time)), Style(dim=True))
+            line = Text(
+                time.strftime("%H:%M:%S ", time.localtime(event.host_time)), Style(dim=True)
+            )
             colour = COLOURS.get(event.level)
             line.append(event.text, Style(color=c[colour]) if colour else Style())
             self.write(line)

@@ -25,7 +25,7 @@ class SourceView(Dialog[bool]):
     SourceView > .box { width: 96%; height: 100%; }
     SourceView TextArea { height: 1fr; border: none; padding: 0; }
     SourceView OptionList { height: auto; max-height: 6; border: none; padding: 0; background: $surface; }
-    """
+    """  # noqa: E501
     BINDINGS = [  # noqa: RUF012
         Binding("ctrl+s", "save", "Save"),
         Binding("ctrl+b", "save_and_build", "Save and build"),
@@ -42,9 +42,14 @@ class SourceView(Dialog[bool]):
             box.border_title = str(self._path)
             box.border_subtitle = "^b saves and builds  f8 next remark  F9 STOP"
             yield TextArea(
-                self._path.read_text(), show_line_numbers=True, tab_behavior="indent", soft_wrap=False
+                self._path.read_text(),
+                show_line_numbers=True,
+                tab_behavior="indent",
+                soft_wrap=False,
             )
-            yield OptionList(*[Option(self._line(r)) for r in self._remarks], markup=False, compact=True)
+            yield OptionList(
+                *[Option(self._line(r)) for r in self._remarks], markup=False, compact=True
+            )
             yield Static("", classes="hint", id="said", markup=False)
             with Horizontal(classes="buttons"):
                 yield Button("Save and build ^b", id="build", variant="primary", compact=True)
@@ -83,7 +88,8 @@ class SourceView(Dialog[bool]):
         self._see()
 
     def _see(self) -> None:
-        """Centre the line of the cursor; its beginning stays in sight where the column allows it."""
+        """Centre the line of the cursor; its beginning stays in sight where the column allows it.
+        """
         area = self.query_one(TextArea)
         area.scroll_cursor_visible(center=True)
         if area.cursor_location[1] < area.scrollable_content_region.width - area.gutter_width:

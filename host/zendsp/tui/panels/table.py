@@ -1,6 +1,7 @@
 """A table for values that change ten times a second.
 
-Textual's DataTable renders every visible cell anew when one changes (80 ms a screen); this one paints the rows that changed.
+Textual's DataTable renders every visible cell anew when one changes (80 ms a screen); this one
+paints the rows that changed.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ class LiveTable(ScrollView, can_focus=True):
         self._cells: list[tuple[Cell, ...]] = []
         self._cursor = 0
 
-    # -- content ------------------------------------------------------------------------------------------------------
+    # -- content
+    # ----------------------------------------------------------------------------------------------
 
     @property
     def row_count(self) -> int:
@@ -101,7 +103,8 @@ class LiveTable(ScrollView, can_focus=True):
         if 0 < y < self.size.height:
             self.refresh(Region(0, y, self.size.width, 1))
 
-    # -- cursor -------------------------------------------------------------------------------------------------------
+    # -- cursor
+    # ----------------------------------------------------------------------------------------------
 
     def mark(self, key: str) -> None:
         """Put the cursor on a row."""
@@ -147,7 +150,8 @@ class LiveTable(ScrollView, can_focus=True):
         """The cursor shows the focus."""
         self._paint(self._cursor)
 
-    # -- painting -----------------------------------------------------------------------------------------------------
+    # -- painting
+    # ----------------------------------------------------------------------------------------------
 
     def render_line(self, y: int) -> Strip:
         width = self.size.width
@@ -167,7 +171,10 @@ class LiveTable(ScrollView, can_focus=True):
             colour = theme["primary"] if self.has_focus else theme["border"]
             ink = theme["background"] if self.has_focus else theme["foreground"]
             strong = Style(bgcolor=colour, color=ink, dim=False)
-            cells = ((cells[0][0], cells[0][1]), *((text, style + strong) for text, style in cells[1:]))
+            cells = (
+                (cells[0][0], cells[0][1]),
+                *((text, style + strong) for text, style in cells[1:]),
+            )
             back = Style(bgcolor=colour)
         parts = []
         for (text, style), wide, column in zip(cells, self._widths, self._columns, strict=True):

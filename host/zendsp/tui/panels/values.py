@@ -80,7 +80,9 @@ def _scalar(variable: Variable, text: str) -> Any:
 
 
 def reader(variable: Variable) -> Callable[[str], Any]:
-    """Return the check of an edit field: text to a value within the limits, or ValueError with the reason."""
+    """Return the check of an edit field: text to a value within the limits, or ValueError with the
+    reason.
+    """
 
     def read(text: str) -> Any:
         if variable.length == 1:
@@ -89,7 +91,10 @@ def reader(variable: Variable) -> Callable[[str], Any]:
         if len(items) == 1:
             items *= variable.length
         if len(items) != variable.length:
-            raise ValueError(f"{len(items)} numbers; {variable.name} has {variable.length} elements: give 1 or {variable.length}")
+            raise ValueError(
+                f"{len(items)} numbers; {variable.name} has {variable.length} elements: give 1 or"
+                f" {variable.length}"
+            )
         return items
 
     return read

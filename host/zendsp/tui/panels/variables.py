@@ -1,4 +1,6 @@
-"""The table of variables: value, unit, limits, initial value, and marks for what is plotted, staged or changed."""
+"""The table of variables: value, unit, limits, initial value, and marks for what is plotted, staged
+or changed.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class VariablesPanel(Vertical):
         self.border_title = "Variables"
 
     def compose(self) -> ComposeResult:
-        yield Input(placeholder="filter: part of a name, unit or description", id="filter", compact=True)
+        yield Input(
+            placeholder="filter: part of a name, unit or description", id="filter", compact=True
+        )
         yield LiveTable(COLUMNS, id="variables")
 
     @property
@@ -69,7 +73,9 @@ class VariablesPanel(Vertical):
     def show(self, snapshot: Snapshot, staged: Mapping[str, Any], plotted: Sequence[str]) -> None:
         """Bring the table up to date; only rows that differ are painted."""
         wanted = [
-            v for v in snapshot.variables if self._words in f"{v.name} {v.unit} {v.description}".lower()
+            v
+            for v in snapshot.variables
+            if self._words in f"{v.name} {v.unit} {v.description}".lower()
         ]
         theme = self.app.current_theme
         colours = trace_colours(theme).traces
@@ -78,24 +84,33 @@ class VariablesPanel(Vertical):
         for v in wanted:
             value = staged.get(v.name, snapshot.values.get(v.name))
             curves = tuple(
-                k for k, name in enumerate(plotted) if name == v.name or name.startswith(f"{v.name}[")
+                k
+                for k, name in enumerate(plotted)
+                if name == v.name or name.startswith(f"{v.name}[")
             )
             changed = v.kind == "parameter" and value is not None and differs(value, v.initial)
             mark = "→" if v.name in staged else "*" if changed else " "
             fresh[v.name] = (v, show_value(value, 2), mark, curves, theme.name)
         if list(fresh) != list(self._rows):
-            self.table.set_rows([(v.name, _cells(v, fresh[v.name], colours, accent)) for v in wanted])
+            self.table.set_rows(
+                [(v.name, _cells(v, fresh[v.name], colours, accent)) for v in wanted]
+            )
         else:
             for v in wanted:
                 if fresh[v.name] != self._rows[v.name]:
                     self.table.set_row(v.name, _cells(v, fresh[v.name], colours, accent))
         self._rows = fresh
-        subtitle = f"{len(wanted)} of {len(snapshot.variables)}{f', {len(staged)} staged' if staged else ''}"
+        subtitle = (
+            f"{len(wanted)} of"
+            f" {len(snapshot.variables)}{f', {len(staged)} staged' if staged else ''}"
+        )
         if self.border_subtitle != subtitle:
             self.border_subtitle = subtitle
 
 
-def _cells(v: Variable, made_of: tuple[object, ...], colours: Sequence[str], accent: str) -> tuple[Cell, ...]:
+def _cells(
+    v: Variable, made_of: tuple[object, ...], colours: Sequence[str], accent: str
+) -> tuple[Cell, ...]:
     _, text, mark, curves, _ = made_of
     assert isinstance(text, str) and isinstance(mark, str) and isinstance(curves, tuple)
     dim, strong = Style(dim=True), Style(bold=v.writable)

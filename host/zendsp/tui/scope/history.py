@@ -33,16 +33,19 @@ class History:
 
     @property
     def count(self) -> int:
-        """Rows written since the beginning; changes if and only if there is something new to draw."""
+        """Rows written since the beginning; changes if and only if there is something new to draw.
+        """
         return self._count
 
     def append(self, ticks: npt.NDArray[np.int64], rows: Floats, period_s: float) -> None:
-        """Add rows, newest last. A jump in the ticks leaves a NaN row, so that the curve shows a gap, not a lie.
+        """Add rows, newest last. A jump in the ticks leaves a NaN row, so that the curve shows a
+        gap, not a lie.
 
         Parameters
         ----------
         ticks : ndarray of int64, shape (n,)
-            Sample numbers. A number not above the last one means a restarted target: the history begins anew.
+            Sample numbers. A number not above the last one means a restarted target: the history
+            begins anew.
         rows : ndarray, shape (n, channels)
         period_s : float
             Time of one tick, s.
@@ -57,7 +60,10 @@ class History:
                 else:
                     self._count, self._step = 0, 0
             elif self._count and self._step and ticks[0] - self._last_tick > 2 * self._step:
-                self._put(np.array([(self._last_tick + self._step) * period_s]), np.full((1, self.channels), np.nan))
+                self._put(
+                    np.array([(self._last_tick + self._step) * period_s]),
+                    np.full((1, self.channels), np.nan),
+                )
             if len(ticks) > 1:
                 self._step = int(ticks[-1] - ticks[-2])
             self._put(np.asarray(ticks * period_s, dtype=np.float64), rows)
@@ -76,7 +82,9 @@ class History:
         self._count += n
 
     def newest(self, most: int | None = None) -> tuple[Floats, Floats]:
-        """Return copies of the newest rows in order: times, shape (n,), and values, shape (n, channels)."""
+        """Return copies of the newest rows in order: times, shape (n,), and values, shape (n,
+        channels).
+        """
         with self._lock:
             n = min(self._count, self._rows, self._rows if most is None else most)
             end = self._count % self._rows

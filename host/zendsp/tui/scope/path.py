@@ -1,4 +1,6 @@
-"""A curve in the plane with equal scales on both axes: the path of a tip, or position against velocity."""
+"""A curve in the plane with equal scales on both axes: the path of a tip, or position against
+velocity.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class Curve:
 
 
 def draw_line(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
-    """Set the dots along a polyline given in dot coordinates; parts outside, and NaN, are left out."""
+    """Set the dots along a polyline given in dot coordinates; parts outside, and NaN, are left out.
+    """
     rows, columns = dots.shape
     for a in range(len(x) - 1):
         length = max(abs(x[a + 1] - x[a]), abs(y[a + 1] - y[a]))
@@ -57,8 +60,15 @@ class PathPlot(Widget):
         self._equal = True
         self._lines: list[Strip] = []
 
-    def show(self, curves: Sequence[Curve], names: tuple[str, str] = ("x [m]", "y [m]"), equal: bool = True) -> None:
-        """Draw other curves; ``equal`` keeps the scales of both axes the same, so that a circle is round."""
+    def show(
+        self,
+        curves: Sequence[Curve],
+        names: tuple[str, str] = ("x [m]", "y [m]"),
+        equal: bool = True,
+    ) -> None:
+        """Draw other curves; ``equal`` keeps the scales of both axes the same, so that a circle is
+        round.
+        """
         self._curves, self._names, self._equal = tuple(curves), names, equal
         self._lines = []
         self.refresh()
@@ -67,7 +77,9 @@ class PathPlot(Widget):
         self._lines = []
 
     def on_mount(self) -> None:
-        self.app.theme_changed_signal.subscribe(self, lambda _: self.show(self._curves, self._names, self._equal))
+        self.app.theme_changed_signal.subscribe(
+            self, lambda _: self.show(self._curves, self._names, self._equal)
+        )
 
     def _frame(self, width: int, height: int) -> tuple[float, float, float, float]:
         """Return x0, x1, y0, y1 that hold every curve."""
@@ -77,7 +89,8 @@ class PathPlot(Widget):
             points = np.zeros((1, 2))
         low, high = points.min(axis=0), points.max(axis=0)
         middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0 * 1.08, 1e-6)
-        if self._equal:  # a braille dot is square in most fonts: two by four in a cell of one by two
+        # a braille dot is square in most fonts: two by four in a cell of one by two
+        if self._equal:
             scale = max(half[0] / (width * DOTS_X), half[1] / (height * DOTS_Y))
             half = np.array([scale * width * DOTS_X, scale * height * DOTS_Y])
         return middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1]
@@ -98,12 +111,19 @@ class PathPlot(Widget):
             cells = encode(dots)
             codes |= cells
             owner[cells > 0] = curve.trace
-        y_ticks = {int((y1 - v) / (y1 - y0) * height): v for v in ticks(y0, y1, max(height // 4, 2))}
+        y_ticks = {
+            int((y1 - v) / (y1 - y0) * height): v for v in ticks(y0, y1, max(height // 4, 2))
+        }
         x_ticks = ticks(x0, x1, max(width // 12, 2))
         legend = [Segment(f" {self._names[1]}".ljust(GUTTER), faint)]
         for c in self._curves:
             if c.name:
-                legend.append(Segment(f" ▐ {c.name} ", faint if c.trace < 0 else back + Style(color=colours.traces[c.trace])))
+                legend.append(
+                    Segment(
+                        f" ▐ {c.name} ",
+                        faint if c.trace < 0 else back + Style(color=colours.traces[c.trace]),
+                    )
+                )
         lines = [Strip(legend).adjust_cell_length(self.size.width, back)]
         step = abs(x_ticks[1] - x_ticks[0]) if len(x_ticks) > 1 else 1.0
         values = list(y_ticks.values())
@@ -115,7 +135,9 @@ class PathPlot(Widget):
             parts = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", faint)]
             for a, b in itertools.pairwise(borders):
                 k = int(owner[r][a])
-                parts.append(Segment(row[a:b], faint if k < 0 else back + Style(color=colours.traces[k])))
+                parts.append(
+                    Segment(row[a:b], faint if k < 0 else back + Style(color=colours.traces[k]))
+                )
             lines.append(Strip(parts, self.size.width))
         axis = [" "] * (self.size.width - len(self._names[0]) - 1)
         for v in x_ticks:
@@ -123,7 +145,11 @@ class PathPlot(Widget):
             at = GUTTER + int((v - x0) / (x1 - x0) * width) - len(text) // 2
             if at >= GUTTER - 2 and at + len(text) <= len(axis):
                 axis[at : at + len(text)] = list(text)
-        lines.append(Strip([Segment("".join(axis) + self._names[0], faint)]).adjust_cell_length(self.size.width, back))
+        lines.append(
+            Strip([Segment("".join(axis) + self._names[0], faint)]).adjust_cell_length(
+                self.size.width, back
+            )
+        )
         self._lines = lines
 
     def render_line(self, y: int) -> Strip:

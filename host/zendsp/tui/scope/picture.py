@@ -1,4 +1,5 @@
-"""Composes one picture of the scope: lanes, grid, curves, trigger and cursors, as arrays of cells."""
+"""Composes one picture of the scope: lanes, grid, curves, trigger and cursors, as arrays of cells.
+"""
 
 from __future__ import annotations
 
@@ -68,8 +69,8 @@ def arrange(channels: Sequence[Channel], settings: ScopeSettings, height: int) -
 def fit_range(low: Floats, high: Floats, held: tuple[float, float] | None) -> tuple[float, float]:
     """Return a y range that holds all values with a margin, and that changes only when it must.
 
-    Growing happens at once; shrinking waits until the curve fills less than 40 % of the held range, so that the axis of a
-    rolling picture does not tremble.
+    Growing happens at once; shrinking waits until the curve fills less than 40 % of the held range,
+    so that the axis of a rolling picture does not tremble.
     """
     finite_low, finite_high = low[np.isfinite(low)], high[np.isfinite(high)]
     if len(finite_low) == 0 or len(finite_high) == 0:
@@ -152,7 +153,13 @@ def compose(
     return Picture(codes, owner, tuple(lanes), start, end, zero, time_ticks)
 
 
-def _grid(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], time_ticks: Sequence[float], start: float, end: float) -> None:
+def _grid(
+    dots: npt.NDArray[np.bool_],
+    lanes: Sequence[Lane],
+    time_ticks: Sequence[float],
+    start: float,
+    end: float,
+) -> None:
     """Dotted lines at the round numbers of both axes."""
     rows, columns = dots.shape
     for lane in lanes:
@@ -176,7 +183,9 @@ def _bounds(
         for value in limits.get(lane.unit, ()):
             if lane.bottom <= value <= lane.top:
                 share = (lane.top - value) / (lane.top - lane.bottom)
-                dots[lane.row * DOTS_Y + round(share * (lane.rows * DOTS_Y - 1)), columns % 8 < 5] = True
+                dots[
+                    lane.row * DOTS_Y + round(share * (lane.rows * DOTS_Y - 1)), columns % 8 < 5
+                ] = True
     return dots
 
 

@@ -1,8 +1,8 @@
 """Curves to braille dots, with numpy only: the part of the scope that knows nothing of terminals.
 
-A terminal cell holds 2 × 4 dots. A curve is reduced to the interval of values it visits within each dot column (so a
-spike of one sample survives any zoom), the intervals are filled into a raster of booleans, and eight booleans make one
-character.
+A terminal cell holds 2 × 4 dots. A curve is reduced to the interval of values it visits within each
+dot column (so a spike of one sample survives any zoom), the intervals are filled into a raster of
+booleans, and eight booleans make one character.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-# Unicode braille: bit of each dot within a cell, rows from top to bottom, columns from left to right.
+# Unicode braille: bit of each dot within a cell, rows from top to bottom, columns from left to
+# right.
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
 DOTS_X, DOTS_Y = 2, 4
 
@@ -20,8 +21,9 @@ DOTS_X, DOTS_Y = 2, 4
 def envelope(t: Floats, y: Floats, start: float, end: float, columns: int) -> tuple[Floats, Floats]:
     """Return the lowest and highest value of each curve within each dot column.
 
-    The curve is taken as straight lines between samples. The values at the column borders count for both neighbours, so
-    that a drawn curve is connected, however few or many samples a column holds; a NaN opens a gap.
+    The curve is taken as straight lines between samples. The values at the column borders count for
+    both neighbours, so that a drawn curve is connected, however few or many samples a column holds;
+    a NaN opens a gap.
 
     Parameters
     ----------
@@ -72,7 +74,8 @@ def fill(low: Floats, high: Floats, bottom: float, top: float, rows: int) -> npt
     low, high : ndarray, shape (columns,)
         As from :func:`envelope`.
     bottom, top : float
-        Values at the lowest and the highest dot row, ``top > bottom``. What lies outside is clipped away.
+        Values at the lowest and the highest dot row, ``top > bottom``. What lies outside is clipped
+        away.
     rows : int
         Number of dot rows.
 
@@ -82,8 +85,12 @@ def fill(low: Floats, high: Floats, bottom: float, top: float, rows: int) -> npt
     """
     seen = np.isfinite(low) & np.isfinite(high) & (high >= bottom) & (low <= top)
     scale = (rows - 1) / (top - bottom)
-    upper = np.where(seen, np.rint((top - np.where(seen, np.minimum(high, top), top)) * scale), rows)
-    lower = np.where(seen, np.rint((top - np.where(seen, np.maximum(low, bottom), top)) * scale), -1)
+    upper = np.where(
+        seen, np.rint((top - np.where(seen, np.minimum(high, top), top)) * scale), rows
+    )
+    lower = np.where(
+        seen, np.rint((top - np.where(seen, np.maximum(low, bottom), top)) * scale), -1
+    )
     row = np.arange(rows)[:, None]
     return np.asarray((row >= upper) & (row <= lower))
 

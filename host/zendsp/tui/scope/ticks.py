@@ -34,7 +34,9 @@ def ticks(bottom: float, top: float, most: int) -> list[float]:
 
 
 def label(value: float, step: float) -> str:
-    """Return ``value`` with just the decimals that ``step`` needs; very large and very small ones in powers of ten."""
+    """Return ``value`` with just the decimals that ``step`` needs; very large and very small ones
+    in powers of ten.
+    """
     if value == 0.0 or abs(value) < 1e-9 * abs(step):
         return "0"
     size = abs(value)
@@ -59,7 +61,9 @@ def duration(seconds: float) -> str:
 
 
 def number(value: float) -> str:
-    """Return a measured value in six characters or a few more: four significant digits, no trailing noise."""
+    """Return a measured value in six characters or a few more: four significant digits, no trailing
+    noise.
+    """
     if not math.isfinite(value):
         return "—"
     if value != 0.0 and not 1e-4 <= abs(value) < 1e6:

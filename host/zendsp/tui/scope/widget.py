@@ -33,8 +33,9 @@ FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
 class Scope(Widget, can_focus=True):
     """Up to eight live curves.
 
-    Data come through :attr:`history`, which any thread may fill; the widget looks at it at 30 Hz and repaints only when
-    there is something new. Everything the user can set is in :attr:`settings`.
+    Data come through :attr:`history`, which any thread may fill; the widget looks at it at 30 Hz
+    and repaints only when there is something new. Everything the user can set is in
+    :attr:`settings`.
     """
 
     DEFAULT_CSS = "Scope { height: 1fr; min-height: 6; }"
@@ -63,7 +64,8 @@ class Scope(Widget, can_focus=True):
         self._live = live
         self._labels: dict[str, str] = {}
 
-    # -- data ---------------------------------------------------------------------------------------------------------
+    # -- data
+    # ----------------------------------------------------------------------------------------------
 
     def show_channels(self, channels: Sequence[Channel], history: History | None = None) -> None:
         """Take other channels; ``history`` is made anew unless given. At most eight."""
@@ -83,7 +85,9 @@ class Scope(Widget, can_focus=True):
         self.post_message(self.Changed())
 
     def pause(self, paused: bool) -> None:
-        """Freeze the picture, or let it live again. A frozen picture keeps its data whatever arrives meanwhile."""
+        """Freeze the picture, or let it live again. A frozen picture keeps its data whatever
+        arrives meanwhile.
+        """
         self.paused = paused
         self.past = 0.0
         self._frozen = self.history.newest() if paused else None
@@ -108,7 +112,9 @@ class Scope(Widget, can_focus=True):
     def zoom(self, steps: int) -> None:
         """Widen (+) or narrow (−) the time window by steps of 1-2-5."""
         nearest = int(np.argmin([abs(w - self.settings.window) for w in WINDOWS]))
-        self.set(replace(self.settings, window=WINDOWS[min(max(nearest + steps, 0), len(WINDOWS) - 1)]))
+        self.set(
+            replace(self.settings, window=WINDOWS[min(max(nearest + steps, 0), len(WINDOWS) - 1)])
+        )
 
     def autoscale(self) -> None:
         """Fit every y range to what is seen, once, and go on following if automatic."""
@@ -123,7 +129,8 @@ class Scope(Widget, can_focus=True):
         else:
             self.set(replace(s, cursor_b=float(np.clip(s.cursor_b + share, 0.0, 1.0))))
 
-    # -- painting -----------------------------------------------------------------------------------------------------
+    # -- painting
+    # ----------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
         if self._live:
@@ -138,7 +145,11 @@ class Scope(Widget, can_focus=True):
         self.redraw()
 
     def _tick(self) -> None:
-        if self.paused or self.history.count == self._seen or self.screen not in self.app.screen_stack:
+        if (
+            self.paused
+            or self.history.count == self._seen
+            or self.screen not in self.app.screen_stack
+        ):
             return
         self.redraw()
 
@@ -171,7 +182,8 @@ class Scope(Widget, can_focus=True):
             if self._last_trigger is not None:
                 start = self._last_trigger - s.pre * s.window - self.past
                 return start, start + s.window, self._last_trigger
-        step = s.window / columns  # columns stay at the same times while the picture rolls: no shimmer
+        # columns stay at the same times while the picture rolls: no shimmer
+        step = s.window / columns
         end = (np.floor((latest - self.past) / step) + 1.0) * step
         return float(end - s.window), float(end), 0.0
 
@@ -185,7 +197,9 @@ class Scope(Widget, can_focus=True):
         if not self._pens:
             self._pens = self._make_pens()
         view = self._view(t, y, columns * 2)
-        self.picture = compose(t, y, self.channels, self.settings, view, self._ranges, (columns, rows), self.limits)
+        self.picture = compose(
+            t, y, self.channels, self.settings, view, self._ranges, (columns, rows), self.limits
+        )
         self._ranges = {lane.unit: (lane.bottom, lane.top) for lane in self.picture.lanes}
         self._values = y[-1] if len(y) else np.zeros(0)
         strips = [self._text(row, width) for row in self._legend_rows(width)]
@@ -208,7 +222,8 @@ class Scope(Widget, can_focus=True):
             line = braille(picture.codes[r])
             borders = [0, *(np.flatnonzero(owner[1:] != owner[:-1]) + 1).tolist(), len(line)]
             segments += [
-                Segment(line[a:b], self._pens[int(owner[a])]) for a, b in itertools.pairwise(borders)
+                Segment(line[a:b], self._pens[int(owner[a])])
+                for a, b in itertools.pairwise(borders)
             ]
             if not self.channels and r == rows // 2:
                 note = self.empty_text.center(len(line))[: len(line)]
@@ -242,32 +257,52 @@ class Scope(Widget, can_focus=True):
         step = marks[1] - marks[0] if len(marks) > 1 else self.settings.window
         for value in marks:
             text = label(value - picture.zero, step)
-            at = GUTTER + int((value - picture.start) / (picture.end - picture.start) * columns) - len(text) // 2
+            at = (
+                GUTTER
+                + int((value - picture.start) / (picture.end - picture.start) * columns)
+                - len(text) // 2
+            )
             if at >= GUTTER - 2 and at + len(text) <= width - 3:
                 line[at : at + len(text)] = list(text)
         line[-1] = "s"
         return Strip([Segment("".join(line), self._pens[GRID])], width)
 
     def _legend_rows(self, width: int) -> list[list[tuple[str, Style]]]:
-        """Names and newest values in the colours of the curves, on as few rows as they need; the mode at the right."""
+        """Names and newest values in the colours of the curves, on as few rows as they need; the
+        mode at the right.
+        """
         if not self._pens:
             self._pens = self._make_pens()
         s = self.settings
-        state = "" if not self._live else "PAUSED" if self.paused else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
+        state = (
+            ""
+            if not self._live
+            else (
+                "PAUSED"
+                if self.paused
+                else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
+            )
+        )
         mode = f" {state} {duration(s.window)}{'' if s.auto else ' fixed'} "
         mode_style = self._pens[CURSOR] + Style(reverse=True) if self.paused else self._pens[CURSOR]
         rows: list[list[tuple[str, Style]]] = [[]]
         room = width - len(mode)
         values = getattr(self, "_values", np.zeros(0))
         for k, channel in enumerate(self.channels):
-            value = f" {number(float(values[k])) if k < len(values) else '—':>9}" if self._live else ""
+            value = (
+                f" {number(float(values[k])) if k < len(values) else '—':>9}" if self._live else ""
+            )
             text = f" {k + 1}▐ {channel.name}{value}{' ' + channel.unit if channel.unit else ''} "
             if sum(len(part) for part, _ in rows[-1]) + len(text) > room and rows[-1]:
                 if len(rows) == 3:
                     break
                 rows.append([])
                 room = width
-            style = self._pens[k] + Style(bold=True, underline=True) if k == s.selected else self._pens[k]
+            style = (
+                self._pens[k] + Style(bold=True, underline=True)
+                if k == s.selected
+                else self._pens[k]
+            )
             rows[-1].append((text, style))
         used = sum(len(part) for part, _ in rows[0])
         rows[0].append((" " * max(width - used - len(mode), 0), self._pens[GRID]))
@@ -283,17 +318,24 @@ class Scope(Widget, can_focus=True):
         a, b = picture.start + s.cursor_a * span, picture.start + s.cursor_b * span
         channel = self.channels[s.selected]
         if len(t):
-            ya, yb = (float(np.interp(x, t, y[:, s.selected], left=np.nan, right=np.nan)) for x in (a, b))
+            ya, yb = (
+                float(np.interp(x, t, y[:, s.selected], left=np.nan, right=np.nan)) for x in (a, b)
+            )
         else:
             ya = yb = float("nan")
         dt = b - a
         rate = f" = 1/{short(1.0 / abs(dt))} Hz" if dt else ""
         unit = f" {channel.unit}" if channel.unit else ""
         text = f" Δt {duration(dt)}{rate}  {channel.name} Δy {short(yb - ya)}{unit}  "
-        return f"{text} A {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s {short(yb)}"
+        return (
+            f"{text} A {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s"
+            f" {short(yb)}"
+        )
 
     def _text(self, parts: Sequence[tuple[str, Style]], width: int) -> Strip:
-        return Strip([Segment(text, style) for text, style in parts]).adjust_cell_length(width, self._pens[EMPTY])
+        return Strip([Segment(text, style) for text, style in parts]).adjust_cell_length(
+            width, self._pens[EMPTY]
+        )
 
     def _make_pens(self) -> dict[int, Style]:
         app: App[object] = self.app
@@ -314,16 +356,21 @@ class Scope(Widget, can_focus=True):
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
         return container.height
 
-    # -- mouse --------------------------------------------------------------------------------------------------------
+    # -- mouse
+    # ----------------------------------------------------------------------------------------------
 
     def on_click(self, event: events.Click) -> None:
-        """Left sets cursor A, right (or shift) cursor B; a click on the first row selects the next curve."""
+        """Left sets cursor A, right (or shift) cursor B; a click on the first row selects the next
+        curve.
+        """
         if self.picture is None or event.x < GUTTER:
             return
         share = (event.x - GUTTER + 0.5) / max(self.size.width - GUTTER, 1)
         share = float(np.clip(share, 0.0, 1.0))
         if event.y == 0 and self.channels:
-            self.set(replace(self.settings, selected=(self.settings.selected + 1) % len(self.channels)))
+            self.set(
+                replace(self.settings, selected=(self.settings.selected + 1) % len(self.channels))
+            )
         elif event.button == 3 or event.shift:
             self.set(replace(self.settings, cursors=True, cursor_b=share, active="b"))
         else:

@@ -1,4 +1,6 @@
-"""What opens the simulation and the diagnosis of a run: worker processes whose words appear line by line."""
+"""What opens the simulation and the diagnosis of a run: worker processes whose words appear line by
+line.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,11 @@ class ProcessView(Dialog[bool]):
     """
 
     def __init__(
-        self, title: str, arguments: Sequence[str], folder: Path, finish: Callable[[], str] | None = None
+        self,
+        title: str,
+        arguments: Sequence[str],
+        folder: Path,
+        finish: Callable[[], str] | None = None,
     ) -> None:
         super().__init__()
         self._title, self._arguments, self._folder = title, list(arguments), folder
@@ -62,17 +68,26 @@ class ProcessView(Dialog[bool]):
 
     def _show_time(self) -> None:
         if self.status is None:
-            self.query_one(".box").border_title = f"{self._title} · {time.monotonic() - self._began:.0f} s"
+            self.query_one(".box").border_title = (
+                f"{self._title} · {time.monotonic() - self._began:.0f} s"
+            )
 
     async def _run(self) -> None:
         log = self.query_one(RichLog)
         self._folder.mkdir(parents=True, exist_ok=True)
         width = str(max(self.size.width - 12, 60))
         self._process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", CALL, *self._arguments,
-            cwd=self._folder, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-            env={**os.environ, "COLUMNS": width, "NO_COLOR": "1", "ZENDSP_PROGRESS": "lines"}, start_new_session=True,
-        )  # fmt: skip
+            sys.executable,
+            "-c",
+            CALL,
+            *self._arguments,
+            cwd=self._folder,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env={**os.environ, "COLUMNS": width, "NO_COLOR": "1", "ZENDSP_PROGRESS": "lines"},
+            start_new_session=True,
+        )
         assert self._process.stdout is not None
         async for line in self._process.stdout:
             log.write(line.decode(errors="replace").rstrip("\n"))
@@ -109,7 +124,8 @@ class AnalysisActions(LabScreen):
         run = self.meant_run()
         if run is None:
             self.say(
-                "no run to diagnose yet: record one (r on Console), or play a reference on Execute", "warning"
+                "no run to diagnose yet: record one (r on Console), or play a reference on Execute",
+                "warning",
             )
             return
         out = run.folder / "diagnosis"
@@ -131,7 +147,8 @@ class AnalysisActions(LabScreen):
             return
         if len(run.references) > 1:
             self.say(
-                f"{run.name} played {len(run.references)} references; one that played one can be simulated",
+                f"{run.name} played {len(run.references)} references; one that played one can be"
+                " simulated",
                 "warning",
             )
             return
@@ -141,7 +158,10 @@ class AnalysisActions(LabScreen):
             self.say(f"{run.name}: {error}", "error")
             return
         self._with_model(
-            "Simulate", run, lambda model: ["simulate", str(sources[0]), "--model", model, *rest], finish
+            "Simulate",
+            run,
+            lambda model: ["simulate", str(sources[0]), "--model", model, *rest],
+            finish,
         )
 
     def _with_model(
@@ -151,7 +171,9 @@ class AnalysisActions(LabScreen):
         command: Callable[[str], list[str]],
         finish: Callable[[], str] | None = None,
     ) -> None:
-        """Ask for the model file (the last one given, one here named like the machine, or the shipped one) and start the worker."""
+        """Ask for the model file (the last one given, one here named like the machine, or the
+        shipped one) and start the worker.
+        """
         near = [
             p
             for pattern in ("*.toml", "models/*.toml", "examples/models/*.toml")
@@ -181,30 +203,53 @@ class AnalysisActions(LabScreen):
 
 
 def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
-    """Return what makes ``zendsp simulate`` repeat a run, and what keeps the result as a run beside it.
+    """Return what makes ``zendsp simulate`` repeat a run, and what keeps the result as a run beside
+    it.
 
-    The same parameters, the same reference, the same channels; what comes before the reference is left out, as in the run.
+    The same parameters, the same reference, the same channels; what comes before the reference is
+    left out, as in the run.
     """
     taken = run.recording()
     reference = run.folder / "reference.mat"
     played = reference.is_file()
-    values = {k: v for k, v in taken.parameters.items() if not played or k not in ("use_table", "row_rate")}
+    values = {
+        k: v
+        for k, v in taken.parameters.items()
+        if not played or k not in ("use_table", "row_rate")
+    }
     out = run.folder / "simulation.mat"
-    words = ["--channels", ",".join(dict.fromkeys(c.split("[")[0] for c in taken.columns)), "--out", str(out)]
+    words = [
+        "--channels",
+        ",".join(dict.fromkeys(c.split("[")[0] for c in taken.columns)),
+        "--out",
+        str(out),
+    ]
     for name, value in values.items():
         words += ["--set", f"{name}={json.dumps(np.asarray(value).tolist())}"]
-    words += ["--reference", str(reference)] if played else ["--seconds", f"{max(run.seconds, 0.01):.6g}"]
+    words += (
+        ["--reference", str(reference)]
+        if played
+        else ["--seconds", f"{max(run.seconds, 0.01):.6g}"]
+    )
 
     def keep() -> str:
         made = Recording.load(out)
         approach = float(made.parameters.get("approach_time", 0.0)) if played else 0.0
         first = min(round(approach / made.sample_time), len(made))
         same = slice(first, first + max(round(run.seconds / made.sample_time), 1))
-        made = replace(made, t=made.t[same], data=made.data[same], start_tick=made.start_tick + first)
-        kept = store_run(
-            runs, f"{run.name} simulated", made, references=[reference] if played else [], outcome=SIMULATED
+        made = replace(
+            made, t=made.t[same], data=made.data[same], start_tick=made.start_tick + first
         )
-        return f"kept as the run “{kept.name}”: space on Execute lays it over {run.name}, d compares"
+        kept = store_run(
+            runs,
+            f"{run.name} simulated",
+            made,
+            references=[reference] if played else [],
+            outcome=SIMULATED,
+        )
+        return (
+            f"kept as the run “{kept.name}”: space on Execute lays it over {run.name}, d compares"
+        )
 
     return words, keep
 

@@ -1,4 +1,6 @@
-"""What the three screens share: the status bar above, the footer below, and a look at the snapshot at 30 Hz."""
+"""What the three screens share: the status bar above, the footer below, and a look at the snapshot
+at 30 Hz.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,8 @@ class LabScreen(Screen[None]):
         """Do what a screen does once, when its widgets are there."""
 
     def _pull(self) -> None:
-        if self not in self.app.screen_stack:  # another screen is shown; a dialog over this one is not another screen
+        # another screen is shown; a dialog over this one is not another screen
+        if self not in self.app.screen_stack:
             return
         snapshot = self.lab.session.snapshot
         self.lab.session.place_stop(self.bar.field)
@@ -77,7 +80,9 @@ class LabScreen(Screen[None]):
         if level in ("warning", "error"):
             self.lab.toast(text, level)
 
-    def ask(self, label: str, job: Callable[[Port], T], then: Callable[[T], Any] | None = None) -> Future[T]:
+    def ask(
+        self, label: str, job: Callable[[Port], T], then: Callable[[T], Any] | None = None
+    ) -> Future[T]:
         """Run a job against the target, off this thread; then show its result, or why it failed."""
 
         def done(future: Future[T]) -> None:

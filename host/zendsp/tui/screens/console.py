@@ -22,7 +22,9 @@ FIRST_CURVES = ("q", "tau", "e", "u", "aout")  # shown first if the program has 
 
 
 class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActions):
-    """Scope and events on the left, drives and variables on the right; on a small terminal one above the other."""
+    """Scope and events on the left, drives and variables on the right; on a small terminal one
+    above the other.
+    """
 
     NAME: ClassVar[str] = "console"
     BINDINGS = bindings("console")
@@ -69,11 +71,18 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
             self.scope.show_channels(self.scope.channels, self.lab.session.history)
 
     def _new_program(self, plotted: list[str]) -> None:
-        """Keep the curves that the new program still has; begin with the usual ones where there were none."""
+        """Keep the curves that the new program still has; begin with the usual ones where there
+        were none.
+        """
         names = [name for name, _, _ in self.element_names()]
         keep = [name for name in plotted or self.lab.channels if name in names]
         if not keep:
-            usual = [n for first in FIRST_CURVES for n in names if n == first or n.startswith(f"{first}[")]
+            usual = [
+                n
+                for first in FIRST_CURVES
+                for n in names
+                if n == first or n.startswith(f"{first}[")
+            ]
             keep = usual[: 4 if self.has_class("-narrow") else 6]
         self.plot_names(keep)
 
@@ -96,5 +105,7 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
         self.toggle_class("-events")
         # what is hidden loses the focus; give it to what is seen, so that the arrows go on working
         self.call_after_refresh(
-            self.query_one(EventsPanel).focus if self.has_class("-events") else self.variables.table.focus
+            self.query_one(EventsPanel).focus
+            if self.has_class("-events")
+            else self.variables.table.focus
         )

@@ -41,7 +41,8 @@ class ProgramActions(LabScreen):
         super().__init__()
         self.remarks: tuple[Remark, ...] = ()
 
-    # -- the sequence ---------------------------------------------------------------------------------------------------
+    # -- the sequence
+    # ----------------------------------------------------------------------------------------------
 
     def action_power(self) -> None:
         """Power on or off."""
@@ -70,7 +71,12 @@ class ProgramActions(LabScreen):
         """Choose the policy."""
         options = [
             Option("stop", "stop", "zero velocity at once, latched as a trip (the default)"),
-            Option("hold", "hold", "the program's parameter hold is set: it comes to rest on its path; without one, as stop"),
+            Option(
+                "hold",
+                "hold",
+                "the program's parameter hold is set: it comes to rest on its path; without one, as"
+                " stop",
+            ),
             Option("finish", "finish", "the program goes on"),
         ]
 
@@ -80,7 +86,8 @@ class ProgramActions(LabScreen):
 
         self.app.push_screen(Choose("If this host disappears", options), chosen)
 
-    # -- the program ----------------------------------------------------------------------------------------------------
+    # -- the program
+    # ----------------------------------------------------------------------------------------------
 
     def action_open_source(self) -> None:
         """Choose a C file."""
@@ -90,7 +97,8 @@ class ProgramActions(LabScreen):
             return
         options = [Option(str(p), p.name, str(p.parent)) for p in files]
         self.app.push_screen(
-            Choose("Source", options), lambda keys: self._take_source(Path(keys[0])) if keys else None
+            Choose("Source", options),
+            lambda keys: self._take_source(Path(keys[0])) if keys else None,
         )
 
     def _take_source(self, path: Path) -> None:
@@ -117,7 +125,9 @@ class ProgramActions(LabScreen):
         self.remarks = build.remarks
         for r in build.remarks:
             level = "error" if r.severity == "error" else "warning"
-            self.lab.session.events.add(f"{r.file}:{r.line}:{r.column}: {r.severity}: {r.message}", level)
+            self.lab.session.events.add(
+                f"{r.file}:{r.line}:{r.column}: {r.severity}: {r.message}", level
+            )
         errors = sum(r.severity == "error" for r in build.remarks)
         if build.ok:
             warnings = (
@@ -126,14 +136,18 @@ class ProgramActions(LabScreen):
                 else ""
             )
             self.say(
-                f"built in {build.seconds:.2f} s{' (cached)' if build.cached else ''} and downloaded{warnings}",
+                f"built in {build.seconds:.2f} s{' (cached)' if build.cached else ''} and"
+                f" downloaded{warnings}",
                 "good",
             )
             self.built()
         else:
             first = next((r for r in build.remarks if r.severity == "error"), None)
             where = f": {first.file}:{first.line}: {first.message}" if first else ""
-            self.say(f"{errors} error{'' if errors == 1 else 's'}{where}; g opens the source there", "error")
+            self.say(
+                f"{errors} error{'' if errors == 1 else 's'}{where}; g opens the source there",
+                "error",
+            )
 
     def built(self) -> None:
         """Do what follows a successful build."""
@@ -147,7 +161,8 @@ class ProgramActions(LabScreen):
         view = SourceView(path, self.remarks, lambda text: self.say(text))
         self.app.push_screen(view, lambda build: self.action_build() if build else None)
 
-    # -- recording --------------------------------------------------------------------------------------------------------
+    # -- recording
+    # ----------------------------------------------------------------------------------------------
 
     def curve_names(self) -> list[str]:
         """Return the names of the curves on the scope."""

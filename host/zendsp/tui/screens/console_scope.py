@@ -61,13 +61,19 @@ class ScopeActions(LabScreen):
 
     def action_channels(self) -> None:
         """Choose curves."""
-        options = [Option(name, name, f"{unit:<8} {text}") for name, unit, text in self.element_names()]
+        options = [
+            Option(name, name, f"{unit:<8} {text}") for name, unit, text in self.element_names()
+        ]
         if not options:
             self.say("no signals yet: build a program first (b)", "warning")
             return
         marked = [c.name for c in self.scope.channels]
-        dialog = Choose("Curves of the scope", options, several=True, marked=marked, most=MOST_CHANNELS)
-        self.app.push_screen(dialog, lambda keys: self.plot_names(keys) if keys is not None else None)
+        dialog = Choose(
+            "Curves of the scope", options, several=True, marked=marked, most=MOST_CHANNELS
+        )
+        self.app.push_screen(
+            dialog, lambda keys: self.plot_names(keys) if keys is not None else None
+        )
 
     def toggle_plot(self, name: str) -> None:
         """Add a variable (all its elements) to the scope, or take it away."""
@@ -76,7 +82,9 @@ class ScopeActions(LabScreen):
         if any(n in have for n in mine):
             self.plot_names([n for n in have if n not in mine])
         elif len(have) + 1 > MOST_CHANNELS:
-            self.say(f"the scope shows {MOST_CHANNELS} curves already: take one away first", "warning")
+            self.say(
+                f"the scope shows {MOST_CHANNELS} curves already: take one away first", "warning"
+            )
         else:
             self.plot_names([*have, *mine])
 
@@ -97,7 +105,13 @@ class ScopeActions(LabScreen):
         s = self.scope.settings
         fields = [
             Field("source", "Source", names[s.source], choices=names),
-            Field("level", "Level", f"{s.level:g}", unit=self.scope.channels[s.source].unit, check=real),
+            Field(
+                "level",
+                "Level",
+                f"{s.level:g}",
+                unit=self.scope.channels[s.source].unit,
+                check=real,
+            ),
             Field("edge", "Edge", s.edge, choices=("rising", "falling", "both")),
             Field("pre", "Before the trigger", f"{100.0 * s.pre:g}", unit="%", check=percent),
         ]
@@ -107,7 +121,12 @@ class ScopeActions(LabScreen):
                 source = names.index(result["source"])
                 self.scope.set(
                     replace(
-                        s, mode="trigger", source=source, level=result["level"], edge=result["edge"], pre=result["pre"] / 100.0
+                        s,
+                        mode="trigger",
+                        source=source,
+                        level=result["level"],
+                        edge=result["edge"],
+                        pre=result["pre"] / 100.0,
                     )
                 )
 
@@ -158,7 +177,9 @@ class ScopeActions(LabScreen):
         self.scope.pan(share)
 
     def on_key(self, event: events.Key) -> None:
-        """Arrows, while the scope has the focus: cursors if they are shown, else history and trigger level."""
+        """Arrows, while the scope has the focus: cursors if they are shown, else history and
+        trigger level.
+        """
         scope = self.scope
         if not scope.has_focus or event.key not in ("left", "right", "up", "down"):
             return

@@ -32,7 +32,8 @@ class VariableActions(LabScreen):
         self.staged: dict[str, Any] = {}
         self._undo: list[dict[str, Any]] = []
         self._key_time = 0.0
-        self.key_to_applied_s = float("nan")  # of the last edit: from the key to the target's word that it is applied
+        # of the last edit: from the key to the target's word that it is applied
+        self.key_to_applied_s = float("nan")
 
     @property
     def variables(self) -> VariablesPanel:
@@ -45,16 +46,21 @@ class VariableActions(LabScreen):
     def _marked(self) -> Variable | None:
         v = self._variable(self.variables.marked)
         if v is None:
-            self.say("no variable is marked: build a program, then choose a row with ↑ ↓", "warning")
+            self.say(
+                "no variable is marked: build a program, then choose a row with ↑ ↓", "warning"
+            )
         elif not v.writable:
-            self.say(f"{v.name} is a signal: the program computes it, nobody can write it", "warning")
+            self.say(
+                f"{v.name} is a signal: the program computes it, nobody can write it", "warning"
+            )
             return None
         elif v.kind == "table":
             self.say(f"{v.name} is a table: Execute fills it with a planned reference", "warning")
             return None
         return v
 
-    # -- one variable -------------------------------------------------------------------------------------------------
+    # -- one variable
+    # ----------------------------------------------------------------------------------------------
 
     @on(LiveTable.Chosen)
     def _row_chosen(self) -> None:
@@ -76,9 +82,14 @@ class VariableActions(LabScreen):
         now = self.staged.get(v.name, self.lab.session.snapshot.values.get(v.name, v.initial))
         limits = show_limits(v)
         about = f"{v.description}\n" if v.description else ""
-        text = f"{about}{v.type}{f', {v.length} elements' if v.length > 1 else ''}{f', {limits}' if limits else ''}, initial {show_value(v.initial)}"
+        text = (
+            f"{about}{v.type}{f', {v.length} elements' if v.length > 1 else ''}{f', {limits}' if limits else ''},"  # noqa: E501
+            f" initial {show_value(v.initial)}"
+        )
         fields = [Field("value", v.name, show_exact(now), unit=v.unit, check=reader(v))]
-        self.app.push_screen(Form(ok, fields, text, ok), lambda r: then(v, r["value"]) if r else None)
+        self.app.push_screen(
+            Form(ok, fields, text, ok), lambda r: then(v, r["value"]) if r else None
+        )
 
     def _stage(self, v: Variable, value: Any) -> None:
         self.staged[v.name] = value
@@ -91,7 +102,10 @@ class VariableActions(LabScreen):
         def done(tick: int) -> None:
             self.key_to_applied_s = time.perf_counter() - self._key_time
             self._remember({v.name: old})
-            self.say(f"{v.name}: {show_value(old)} → {show_value(value)} {v.unit} at sample {tick}", "good")
+            self.say(
+                f"{v.name}: {show_value(old)} → {show_value(value)} {v.unit} at sample {tick}",
+                "good",
+            )
 
         self.ask(f"write {v.name}", lambda port: port.write({v.name: value}), done)
 
@@ -99,7 +113,8 @@ class VariableActions(LabScreen):
         self._undo.append({name: value for name, value in old.items() if value is not None})
         del self._undo[:-UNDO_DEPTH]
 
-    # -- many variables in one sample ---------------------------------------------------------------------------------
+    # -- many variables in one sample
+    # ---------------------------------------------------------------------------------
 
     def action_initial(self) -> None:
         """Stage the initial value of the marked variable."""
@@ -110,7 +125,9 @@ class VariableActions(LabScreen):
     def action_initial_all(self) -> None:
         """Stage the initial values of all parameters that differ."""
         s = self.lab.session.snapshot
-        self._stage_many({v.name: v.initial for v in s.variables if v.kind == "parameter"}, "the initial values")
+        self._stage_many(
+            {v.name: v.initial for v in s.variables if v.kind == "parameter"}, "the initial values"
+        )
 
     def _stage_many(self, values: Mapping[str, Any], what: str) -> None:
         now = self.lab.session.snapshot.values
@@ -118,10 +135,16 @@ class VariableActions(LabScreen):
         fresh = {n: x for n, x in values.items() if n in known and differs(now.get(n), x)}
         unknown = sorted(set(values) - known)
         if unknown:
-            self.say(f"left out, the program does not declare them: {', '.join(unknown)}", "warning")
+            self.say(
+                f"left out, the program does not declare them: {', '.join(unknown)}", "warning"
+            )
         self.staged.update(fresh)
         self._pulled = None
-        self.say(f"{len(fresh)} values of {what} staged; u reviews and applies them" if fresh else f"nothing differs from {what}")
+        self.say(
+            f"{len(fresh)} values of {what} staged; u reviews and applies them"
+            if fresh
+            else f"nothing differs from {what}"
+        )
 
     def review(self, values: Mapping[str, Any]) -> Text:
         """Return old → new for each value, with units."""
@@ -141,13 +164,22 @@ class VariableActions(LabScreen):
     def action_update(self) -> None:
         """Review, then apply all in one sample."""
         if not self.staged:
-            self.say("nothing is staged: t stages the marked variable, w a parameter set", "warning")
+            self.say(
+                "nothing is staged: t stages the marked variable, w a parameter set", "warning"
+            )
             return
         text = self.review(self.staged)
         n = len(self.staged)
         text.append("\nIt takes" if n == 1 else f"\nAll {n} take")
-        text.append(" effect at the start of one sample." if n == 1 else " effect at the start of one sample, or none does.")
-        self.app.push_screen(Message("Update", text, agree="Apply"), lambda yes: self._apply(dict(self.staged)) if yes else None)
+        text.append(
+            " effect at the start of one sample."
+            if n == 1
+            else " effect at the start of one sample, or none does."
+        )
+        self.app.push_screen(
+            Message("Update", text, agree="Apply"),
+            lambda yes: self._apply(dict(self.staged)) if yes else None,
+        )
 
     def _apply(self, values: dict[str, Any], undoing: bool = False) -> None:
         now = self.lab.session.snapshot.values
@@ -175,14 +207,20 @@ class VariableActions(LabScreen):
         else:
             self.say("nothing to undo")
 
-    # -- parameter sets -----------------------------------------------------------------------------------------------
+    # -- parameter sets
+    # ----------------------------------------------------------------------------------------------
 
     def action_sets(self) -> None:
         """Save, compare and load."""
         folder = self.lab.workspace.sets
         files = sorted(folder.glob("*.json"), key=lambda p: p.stat().st_mtime, reverse=True)
         options = [Option("", "＋ save the present values …")]
-        options += [Option(str(p), p.stem, time.strftime("%Y-%m-%d %H:%M", time.localtime(p.stat().st_mtime))) for p in files]
+        options += [
+            Option(
+                str(p), p.stem, time.strftime("%Y-%m-%d %H:%M", time.localtime(p.stat().st_mtime))
+            )
+            for p in files
+        ]
 
         def chosen(keys: list[str] | None) -> None:
             if keys == [""]:
@@ -193,7 +231,12 @@ class VariableActions(LabScreen):
         self.app.push_screen(Choose("Parameter sets", options), chosen)
 
     def _name_set(self) -> None:
-        form = Form("Save parameter set", [Field("name", "Name", "set", check=not_empty)], str(self.lab.workspace.sets), "Save")
+        form = Form(
+            "Save parameter set",
+            [Field("name", "Name", "set", check=not_empty)],
+            str(self.lab.workspace.sets),
+            "Save",
+        )
         self.app.push_screen(form, lambda r: self._save_set(r["name"]) if r else None)
 
     def _save_set(self, name: str) -> None:
@@ -221,6 +264,10 @@ class VariableActions(LabScreen):
             return
         text = self.review(different)
         self.app.push_screen(
-            Message(f"{path.stem}: differs in {len(different)} of {len(stored.values)}", text, agree="Stage these"),
+            Message(
+                f"{path.stem}: differs in {len(different)} of {len(stored.values)}",
+                text,
+                agree="Stage these",
+            ),
             lambda yes: self._stage_many(stored.values, path.stem) if yes else None,
         )

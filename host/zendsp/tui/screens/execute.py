@@ -1,4 +1,6 @@
-"""Execute: play planned references, keep each run with everything needed to repeat it, compare runs."""
+"""Execute: play planned references, keep each run with everything needed to repeat it, compare
+runs.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,8 @@ class ExecuteScreen(RunActions):
         self._looked = 0
         self._checked: object = None
 
-    # -- layout -------------------------------------------------------------------------------------------------------
+    # -- layout
+    # ----------------------------------------------------------------------------------------------
 
     def body(self) -> ComposeResult:
         with Container(id="execute-body"):
@@ -58,8 +61,20 @@ class ExecuteScreen(RunActions):
                     box.border_title = "Next run"
                     yield Static("", id="setup", markup=False)
                     with Horizontal(classes="line"):
-                        yield Button("Start s", id="run-start", variant="success", compact=True, disabled=True)
-                        yield Button("Abort b", id="run-abort", variant="warning", compact=True, disabled=True)
+                        yield Button(
+                            "Start s",
+                            id="run-start",
+                            variant="success",
+                            compact=True,
+                            disabled=True,
+                        )
+                        yield Button(
+                            "Abort b",
+                            id="run-abort",
+                            variant="warning",
+                            compact=True,
+                            disabled=True,
+                        )
                         yield Static("", id="progress", markup=False)
                     yield Static("", id="preflight", markup=False)
                 with Vertical(id="runs-box", classes="panel") as box:
@@ -70,12 +85,15 @@ class ExecuteScreen(RunActions):
                 yield Scope(id="run-live")
 
     def ready(self) -> None:
-        self.query_one("#run-preview", Scope).empty_text = "o chooses a planned reference; space lays a run over it"
+        self.query_one("#run-preview", Scope).empty_text = (
+            "o chooses a planned reference; space lays a run over it"
+        )
         self.query_one("#run-live", Scope).display = False
         self.fill_runs()
         self.query_one("#runs", DataTable).focus()
 
-    # -- what is shown ------------------------------------------------------------------------------------------------
+    # -- what is shown
+    # ----------------------------------------------------------------------------------------------
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Show a snapshot."""
@@ -84,8 +102,21 @@ class ExecuteScreen(RunActions):
             self._load()
         self._looked += 1
         busy = self.job is not None and self.job.busy
-        key = (snapshot.link, snapshot.state, snapshot.drive, snapshot.program, snapshot.machine, snapshot.mine, snapshot.trip,
-               snapshot.commander, self.references, self.setup, busy, self.app.theme, self.size)  # fmt: skip
+        key = (
+            snapshot.link,
+            snapshot.state,
+            snapshot.drive,
+            snapshot.program,
+            snapshot.machine,
+            snapshot.mine,
+            snapshot.trip,
+            snapshot.commander,
+            self.references,
+            self.setup,
+            busy,
+            self.app.theme,
+            self.size,
+        )
         frames = max(1, round(LOOK_S / self.lab.frame_s))
         if key != self._checked or (self._looked % frames == 0 and not busy):
             self._checked = key
@@ -101,7 +132,13 @@ class ExecuteScreen(RunActions):
         names = ", ".join(f.stem for f in self.files) or "none"
         for label, value in (
             ("reference", f"{names}{f' × {s.cycles}' if s.cycles > 1 else ''}"),
-            ("moves", f"{'pre-position' if s.preposition else 'from here'}, {'home after' if s.go_home else 'stay'}, {100 * s.share:g} % speed"),
+            (
+                "moves",
+                (
+                    f"{'pre-position' if s.preposition else 'from here'},"
+                    f" {'home after' if s.go_home else 'stay'}, {100 * s.share:g} % speed"
+                ),
+            ),
             ("acquire", self._acquire_words()),
             ("note", s.note or "—"),
         ):
@@ -113,7 +150,10 @@ class ExecuteScreen(RunActions):
         room = 3 if self.has_class("-narrow") else 20
         lines = Text()
         for x in [*unmet, *(y for y in self.conditions if y.met)][:room]:
-            lines.append("✔ " if x.met else "✖ ", Style(color=c["success"] if x.met else c["error"], bold=True))
+            lines.append(
+                "✔ " if x.met else "✖ ",
+                Style(color=c["success"] if x.met else c["error"], bold=True),
+            )
             lines.append(x.text, Style() if x.met else Style(bold=True))
             if not x.met and x.advice:
                 lines.append(f": {x.advice}", Style(color=c["warning"]))
@@ -127,8 +167,13 @@ class ExecuteScreen(RunActions):
         s = self.setup
         if not s.acquire:
             return "off"
-        channels = ", ".join(s.channels or usual_channels(self.lab.session.snapshot)) or "the usual signals"
-        return f"{channels}{f', every {s.decimation}.' if s.decimation > 1 else ''}{f', on {s.trigger}' if s.trigger else ''}"
+        channels = (
+            ", ".join(s.channels or usual_channels(self.lab.session.snapshot))
+            or "the usual signals"
+        )
+        return (
+            f"{channels}{f', every {s.decimation}.' if s.decimation > 1 else ''}{f', on {s.trigger}' if s.trigger else ''}"  # noqa: E501
+        )
 
     def _load(self) -> None:
         """Read the chosen references and preview them over the limits."""
@@ -164,9 +209,18 @@ class ExecuteScreen(RunActions):
     def look(self, snapshot: Snapshot) -> list[Condition]:
         """Every condition of Start, now."""
         busy = self.job is not None and self.job.busy
-        return preflight(snapshot, self.references, self.files, self.setup, busy, self.trial, self.lab.session.port)
+        return preflight(
+            snapshot,
+            self.references,
+            self.files,
+            self.setup,
+            busy,
+            self.trial,
+            self.lab.session.port,
+        )
 
-    # -- the run ------------------------------------------------------------------------------------------------------
+    # -- the run
+    # ----------------------------------------------------------------------------------------------
 
     @on(Button.Pressed, "#run-start")
     def action_start(self) -> None:
@@ -176,13 +230,26 @@ class ExecuteScreen(RunActions):
         unmet = [x for x in self.conditions if not x.met]
         machine = machine_of(snapshot)
         if unmet or machine is None:
-            self.say(f"cannot start: {unmet[0].text}: {unmet[0].advice}" if unmet else "cannot start: unknown machine", "warning")
+            self.say(
+                (
+                    f"cannot start: {unmet[0].text}: {unmet[0].advice}"
+                    if unmet
+                    else "cannot start: unknown machine"
+                ),
+                "warning",
+            )
             return
         self._live(snapshot)
         self.job = PlayJob(
-            self.lab.session, self.references, self.files, machine, self.setup, self.lab.workspace.runs, self.lab.source_texts(),
+            self.lab.session,
+            self.references,
+            self.files,
+            machine,
+            self.setup,
+            self.lab.workspace.runs,
+            self.lab.source_texts(),
             self.trial,
-        )  # fmt: skip
+        )
         self.job.start()
 
     def _live(self, snapshot: Snapshot) -> None:
@@ -192,7 +259,11 @@ class ExecuteScreen(RunActions):
         for name in self.setup.channels or usual_channels(snapshot):
             unit, length = units.get(name.split("[")[0], ("", 1))
             one = length == 1 or "[" in name
-            channels += [Channel(name, unit)] if one else [Channel(f"{name}[{k}]", unit) for k in range(length)]
+            channels += (
+                [Channel(name, unit)]
+                if one
+                else [Channel(f"{name}[{k}]", unit) for k in range(length)]
+            )
         live, still = self.query_one("#run-live", Scope), self.query_one("#run-preview", Scope)
         live.show_channels(channels[:8], self.lab.session.watch(channels[:8]))
         live.set(replace(live.settings, window=10.0))
@@ -231,20 +302,34 @@ class ExecuteScreen(RunActions):
             self.say("run complete, nothing acquired", "good")
             return
         figures = ", ".join(f"rms {n} {v:.3g}" for n, v in list(run.errors.items())[:2])
-        self.say(f"run {run.outcome}: {run.rows} rows, {run.lost} lost{f', {figures}' if figures else ''}", "good" if run.outcome == "complete" else "warning")
+        self.say(
+            f"run {run.outcome}: {run.rows} rows, {run.lost}"
+            f" lost{f', {figures}' if figures else ''}",
+            "good" if run.outcome == "complete" else "warning",
+        )
         self.fill_runs(run.folder)
 
-    # -- choosing -----------------------------------------------------------------------------------------------------
+    # -- choosing
+    # ----------------------------------------------------------------------------------------------
 
     def action_choose(self) -> None:
         """Choose references."""
         files = self.lab.workspace.saved_references()
         if not files:
-            self.say(f"no planned reference in {self.lab.workspace.references}: plan one on Reference (F4)", "warning")
+            self.say(
+                f"no planned reference in {self.lab.workspace.references}: plan one on Reference"
+                " (F4)",
+                "warning",
+            )
             return
         options = [Option(str(p), p.stem) for p in files]
         marked = [str(p) for p in self.files]
-        self.app.push_screen(Choose("References, played in the order of marking", options, several=True, marked=marked), self._chosen)
+        self.app.push_screen(
+            Choose(
+                "References, played in the order of marking", options, several=True, marked=marked
+            ),
+            self._chosen,
+        )
 
     def _chosen(self, keys: Sequence[str] | None) -> None:
         if keys is not None:
@@ -255,7 +340,11 @@ class ExecuteScreen(RunActions):
         if self.setup.cycles > 1:
             self.setup = replace(self.setup, cycles=1)
             return
-        form = Form("Cyclic", [Field("cycles", "Cycles", "3", check=whole)], "Again and again, joined by smooth moves where the ends differ.")
+        form = Form(
+            "Cyclic",
+            [Field("cycles", "Cycles", "3", check=whole)],
+            "Again and again, joined by smooth moves where the ends differ.",
+        )
         self.app.push_screen(form, lambda r: self._set(cycles=r["cycles"]) if r else None)
 
     def _set(self, **values: Any) -> None:
@@ -263,29 +352,59 @@ class ExecuteScreen(RunActions):
 
     def action_note(self) -> None:
         """Ask for name and note."""
-        fields = [Field("name", "Name", self.setup.name, hint="name of the reference"), Field("note", "Note", self.setup.note)]
-        self.app.push_screen(Form("Name and note of the run", fields), lambda r: self._set(**r) if r else None)
+        fields = [
+            Field("name", "Name", self.setup.name, hint="name of the reference"),
+            Field("note", "Note", self.setup.note),
+        ]
+        self.app.push_screen(
+            Form("Name and note of the run", fields), lambda r: self._set(**r) if r else None
+        )
 
     def action_settings(self) -> None:
         """Ask for everything else."""
         s = self.setup
-        sources = ["none", *(v.name for v in self.lab.session.snapshot.variables if v.kind == "signal" and v.length == 1)]
+        sources = [
+            "none",
+            *(
+                v.name
+                for v in self.lab.session.snapshot.variables
+                if v.kind == "signal" and v.length == 1
+            ),
+        ]
         fields = [
             Field("preposition", "Pre-position first", s.preposition),
             Field("go_home", "Go home after", s.go_home),
             Field("share", "Speed of these", f"{100 * s.share:g}", "% of limit", percent),
             Field("acquire", "Acquire", s.acquire),
-            Field("channels", "Channels", " ".join(s.channels), check=lambda t: tuple(t.replace(",", " ").split()), hint="the usual ones"),
+            Field(
+                "channels",
+                "Channels",
+                " ".join(s.channels),
+                check=lambda t: tuple(t.replace(",", " ").split()),
+                hint="the usual ones",
+            ),
             Field("decimation", "Every … sample", str(s.decimation), "", whole),
             Field("trigger", "Trigger on", s.trigger or "none", choices=sources),
             Field("level", "Level", f"{s.level:g}", "", real),
             Field("edge", "Edge", s.edge, choices=("rising", "falling", "both")),
-            Field("pre_s", "Before the trigger", f"{s.pre_s:g}", "s", lambda t: 0.0 if real(t) == 0.0 else positive(t)),
+            Field(
+                "pre_s",
+                "Before the trigger",
+                f"{s.pre_s:g}",
+                "s",
+                lambda t: 0.0 if real(t) == 0.0 else positive(t),
+            ),
         ]
 
         def take(r: Any) -> None:
             if r:
                 share = max(r["share"], 1.0) / 100.0
-                self._set(**{**r, "share": share, "trigger": "" if r["trigger"] == "none" else r["trigger"]})
+                self._set(
+                    **{
+                        **r,
+                        "share": share,
+                        "trigger": "" if r["trigger"] == "none" else r["trigger"],
+                    }
+                )
 
         self.app.push_screen(Form("Moves and acquisition", fields), take)

@@ -41,7 +41,9 @@ class RunActions(AnalysisActions):
     @on(events.ScreenResume)
     def _look_again(self) -> None:
         """A recording on Console, or a simulation in a dialog, has perhaps left a run."""
-        if self.is_mounted and [r.folder for r in list_runs(self.lab.workspace.runs)] != [r.folder for r in self.runs]:
+        if self.is_mounted and [r.folder for r in list_runs(self.lab.workspace.runs)] != [
+            r.folder for r in self.runs
+        ]:
             self.fill_runs()
 
     def fill_runs(self, mark: Path | None = None) -> None:
@@ -57,7 +59,9 @@ class RunActions(AnalysisActions):
             k = self.marked_runs.index(run.folder) if run.folder in self.marked_runs else -1
             figures = " ".join(f"{v:.2g}" for v in list(run.errors.values())[:2])
             table.add_row(
-                Text("▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()),
+                Text(
+                    "▐" if k >= 0 else " ", Style(color=colours[2 * k % 8]) if k >= 0 else Style()
+                ),
                 Text(run.name, Style(bold=True)),
                 Text(time.strftime("%m-%d %H:%M", time.localtime(run.created)), Style(dim=True)),
                 Text(f"{run.seconds:.2f}", justify="right"),
@@ -73,7 +77,11 @@ class RunActions(AnalysisActions):
     def this_run(self) -> Run | None:
         """Return the run under the cursor."""
         try:
-            key = str(self.runs_table.coordinate_to_cell_key(self.runs_table.cursor_coordinate).row_key.value)
+            key = str(
+                self.runs_table.coordinate_to_cell_key(
+                    self.runs_table.cursor_coordinate
+                ).row_key.value
+            )
         except CellDoesNotExist:
             return None
         return next((run for run in self.runs if str(run.folder) == key), None)
@@ -169,7 +177,12 @@ class RunActions(AnalysisActions):
             return
         fields = [
             Field("suffix", "Format", ".mat", choices=(".mat", ".csv", ".npz", ".parquet")),
-            Field("path", "To", str(self.lab.workspace.root / "exports" / run.folder.name), check=not_empty),
+            Field(
+                "path",
+                "To",
+                str(self.lab.workspace.root / "exports" / run.folder.name),
+                check=not_empty,
+            ),
         ]
 
         def write(r: Any) -> None:
@@ -192,7 +205,10 @@ class RunActions(AnalysisActions):
         run = self._need_run()
         if run is not None:
             text = f"{run.name} goes to {run.folder.parent / '.trash'}; nothing is deleted."
-            self.app.push_screen(Message("Delete run", text, agree="Move to trash"), lambda yes: self._discard(run) if yes else None)
+            self.app.push_screen(
+                Message("Delete run", text, agree="Move to trash"),
+                lambda yes: self._discard(run) if yes else None,
+            )
 
     def _discard(self, run: Run) -> None:
         discard_run(run)

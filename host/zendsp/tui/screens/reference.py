@@ -1,4 +1,6 @@
-"""Reference: plans a motion, shows it over the limits of the machine, saves the MAT that Execute plays. Needs no target."""
+"""Reference: plans a motion, shows it over the limits of the machine, saves the MAT that Execute
+plays. Needs no target.
+"""
 
 from __future__ import annotations
 
@@ -62,17 +64,26 @@ class ReferenceScreen(LabScreen):
         self.view = "all"
         self._timer: Timer | None = None
 
-    # -- layout -------------------------------------------------------------------------------------------------------
+    # -- layout
+    # ----------------------------------------------------------------------------------------------
 
     def body(self) -> ComposeResult:
         with Horizontal(id="reference-body"):
             with Vertical(id="form"):
                 with Horizontal(classes="line"):
                     yield Static("Machine", classes="label")
-                    yield Select([(m, m) for m in MACHINES], value=self.machine.name, allow_blank=False, compact=True, id="machine")
+                    yield Select(
+                        [(m, m) for m in MACHINES],
+                        value=self.machine.name,
+                        allow_blank=False,
+                        compact=True,
+                        id="machine",
+                    )
                 with Horizontal(classes="line"):
                     yield Static("Motion", classes="label")
-                    yield Select(self._kinds(), value=self.kind, allow_blank=False, compact=True, id="kind")
+                    yield Select(
+                        self._kinds(), value=self.kind, allow_blank=False, compact=True, id="kind"
+                    )
                 yield Static("", id="about", markup=False)
                 yield VerticalScroll(id="fields")
                 yield Static("", id="problem", markup=False)
@@ -91,7 +102,8 @@ class ReferenceScreen(LabScreen):
         self.query_one("#curves", Scope).empty_text = "nothing planned yet"
         self.call_later(self._fill_form)
 
-    # -- the form -----------------------------------------------------------------------------------------------------
+    # -- the form
+    # ----------------------------------------------------------------------------------------------
 
     async def _fill_form(self, values: Mapping[str, Any] | None = None) -> None:
         """Make a line for each parameter, with its default unless ``values`` has it."""
@@ -103,14 +115,22 @@ class ReferenceScreen(LabScreen):
         self._plan_soon()
 
     def _parameters(self) -> tuple[Parameter, ...]:
-        """Return the lines of the form: the kind's own parameters, and how much of the limits the motion may use."""
+        """Return the lines of the form: the kind's own parameters, and how much of the limits the
+        motion may use.
+        """
         return (*KINDS[self.kind].parameters, HEADROOM)
 
     def _line(self, p: Parameter, value: Any = None) -> Horizontal:
         value = p.default_for(self.machine) if value is None else value
         widget: Input | Select[str] | Switch
         if p.type == "choice":
-            widget = Select([(c, c) for c in p.choices], value=str(value), allow_blank=False, compact=True, name=p.name)
+            widget = Select(
+                [(c, c) for c in p.choices],
+                value=str(value),
+                allow_blank=False,
+                compact=True,
+                name=p.name,
+            )
         elif p.type == "bool":
             widget = Switch(bool(value), name=p.name)
         else:
@@ -118,13 +138,19 @@ class ReferenceScreen(LabScreen):
         bounds = f"  ({p.describe_bounds()})" if p.describe_bounds() and not p.choices else ""
         widget.tooltip = f"{p.description}{bounds}".replace("[", "(").replace("]", ")")
         unit = Static(p.unit, classes="unit", markup=False)
-        return Horizontal(Static(p.name, classes="label", markup=False), widget, unit, classes="line parameter")
+        return Horizontal(
+            Static(p.name, classes="label", markup=False), widget, unit, classes="line parameter"
+        )
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
         """Say what the field means that is being edited."""
         names = [p for p in self._parameters() if p.name == event.widget.name]
         bounds = f" ({names[0].describe_bounds()})" if names and names[0].describe_bounds() else ""
-        text = f"{names[0].name}: {names[0].description}{bounds}" if names else KINDS[self.kind].description
+        text = (
+            f"{names[0].name}: {names[0].description}{bounds}"
+            if names
+            else KINDS[self.kind].description
+        )
         self.query_one("#about", Static).update(text)
 
     @on(Select.Changed, "#machine")
@@ -167,7 +193,8 @@ class ReferenceScreen(LabScreen):
                     values[p.name] = p.parse(raw, self.machine)
         return values
 
-    # -- planning -----------------------------------------------------------------------------------------------------
+    # -- planning
+    # ----------------------------------------------------------------------------------------------
 
     def plan_now(self) -> None:
         """Plan on a thread: an optimal swing takes seconds."""
@@ -182,7 +209,9 @@ class ReferenceScreen(LabScreen):
         def work() -> None:
             try:
                 reference = make_reference(kind.name, machine, machine.sample_time, **values)
-                plan = Plan(reference, machine.torque(reference), tuple(machine.find_violations(reference)))
+                plan = Plan(
+                    reference, machine.torque(reference), tuple(machine.find_violations(reference))
+                )
             except ZendspError as error:
                 self.app.call_from_thread(self._show_problem, str(error))
                 return
@@ -214,7 +243,11 @@ class ReferenceScreen(LabScreen):
         self.query_one("#save", Button).disabled = bool(plan.violations)
 
     def _views(self) -> list[str]:
-        return views_of(self.plan.reference, tall=self.size.height >= 36) if self.plan is not None else []
+        return (
+            views_of(self.plan.reference, tall=self.size.height >= 36)
+            if self.plan is not None
+            else []
+        )
 
     def on_resize(self) -> None:
         self.refresh_plan()
@@ -229,21 +262,30 @@ class ReferenceScreen(LabScreen):
         r = plan.reference
         brief = self.size.width < WIDE
         text = Text()
-        text.append(f"{r.duration:.3f} s, {r.samples} samples at {1.0 / r.sample_time:g} Hz", "bold")
+        text.append(
+            f"{r.duration:.3f} s, {r.samples} samples at {1.0 / r.sample_time:g} Hz", "bold"
+        )
         text.append("\n" if brief else f"   view: {self.view}   v changes\n", "dim")
         for line in peaks_of(self.machine, r, plan.tau, brief):
             for share, words_ in line:
-                colour = c["error"] if share > 1.0 + 1e-9 else c["warning"] if share > 0.9 else c["success"]
+                colour = (
+                    c["error"]
+                    if share > 1.0 + 1e-9
+                    else c["warning"] if share > 0.9 else c["success"]
+                )
                 text.append(words_, colour)
             text.append("\n")
         for violation in plan.violations:
             text.append(f"✖ {violation}\n", f"bold {c['error']}")
         if not plan.violations:
-            text.append(f"✔ within {100 * r.headroom:g} % of every limit of the machine", c["success"])
+            text.append(
+                f"✔ within {100 * r.headroom:g} % of every limit of the machine", c["success"]
+            )
         text.rstrip()
         return text
 
-    # -- actions ------------------------------------------------------------------------------------------------------
+    # -- actions
+    # ----------------------------------------------------------------------------------------------
 
     def action_machine(self) -> None:
         """Open the list of machines."""
@@ -277,11 +319,22 @@ class ReferenceScreen(LabScreen):
     def _save(self, then: str | None) -> None:
         plan = self.plan
         if plan is None or plan.violations:
-            self.say("nothing to save: the motion is not planned, or it breaks a limit (see below the curves)", "warning")
+            self.say(
+                "nothing to save: the motion is not planned, or it breaks a limit (see below the"
+                " curves)",
+                "warning",
+            )
             return
         stem = f"{self.machine.name}-{self.kind}"
-        form = Form("Save reference", [Field("name", "Name", stem, check=not_empty)], str(self.lab.workspace.references), "Save")
-        self.app.push_screen(form, lambda result: self._write(plan, result["name"], then) if result else None)
+        form = Form(
+            "Save reference",
+            [Field("name", "Name", stem, check=not_empty)],
+            str(self.lab.workspace.references),
+            "Save",
+        )
+        self.app.push_screen(
+            form, lambda result: self._write(plan, result["name"], then) if result else None
+        )
 
     def _write(self, plan: Plan, name: str, then: str | None) -> None:
         path = self.lab.workspace.free(self.lab.workspace.references, name, ".mat")
@@ -297,18 +350,25 @@ class ReferenceScreen(LabScreen):
 
     def action_load(self) -> None:
         """Choose among the saved references."""
-        options = [Option(str(p), p.stem, p.parent.name) for p in self.lab.workspace.saved_references()]
+        options = [
+            Option(str(p), p.stem, p.parent.name) for p in self.lab.workspace.saved_references()
+        ]
         if not options:
             self.say("no saved reference yet: save one with Ctrl+S", "warning")
             return
-        self.app.push_screen(Choose("Reference", options), lambda keys: self.open_reference(Path(keys[0])) if keys else None)
+        self.app.push_screen(
+            Choose("Reference", options),
+            lambda keys: self.open_reference(Path(keys[0])) if keys else None,
+        )
 
     def open_reference(self, path: Path) -> None:
         """Show a saved reference, and its parameters in the form where they are known."""
         try:
             reference = load_reference(path)
             machine = load_machine(reference.machine) if reference.machine else self.machine
-            plan = Plan(reference, machine.torque(reference), tuple(machine.find_violations(reference)))
+            plan = Plan(
+                reference, machine.torque(reference), tuple(machine.find_violations(reference))
+            )
         except (ZendspError, OSError) as error:
             self.say(f"{path.name}: {error}", "error")
             return
