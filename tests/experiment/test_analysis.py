@@ -13,11 +13,12 @@ from click.testing import CliRunner
 from zendsp.cli.experiment import command
 from zendsp.errors import ModelError, RecordingError
 from zendsp.experiment import EXPERIMENTS, Estimate, Result, fit_model, put_into
+from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.imi_fit import fit_curve
 from zendsp.experiment.imi_friction import breakaway_torque, bristle_stiffness, inertia_torque
 from zendsp.experiment.pendulum_motor import fit_parameters, pendulum_model, steady_means
 from zendsp.experiment.report import table, write_report
-from zendsp.experiment.wam_friction import cannot_separate, line_fit
+from zendsp.experiment.wam_friction import Sliding, cannot_separate, fit_friction
 from zendsp.physics import load_model, simulate_loop
 from zendsp.recording import Recording
 
@@ -170,7 +171,7 @@ def test_a_model_file_takes_the_result_in_and_keeps_what_was_not_measured(tmp_pa
     assert after.terms[-1].value("level") == 8.4 and after.terms[-1].parameters["level"].std == 0.1
     assert (
         after.mechanism["p1"][0].value == 3.5
-        and after.actuator.delay == 0.001
+        and after.actuator.delay == 0.00116
         and after.controller["kp"] == [2000.0, 300.0]
     )
     assert any("joint 1 replaced (2 terms by 1)" in text for text in changes)

@@ -100,7 +100,8 @@ def run_reference(
 def gyroscopic(mass: Callable[[Array], Array], q: Array, qd: Array) -> Array:
     """What a mass matrix that changes with position adds to C qd (Lagrange, by differences)."""
     step = 1e-6 * np.eye(2)
-    slope = np.array([(mass(q + h) - mass(q - h)) / 2e-6 for h in step])  # [k, i, j] = dM_ij / dq_k
+    # [k, i, j] = dM_ij / dq_k
+    slope = np.array([(mass(q + h) - mass(q - h)) / 2e-6 for h in step])
     return np.einsum("kij,k,j->i", slope, qd, qd) - 0.5 * np.einsum("ijk,j,k->i", slope, qd, qd)
 
 

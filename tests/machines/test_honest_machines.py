@@ -1,5 +1,5 @@
-"""The shipped machines have the electronics and the imperfections that they state; `ideal = 1` takes
-them away.
+"""The shipped machines have the electronics and the imperfections that they state; `ideal = 1`
+takes them away.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def test_the_analog_output_has_as_many_steps_as_the_machine_says(
     limit = load_machine(name).limits.torque[joint]
     step = 2.0 * limit / 2**bits
     quiet = "dac_noise = 0\ncurrent_loop = 0\n"
-    given = np.array([torques(name, quiet, joint, x * limit, 1)[0] for x in np.linspace(0, 0.01, 40)])
+    wanted = limit * np.linspace(0, 0.01, 40)
+    given = np.array([torques(name, quiet, joint, tau, 1)[0] for tau in wanted])
     assert np.abs(given / step - np.round(given / step)).max() < 1e-6
     assert len(set(np.round(given / step))) > 10
 

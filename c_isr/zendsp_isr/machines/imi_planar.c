@@ -108,7 +108,7 @@ static void make_plant(plant *p, const machine_info *info, const char *config) {
         if (!ideal) {
             p->friction[j].vary = 0.05;
             p->friction[j].turns = 14.0 / two_pi;
-            p->friction[j].phase = two_pi * plant_uniform(p);
+            p->friction[j].phase = two_pi * plant_copy(config, j + 1);
         }
         p->drive[j] = (plant_drive){.torque_limit = info->joint[j].torque_max,
                                     .speed_gain = speed_gain[j],

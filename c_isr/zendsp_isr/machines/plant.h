@@ -74,7 +74,7 @@ typedef struct plant {
     double command[PLANT_JOINTS];  /* N m in torque mode, rad/s in velocity mode */
     int mode;                      /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
     double current[PLANT_JOINTS];  /* N m, torque behind the current loop */
-    uint64_t random;               /* state of the noise: the same seed gives the same noise */
+    uint64_t random;               /* state of the noise: the same seed and load give the same */
     plant_electronics electronics;
     plant_friction friction[PLANT_JOINTS];
     plant_drive drive[PLANT_JOINTS];
@@ -112,11 +112,18 @@ static inline double plant_noise(plant *p, double std) {
     return std * radius * cos(6.283185307179586 * plant_uniform(p));
 }
 
-/* Config keys seed, ideal, dac_bits, dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`.
+/* A number in (0, 1) that belongs to this copy of the machine, by its seed: the same at every opening. */
+static inline double plant_copy(const char *config, int which) {
+    plant p = {.random = (uint64_t)machine_config_double(config, "seed", 1.0) + ((uint64_t)which << 48)};
+    return plant_uniform(&p);
+}
+
+/* Config keys load (which opening this is: noise does not begin again), seed, ideal, dac_bits, dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`.
  * `range` is the span of the analog output, mV. */
 static inline void plant_equip(plant *p, const char *config, const plant_electronics *usual, double range) {
     plant_electronics *e = &p->electronics;
-    p->random = (uint64_t)machine_config_double(config, "seed", 1.0);
+    p->random = (uint64_t)machine_config_double(config, "seed", 1.0)
+        + ((uint64_t)machine_config_double(config, "load", 1.0) << 32);
     *e = (plant_electronics){0};
     if (machine_config_double(config, "ideal", 0.0) != 0.0)
         return;

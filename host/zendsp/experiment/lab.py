@@ -35,6 +35,9 @@ class Lab:
         experiment, on the fast clock.
     say : callable, optional
         Told what begins, a line at a time.
+    seed : int
+        Of what an experiment draws (start positions), and of the noise of a machine that is started
+        here.
 
     Examples
     --------
@@ -43,9 +46,15 @@ class Lab:
     """
 
     def __init__(
-        self, folder: str | Path, target: Target | None = None, say: Say | None = None
+        self,
+        folder: str | Path,
+        target: Target | None = None,
+        say: Say | None = None,
+        seed: int = 1,
     ) -> None:
         self.folder = Path(folder)
+        self.seed = seed
+        self.random = np.random.default_rng(seed)
         self.target = target
         self.say: Say = say or (lambda text: None)
 
@@ -82,7 +91,7 @@ class Lab:
 
         arguments = [
             part
-            for key, value in options.items()
+            for key, value in {"seed": self.seed, **options}.items()
             for part in ("--machine-option", f"{key}={value}")
         ]
         target = local(machine, clock="fast", options=arguments)
