@@ -46,7 +46,9 @@ def repeat(name: str, kept: dict[str, list[Any]], seeds: int, until: float) -> N
         with tempfile.TemporaryDirectory() as folder:
             result = EXPERIMENTS[name][1](Lab(folder, seed=len(rows) + 1))
         found = result.values
-        rows.append({key: (found[key].value, found[key].std) for key in TRUTH[name] if key in found})
+        rows.append(
+            {key: (found[key].value, found[key].std) for key in TRUTH[name] if key in found}
+        )
 
 
 def section(name: str, rows: list[Any]) -> str:
