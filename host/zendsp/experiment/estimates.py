@@ -44,9 +44,9 @@ def mean_of(values: Sequence[float], unit: str, systematic: float = 0.0) -> Esti
 
 def least_squares(A: Array, b: Array) -> tuple[Array, Array, Array]:
     """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance."""
-    solution = np.linalg.lstsq(A, b, rcond=None)[0]
+    solution = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], np.float64)
     free = len(b) - A.shape[1]
-    inverse = np.linalg.inv(A.T @ A)
+    inverse = np.asarray(np.linalg.inv(A.T @ A), np.float64)
     if free < 1:
         return solution, np.full(A.shape[1], np.inf), inverse
     variance = float(np.sum((b - A @ solution) ** 2)) / free

@@ -168,8 +168,8 @@ def _pushed(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Arra
     friction = savgol_filter(torque, window, 2) - inertia_torque(q, qd, qdd)[:, joint - 1]
     sign = np.sign(torque[-1])
     way = sign * (smooth - q[: len(before), joint - 1].mean())
-    rows = slice(len(before), len(q))
-    return way[rows], sign * qd[rows, joint - 1], sign * friction[rows]
+    first = len(before)
+    return way[first:], sign * qd[first:, joint - 1], sign * friction[first:]
 
 
 def breakaway_torque(rec: Recording, joint: int, window: int = 101) -> float:
