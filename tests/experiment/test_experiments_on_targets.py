@@ -96,6 +96,29 @@ def test_friction_maps_have_intervals_and_tell_what_narrow_speeds_cannot(folder:
     assert any("cannot separate" in text and "Joint 4" in text for text in found.warnings)
 
 
+def test_friction_of_any_machine_that_takes_torques_is_found(tmp_path: Path) -> None:
+    import zendsp
+
+    arm = Path(__file__).parents[1] / "machines" / "models" / "bench_arm.xml"
+    with zendsp.local(str(arm), clock="fast") as target:
+        found = run_experiment("friction", Lab(tmp_path, target))
+    for joint in (1, 2, 3):  # frictionloss 0.8 N m, damping 0.5 N m s/rad
+        both = [found.values[f"coulomb{joint}_{end}"].value for end in ("pos", "neg")]
+        assert 0.5 * sum(both) == pytest.approx(0.8, rel=0.1)
+        slopes = [found.values[f"viscous{joint}_{end}"].value for end in ("pos", "neg")]
+        assert np.mean(slopes) == pytest.approx(0.5, rel=0.1)
+    assert found.values["weight1"].value == 0.0, "its axis is vertical"
+    assert found.values["weight2"].value > 5.0
+    assert len(found.effects) == 6 and found.machine == target.info.machine
+
+
+def test_an_experiment_for_any_machine_asks_for_one(tmp_path: Path) -> None:
+    from zendsp.errors import Refused
+
+    with pytest.raises(Refused, match="is for any machine, and needs one"):
+        run_experiment("friction", Lab(tmp_path))
+
+
 def test_machine_and_simulation_have_the_same_joint_error(tmp_path: Path) -> None:
     lab = Lab(tmp_path)
     (tmp_path / "wam-friction").mkdir()
@@ -166,5 +189,5 @@ def test_an_experiment_refuses_another_machine_and_an_unknown_name(tmp_path: Pat
         pytest.raises(Refused, match="for the machine imi_planar"),
     ):
         run_experiment("imi-static", Lab(tmp_path, target))
-    with pytest.raises(Refused, match="there are imi-static"):
+    with pytest.raises(Refused, match="there are friction, imi-static"):
         run_experiment("nope", Lab(tmp_path))

@@ -42,10 +42,15 @@ def mean_of(values: Sequence[float], unit: str, systematic: float = 0.0) -> Esti
     return Estimate(float(np.mean(values)), float(np.hypot(half / NORMAL, systematic)), unit)
 
 
-def least_squares(A: Array, b: Array) -> tuple[Array, Array, Array]:
-    """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance."""
+def least_squares(
+    A: Array, b: Array, independent: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance.
+
+    ``independent``: how many of the rows are, where not all are.
+    """
     solution = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], np.float64)
-    free = len(b) - A.shape[1]
+    free = (independent or len(b)) - A.shape[1]
     inverse = np.asarray(np.linalg.inv(A.T @ A), np.float64)
     if free < 1:
         return solution, np.full(A.shape[1], np.inf), inverse

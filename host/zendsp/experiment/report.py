@@ -11,7 +11,6 @@ from typing import Any
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL
-from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.truth import TRUTH
 
@@ -37,13 +36,13 @@ def write_report(folder: Path, path: Path) -> Path:
     RecordingError
         An experiment has not been made yet.
     """
-    missing = [name for name in EXPERIMENTS if not (folder / name / "result.toml").exists()]
+    missing = [name for name in _SECTIONS if not (folder / name / "result.toml").exists()]
     if missing:
         raise RecordingError(
             f"{folder}: lacks {', '.join(missing)}: make all experiments first (zendsp experiment"
             " all)"
         )
-    results = {name: Result.load(folder / name / "result.toml") for name in EXPERIMENTS}
+    results = {name: Result.load(folder / name / "result.toml") for name in _SECTIONS}
     path.parent.mkdir(parents=True, exist_ok=True)
     figures = path.parent / "figures"
     figures.mkdir(exist_ok=True)

@@ -123,13 +123,18 @@ class Sliding:
         return np.array(rows)
 
 
-def constant_speed_pieces(rec: Recording, reference: Reference, joint: int) -> Sliding:
-    """The constant-speed parts of a recording, ten pieces each.
+def constant_speed_pieces(
+    rec: Recording, reference: Reference, joint: int, gravity: bool = True
+) -> Sliding:
+    """The constant-speed parts of a recording, ten pieces each; ``gravity``: the program records as
+    ``g`` what it compensates.
 
     The first 30 % of each part are left out: the controller settles there.
     """
     rows = playing(rec, reference.samples // rec.decimation)
-    q, tau, g = (rec[name][rows][:, joint - 1] for name in ("q", "tau", "g"))
+    q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
+    # where the program compensates no weight, all of it is found beside friction
+    g = rec["g"][rows][:, joint - 1] if gravity else np.zeros_like(tau)
     wanted = reference.qd[:: rec.decimation, joint - 1][: len(q)]
     steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < 1e-6) & (
         np.abs(wanted) > 1e-3
@@ -160,19 +165,20 @@ class Friction:
     free: Array  # the torque without it
 
 
-def fit_friction(sliding: Sliding) -> Friction:
+def fit_friction(sliding: Sliding, weighs: bool, alike: bool = False) -> Friction:
     """Friction of each direction, and what the gravity compensation lacks, together.
 
     The weight of whatever a joint moves is a cos q + b sin q of its own position, whatever its
-    masses; friction is not. A joint without gravity (a vertical axis) has neither.
+    masses; friction is not. ``alike``: the pieces of a part are one measurement, not ten, as where
+    friction varies with place. A joint that moves no weight (a vertical axis) has neither.
     """
     up = sliding.speed > 0
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
-    heavy = bool(np.ptp(sliding.gravity) > 1e-3 or np.abs(sliding.gravity).max() > 1e-3)
-    if heavy:
+    if weighs:
         columns += [np.cos(sliding.q), np.sin(sliding.q)]
     A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
-    x, half, _ = least_squares(A, sliding.torque)
+    parts = len(np.unique(sliding.part)) if alike else len(sliding.torque)
+    x, half, _ = least_squares(A, sliding.torque, parts)
     lacking = A[:, 4:] @ x[4:]
     value = {
         word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
@@ -184,7 +190,7 @@ def fit_friction(sliding: Sliding) -> Friction:
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
     """Put a joint's friction into the result; the points of its curve."""
     row: dict[str, Any] = {"joint": joint}
-    fitted = fit_friction(sliding)
+    fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > 1e-3))
     found, points = fitted.value, sliding.points(fitted.free)
     result.values[f"gravity{joint}_lacking"] = Estimate(
         float(np.abs(fitted.lacking).max()), 0.0, "N m"
@@ -205,7 +211,14 @@ def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
             correlation = line_fit(chosen[:, 0], chosen[:, 1])[2]
             result.warnings.append(_warning(joint, word, chosen, viscous, dv, correlation))
     result.tables.setdefault("friction", []).append(row)
-    result.effects += [
+    result.effects += friction_effects(joint, fitted)
+    return points
+
+
+def friction_effects(joint: int, fitted: Friction) -> list[dict[str, Any]]:
+    """A joint's friction as ``[[effect]]`` tables of a model."""
+    found = fitted.value
+    return [
         {
             "kind": "coulomb_asymmetry",
             "joint": joint,
@@ -225,7 +238,6 @@ def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
             },
         },
     ]
-    return points
 
 
 def cannot_separate(viscous: float, half_width: float) -> bool:
