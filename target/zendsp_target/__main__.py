@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
                    help="setting of the machine, e.g. its start position; may be repeated")
     p.add_argument("--ideal", action="store_true",
-                   help="a simulated machine without noise, quantised command and other imperfections")
+                   help="a simulated machine without noise and other imperfections")
     p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
     p.add_argument(
         "--no-realtime",

@@ -95,7 +95,7 @@ def test_friction_of_each_direction_is_told_from_a_weight_that_the_model_lacks()
         weight = 0.8 * np.cos(q) - 0.3 * np.sin(q)
         friction = np.where(speed > 0, 1.5 + 0.5 * speed, -0.7 + 0.4 * speed)
         torque = friction + weight + 0.02 * rng.standard_normal(len(q))
-        found = fit_friction(Sliding(part, q, speed, torque, 0 * q), weighs=True)
+        found = fit_friction(Sliding(part, q, speed, torque, 0 * q, 0 * q), weighs=True)
         got = np.array([*found.value["+"][:2], *found.value["-"][:2]])
         half = np.array([*found.value["+"][2:], *found.value["-"][2:]])
         held += np.abs(got - truth) <= half

@@ -105,10 +105,11 @@ def test_friction_of_any_machine_that_takes_torques_is_found(tmp_path: Path) -> 
     for joint in (1, 2, 3):  # frictionloss 0.8 N m, damping 0.5 N m s/rad
         both = [found.values[f"coulomb{joint}_{end}"].value for end in ("pos", "neg")]
         assert 0.5 * sum(both) == pytest.approx(0.8, rel=0.1)
-        slopes = [found.values[f"viscous{joint}_{end}"].value for end in ("pos", "neg")]
-        assert np.mean(slopes) == pytest.approx(0.5, rel=0.1)
+        for end in ("pos", "neg"):
+            slope = found.values[f"viscous{joint}_{end}"]
+            assert abs(slope.value - 0.5) < 3 * slope.std < 0.4
     assert found.values["weight1"].value == 0.0, "its axis is vertical"
-    assert found.values["weight2"].value > 5.0
+    assert found.values["weight2"].value > 2.0
     assert len(found.effects) == 6 and found.machine == target.info.machine
 
 

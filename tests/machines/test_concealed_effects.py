@@ -79,7 +79,8 @@ def run_reference(
         c, s = P3 * math.cos(q[1]), P3 * math.sin(q[1])
         m = np.array([[P1 + 2 * c, P2 + c], [P2 + c, P2]]) + added(q)
         bias = gyroscopic(added, q, qd) if callable(mass) else np.zeros(2)
-        bias += np.array([-s * qd[1] * (2 * qd[0] + qd[1]), s * qd[0] ** 2]) + VISCOUS * qd + COULOMB
+        bias += np.array([-s * qd[1] * (2 * qd[0] + qd[1]), s * qd[0] ** 2])
+        bias += VISCOUS * qd + COULOMB
         extra = np.zeros(2) if torque is None else torque(t, q, qd, tau, x)
         qdd = np.linalg.solve(m, tau - bias - extra)
         return np.concatenate([qd, qdd, np.zeros(0) if states is None else states(t, q, qd, x)])

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import Refused
-from zendsp.experiment.estimates import NORMAL, least_squares
+from zendsp.experiment.estimates import NORMAL
 from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab
 from zendsp.experiment.result import Estimate, Result
@@ -56,9 +56,9 @@ def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
         for joint in joints or tuple(range(1, len(all_joints) + 1)):
             reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
             sliding = _record(bench, reference, joint)
-            found = fit_friction(sliding, all_joints[joint - 1].unit == "rad", alike=True)
+            found = fit_friction(sliding, all_joints[joint - 1].unit == "rad", unknown=True)
             if not _weighs(sliding, found):
-                found = fit_friction(sliding, False, alike=True)
+                found = fit_friction(sliding, False, unknown=True)
             curves[joint] = (sliding.points(found.free), found)
             _report(result, joint, all_joints[joint - 1].unit, found)
         result.recordings, result.target = bench.recordings, bench.where
@@ -107,14 +107,9 @@ def _weighs(sliding: Sliding, found: Friction) -> bool:
     """
     from scipy.special import fdtri
 
-    up = sliding.speed > 0
-    columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
-    plain = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
-    x = least_squares(plain, sliding.torque)[0]
-    without = float(np.sum((sliding.torque - plain @ x) ** 2))
-    x = least_squares(plain, found.free)[0]
-    within = float(np.sum((found.free - plain @ x) ** 2))
-    free = len(np.unique(sliding.part)) - 6
+    plain = fit_friction(sliding, False, unknown=True)
+    free = len(np.unique(sliding.part)) - 7
+    without, within = plain.squares, found.squares
     return free > 0 and (without - within) / 2 > fdtri(2, free, 0.99) * within / free
 
 
@@ -132,7 +127,7 @@ def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
                 f"Joint {joint}, direction {word}: the viscous coefficient"
                 f" {viscous:.3g} ± {dv:.2g} is not told from zero at these speeds."
             )
-    weight = float(np.abs(found.lacking).max())
+    weight = found.weight
     result.values[f"weight{joint}"] = Estimate(weight, 0.0, force)
     result.tables.setdefault("friction", []).append({**row, "weight": f"{weight:.3g}"})
     result.effects += friction_effects(joint, found)

@@ -101,9 +101,9 @@ class Sliding:
     ----------
     part : ndarray of int
         Which part a piece belongs to.
-    q, speed, torque, gravity : ndarray
+    q, speed, torque, gravity, acceleration : ndarray
         Position (rad), mean speed of the part (rad/s), torque less the model's gravity, and that
-        gravity (N m).
+        gravity (N m); what acceleration is left (rad/s^2).
     """
 
     part: npt.NDArray[np.int64]
@@ -111,6 +111,7 @@ class Sliding:
     speed: Array
     torque: Array
     gravity: Array
+    acceleration: Array
 
     def points(self, friction: Array) -> Array:
         """Mean speed, mean of ``friction`` and its standard error of each part: rows of three."""
@@ -131,6 +132,8 @@ def constant_speed_pieces(
 
     The first 30 % of each part are left out: the controller settles there.
     """
+    from scipy.signal import savgol_filter
+
     rows = playing(rec, reference.samples // rec.decimation)
     q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
     # where the program compensates no weight, all of it is found beside friction
@@ -139,6 +142,7 @@ def constant_speed_pieces(
     steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < 1e-6) & (
         np.abs(wanted) > 1e-3
     )
+    qdd = savgol_filter(q, 41, 2, 2, rec.sample_time)
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     pieces = []
     for part, (first, last) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
@@ -147,11 +151,10 @@ def constant_speed_pieces(
             continue
         speed = (q[last - 1] - q[first]) / ((last - 1 - first) * rec.sample_time)
         for piece in np.array_split(np.arange(first, last), 10):
-            means = (x[piece].mean() for x in (q, tau - g, g))
-            here, torque, gravity = means
-            pieces.append((part, here, speed, torque, gravity))
-    part_, q_, speed_, torque_, gravity_ = np.array(pieces).T
-    return Sliding(part_.astype(np.int64), q_, speed_, torque_, gravity_)
+            here, torque, gravity, rest = (x[piece].mean() for x in (q, tau - g, g, qdd))
+            pieces.append((part, here, speed, torque, gravity, rest))
+    columns = np.array(pieces).T
+    return Sliding(columns[0].astype(np.int64), *columns[1:])
 
 
 @dataclass(frozen=True)
@@ -163,28 +166,36 @@ class Friction:
     value: dict[str, tuple[float, float, float, float]]
     lacking: Array
     free: Array  # the torque without it
+    weight: float  # N m, the most that the joint carries beyond what is compensated
+    squares: float  # sum of the squared residuals
 
 
-def fit_friction(sliding: Sliding, weighs: bool, alike: bool = False) -> Friction:
+def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Friction:
     """Friction of each direction, and what the gravity compensation lacks, together.
 
     The weight of whatever a joint moves is a cos q + b sin q of its own position, whatever its
-    masses; friction is not. ``alike``: the pieces of a part are one measurement, not ten, as where
-    friction varies with place. A joint that moves no weight (a vertical axis) has neither.
+    masses; friction is not. ``unknown``: nothing is known of the machine. The inertia is found too,
+    and the pieces of a part count as one measurement: friction may vary with place. A joint that
+    moves no weight (a vertical axis) has neither.
     """
     up = sliding.speed > 0
     columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
     if weighs:
         columns += [np.cos(sliding.q), np.sin(sliding.q)]
+    if unknown:
+        columns.append(sliding.acceleration)
     A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
-    parts = len(np.unique(sliding.part)) if alike else len(sliding.torque)
+    parts = len(np.unique(sliding.part)) if unknown else len(sliding.torque)
     x, half, _ = least_squares(A, sliding.torque, parts)
     lacking = A[:, 4:] @ x[4:]
+    weight = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
+    squares = float(np.sum((sliding.torque - A @ x) ** 2))
     value = {
         word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
         for word, k in (("+", 0), ("-", 2))
     }
-    return Friction(value, lacking, sliding.torque - lacking)
+    largest = float(np.abs(weight).max())
+    return Friction(value, lacking, sliding.torque - lacking, largest, squares)
 
 
 def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
