@@ -110,7 +110,7 @@ def _weighs(sliding: Sliding, found: Friction) -> bool:
     plain = fit_friction(sliding, False, unknown=True)
     free = len(np.unique(sliding.part)) - 7
     without, within = plain.squares, found.squares
-    return free > 0 and (without - within) / 2 > fdtri(2, free, 0.99) * within / free
+    return free > 0 and bool((without - within) / 2 > fdtri(2, free, 0.99) * within / free)
 
 
 def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
