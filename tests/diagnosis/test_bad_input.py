@@ -13,10 +13,10 @@ import pytest
 import reality
 
 from zendsp.cli import main
-from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.findings import kernel_model
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import _resample_held, read_signals
+from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import _resample_held, read_signals
+from zendsp.diagnosis.decide.findings import kernel_model
 from zendsp.physics.model_file import load_model
 
 RATE = 500.0

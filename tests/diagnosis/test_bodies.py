@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.diagnosis.bodies import BodySearch, find_bodies
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import read_signals
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.decide.bodies import BodySearch, find_bodies
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import load_model, parse_model
 
@@ -228,7 +228,7 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     assert not {"coupling", "inertia", "torque_gain", "gravity"} & {f.effect for f in d.findings}
     assert d.test is not None and d.test.improved < 0.1 * d.test.calibrated
     assert any(t.effect == "payload" for t in d.improved.terms)
-    from zendsp.diagnosis.report import write_report
+    from zendsp.diagnosis.report.files import write_report
 
     write_report(d, tmp_path / "out", pictures=False)
     back = load_model(tmp_path / "out" / "model.toml")

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from zendsp.diagnosis.findings import estimates
-from zendsp.diagnosis.hypothesis import counterpart, vanishes
-from zendsp.diagnosis.reading import Signals, split
+from zendsp.diagnosis.data.reading import Signals, split
+from zendsp.diagnosis.decide.findings import estimates
+from zendsp.diagnosis.search.hypothesis import counterpart, vanishes
 from zendsp.physics.fit import Fit, Handle
 from zendsp.physics.model import Model, Quantity, Term
 

@@ -13,9 +13,9 @@ import pytest
 import reality
 
 from zendsp.diagnosis import diagnose
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import Signals, unused_effects
-from zendsp.diagnosis.search import Searcher, calibrate_joint
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import Signals, unused_effects
+from zendsp.diagnosis.search.forward import Searcher, calibrate_joint
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import mechanism_of
 from zendsp.physics.fit import Data

@@ -10,7 +10,7 @@ import reality
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
-from zendsp.diagnosis.report import write_report
+from zendsp.diagnosis.report.files import write_report
 from zendsp.errors import ModelError
 
 RATE = 250.0

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import reality
 
-from zendsp.diagnosis.candidates import as_given, simulated
-from zendsp.diagnosis.discrepancy import deviation
-from zendsp.diagnosis.evidence import compare
-from zendsp.diagnosis.hypothesis import JointSearch, Rival, Step
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import Signals
-from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative
-from zendsp.diagnosis.screen import Candidate, with_candidate
-from zendsp.diagnosis.search import calibrate_joint
-from zendsp.diagnosis.simplify import simplify
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.measure.discrepancy import deviation
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import Scored, deviance, fit_scored, informative
+from zendsp.diagnosis.search.candidates import as_given, simulated
+from zendsp.diagnosis.search.forward import calibrate_joint
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
+from zendsp.diagnosis.search.screen import Candidate, with_candidate
+from zendsp.diagnosis.search.simplify import simplify
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model

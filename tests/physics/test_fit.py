@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import Signals
-from zendsp.diagnosis.score import fit_scored
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.fit import Data, fit, free_handles, get_values, set_values
 from zendsp.physics.model_file import parse_model

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import Signals
 from zendsp.physics.effects import library
 from zendsp.physics.joint import RAN_AWAY, JointRecord, run, run_many
 from zendsp.physics.model import Model, Quantity, Term

@@ -122,7 +122,7 @@ def _together(
 ) -> None:
     from zendsp.cli.progress import stages
     from zendsp.diagnosis import diagnose
-    from zendsp.diagnosis.report import report_text, write_report
+    from zendsp.diagnosis.report.files import report_text, write_report
     from zendsp.physics.effects import load_effects
 
     for file in effects:
@@ -143,7 +143,7 @@ def _together(
     if as_json:
         click.echo(report_text(result))
         return
-    from zendsp.diagnosis.summary import summary
+    from zendsp.diagnosis.report.summary import summary
 
     click.echo(summary(result))
     if out is not None:

@@ -86,7 +86,7 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     body = _about(model)
     lines = [f"{file}: {body['text']}"]
     if recording is not None:
-        from zendsp.diagnosis.reading import read_signals
+        from zendsp.diagnosis.data.reading import read_signals
 
         signals = read_signals(recording, model)
         seconds = len(signals.time) * signals.sample_time

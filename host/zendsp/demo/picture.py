@@ -131,7 +131,7 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     """Torque that the calibrated and the improved model lack, over the variable in which the effect
     lives.
     """
-    from zendsp.diagnosis.figures import axis_of
+    from zendsp.diagnosis.report.figures import axis_of
 
     finding = told.diagnosis.findings[0] if told.diagnosis.findings else None
     variable = axis_of(finding.effect) if finding else "velocity"

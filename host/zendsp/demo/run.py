@@ -24,9 +24,7 @@ def concealment(pool: tuple[str, ...], effect: str | None, seed: int | None) -> 
     >>> concealment(("ripple", "gravity"), None, None)
     'seed:random,effect=ripple/gravity,friction=plain'
     """
-    return (
-        f"seed:{'random' if seed is None else seed},effect={effect or '/'.join(pool)},friction=plain"  # noqa: E501
-    )
+    return f"seed:{'random' if seed is None else seed},effect={effect or '/'.join(pool)},friction=plain"  # noqa: E501
 
 
 def run_demo(
@@ -86,7 +84,7 @@ def run_demo(
 
 def _write(told: Told, out: Path, teller: Narrator) -> list[Path]:
     from zendsp.demo.picture import draw
-    from zendsp.diagnosis.report import write_report
+    from zendsp.diagnosis.report.files import write_report
 
     with teller.step("writing the report"):
         write_report(told.diagnosis, out)

@@ -15,26 +15,33 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.assemble import Assembled, assemble, calibrated_machine
-from zendsp.diagnosis.bodies import find_bodies
-from zendsp.diagnosis.checks import check_excitation, check_motion, check_signals
-from zendsp.diagnosis.decide import Decision, decide
-from zendsp.diagnosis.decide_bodies import decide_bodies, rejected_bodies, settled
-from zendsp.diagnosis.detectable import detectable
-from zendsp.diagnosis.evidence import compare
-from zendsp.diagnosis.findings import file_model, kernel_model
-from zendsp.diagnosis.fine import fine_ripples, fixed
-from zendsp.diagnosis.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.inertia import inertia_ranges
-from zendsp.diagnosis.naming import left_over, name_findings
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.propose import propose
-from zendsp.diagnosis.reading import Parts, Signals, halves, read_signals, split, with_same_columns
+from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
+from zendsp.diagnosis.data.inertia import inertia_ranges
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import (
+    Parts,
+    Signals,
+    halves,
+    read_signals,
+    split,
+    with_same_columns,
+)
+from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
+from zendsp.diagnosis.decide.bodies import find_bodies
+from zendsp.diagnosis.decide.decide import Decision, decide
+from zendsp.diagnosis.decide.decide_bodies import decide_bodies, rejected_bodies, settled
+from zendsp.diagnosis.decide.detectable import detectable
+from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
+from zendsp.diagnosis.decide.findings import file_model, kernel_model
+from zendsp.diagnosis.decide.naming import left_over, name_findings
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.where import intervals, mismatch, regions
+from zendsp.diagnosis.measure.windows import model_error, noise_floor
+from zendsp.diagnosis.report.propose import propose
 from zendsp.diagnosis.result import Diagnosis, FitTable, Left
-from zendsp.diagnosis.score import Scored
-from zendsp.diagnosis.search import WAIT, Searcher, calibrate_joint
-from zendsp.diagnosis.where import intervals, mismatch, regions
-from zendsp.diagnosis.windows import model_error, noise_floor
+from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
@@ -123,7 +130,7 @@ def _diagnose(
     given_file = _as_model(model)
     given = kernel_model(given_file)
     if given.kind == "python":
-        from zendsp.diagnosis.blackbox import diagnose_simulator
+        from zendsp.diagnosis.external.blackbox import diagnose_simulator
 
         return diagnose_simulator(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell

@@ -113,7 +113,7 @@ def diagnose_one(task: tuple[str, str | None, str, list[str], int, list[str]]) -
             load_effects(file)
         result = diagnose(name, model, heldout or None, seed=seed, jobs=1)
         if folder is not None:
-            from zendsp.diagnosis.report import write_report
+            from zendsp.diagnosis.report.files import write_report
 
             write_report(result, folder)
         return Item(name, result.report())

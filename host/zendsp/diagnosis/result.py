@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from zendsp.diagnosis.where import Missing, Region
+from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.physics.model import Model
 
 

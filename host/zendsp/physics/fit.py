@@ -172,7 +172,7 @@ class Data:
     inner: int = 2
     ranges: Mapping[str, tuple[float, float]] = field(
         default_factory=dict
-    )  # of inertial figures: see diagnosis/inertia.py
+    )  # of inertial figures: see diagnosis/data/inertia.py
 
     @property
     def joints(self) -> int:

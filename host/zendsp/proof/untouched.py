@@ -17,10 +17,10 @@ def errors(recording: Path, given: Path, calibrated: Path, improved: Path) -> tu
     """Error of the calibrated and of the improved model on `recording`; the given model says how to
     read it.
     """
-    from zendsp.diagnosis.findings import kernel_model
-    from zendsp.diagnosis.prepare import prepare
-    from zendsp.diagnosis.reading import read_signals
-    from zendsp.diagnosis.windows import model_error
+    from zendsp.diagnosis.data.prepare import prepare
+    from zendsp.diagnosis.data.reading import read_signals
+    from zendsp.diagnosis.decide.findings import kernel_model
+    from zendsp.diagnosis.measure.windows import model_error
     from zendsp.physics.model_file import load_model
 
     # the calibrated model prepares the motion for both: a wrong improvement must not smooth it to

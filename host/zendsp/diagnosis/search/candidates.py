@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.score import deviances
-from zendsp.diagnosis.screen import Candidate, Screen, make_term, usable, with_candidate
+from zendsp.diagnosis.measure.likelihood import deviances
+from zendsp.diagnosis.search.screen import Candidate, Screen, make_term, usable, with_candidate
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import JointRecord, effective_inertia, facts

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from zendsp.diagnosis.measure.where import Missing, energy, mismatch
+from zendsp.diagnosis.measure.windows import window_error
 from zendsp.diagnosis.result import Diagnosis, Finding
-from zendsp.diagnosis.where import Missing, energy, mismatch
-from zendsp.diagnosis.windows import window_error
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import run

@@ -8,9 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
-from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
-from zendsp.diagnosis.screen import make_term
+from zendsp.diagnosis.measure.likelihood import (
+    Scored,
+    deviance,
+    fit_scored,
+    informative,
+    tune_bandwidth,
+)
+from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
+from zendsp.diagnosis.search.screen import make_term
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles

@@ -7,13 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from zendsp.diagnosis.assemble import Assembled
-from zendsp.diagnosis.confidence import confidence
-from zendsp.diagnosis.decide import OF_STATE, Claim, Decision, weight_of_payload
-from zendsp.diagnosis.decide_bodies import BodyClaim, body_finding
-from zendsp.diagnosis.findings import LAWS, estimates, new_terms, percent, sentence
+from zendsp.diagnosis.decide.absorbed import shifted
+from zendsp.diagnosis.decide.assemble import Assembled
+from zendsp.diagnosis.decide.confidence import confidence
+from zendsp.diagnosis.decide.decide import OF_STATE, Claim, Decision, weight_of_payload
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
+from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent, sentence
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.shift import shifted
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 

@@ -15,9 +15,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from zendsp.diagnosis.candidates import coarse, screened, simulated, starts_of
-from zendsp.diagnosis.contact import refine
-from zendsp.diagnosis.hypothesis import (
+from zendsp.diagnosis.measure.likelihood import (
+    Scored,
+    deviance,
+    fit_scored,
+    informative,
+    tune_bandwidth,
+)
+from zendsp.diagnosis.search.backlash import refine
+from zendsp.diagnosis.search.candidates import coarse, screened, simulated, starts_of
+from zendsp.diagnosis.search.hypothesis import (
     SUFFICIENT,
     UNSETTLED,
     JointSearch,
@@ -28,9 +35,8 @@ from zendsp.diagnosis.hypothesis import (
     vanishes,
     with_numbers,
 )
-from zendsp.diagnosis.score import Scored, deviance, fit_scored, informative, tune_bandwidth
-from zendsp.diagnosis.screen import Candidate, with_candidate
-from zendsp.diagnosis.simplify import simplify, split_asymmetry
+from zendsp.diagnosis.search.screen import Candidate, with_candidate
+from zendsp.diagnosis.search.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import facts, run

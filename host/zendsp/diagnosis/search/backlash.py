@@ -15,8 +15,8 @@ import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
-from zendsp.diagnosis.hypothesis import with_numbers
-from zendsp.diagnosis.score import SLOWEST, Scored, deviance, deviances, tune_bandwidth
+from zendsp.diagnosis.measure.likelihood import SLOWEST, Scored, deviance, deviances, tune_bandwidth
+from zendsp.diagnosis.search.hypothesis import with_numbers
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
 

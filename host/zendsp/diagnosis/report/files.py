@@ -42,8 +42,8 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         reference = Reference(q, period, kind="separating", unit=d.unit)
         save_reference(reference, folder / "next_reference.mat", check=False)
     if pictures:
-        from zendsp.diagnosis.figures import draw_all
-        from zendsp.diagnosis.html import page
+        from zendsp.diagnosis.report.figures import draw_all
+        from zendsp.diagnosis.report.html import page
 
         figures = d.details["draw"](folder) if "draw" in d.details else draw_all(d, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")

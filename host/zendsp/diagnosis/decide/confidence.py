@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from zendsp.diagnosis.decide import Claim, Decision
+    from zendsp.diagnosis.decide.decide import Claim, Decision
 
 MOST = 0.97
 

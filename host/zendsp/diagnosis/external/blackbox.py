@@ -24,10 +24,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.checks import check_signals
-from zendsp.diagnosis.findings import estimates, file_model, new_terms, sentence
-from zendsp.diagnosis.mechanisms import mechanism_of
-from zendsp.diagnosis.output_error import (
+from zendsp.diagnosis.data.checks import check_signals
+from zendsp.diagnosis.data.reading import Signals, read_signals, split, with_same_columns
+from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
+from zendsp.diagnosis.decide.mechanisms import mechanism_of
+from zendsp.diagnosis.external.output_error import (
     BLOCK,
     Output,
     errors,
@@ -39,10 +40,9 @@ from zendsp.diagnosis.output_error import (
     sensor_noise,
     with_term,
 )
-from zendsp.diagnosis.reading import Signals, read_signals, split, with_same_columns
+from zendsp.diagnosis.external.simulator import Bench, bench, load_entry
+from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
-from zendsp.diagnosis.simulator import Bench, bench, load_entry
-from zendsp.diagnosis.where import Missing, Region, intervals, regions
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import free_handles

@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.assemble import Assembled
-from zendsp.diagnosis.decide import Decision
-from zendsp.diagnosis.hypothesis import JointSearch, Rival
-from zendsp.diagnosis.prepare import prepare
-from zendsp.diagnosis.reading import Signals
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.decide.assemble import Assembled
+from zendsp.diagnosis.decide.decide import Decision
+from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.result import Finding, Next
-from zendsp.diagnosis.score import deviance
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import JointRecord

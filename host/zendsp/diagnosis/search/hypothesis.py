@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from zendsp.diagnosis.score import Scored
+from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Fit
 from zendsp.physics.model import Model, Term

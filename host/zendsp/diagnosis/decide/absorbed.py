@@ -11,11 +11,11 @@ import math
 from collections.abc import Collection
 from dataclasses import replace
 
-from zendsp.diagnosis.assemble import Assembled
-from zendsp.diagnosis.decide import Decision
-from zendsp.diagnosis.evidence import compare
+from zendsp.diagnosis.decide.assemble import Assembled
+from zendsp.diagnosis.decide.decide import Decision
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.result import Estimate, Finding
-from zendsp.diagnosis.score import fit_scored
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model

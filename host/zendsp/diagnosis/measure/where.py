@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
-from zendsp.diagnosis.discrepancy import BANDS, kept, lacking, noise
+from zendsp.diagnosis.measure.discrepancy import BANDS, kept, lacking, noise
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from zendsp.diagnosis.decide import Decision
-from zendsp.diagnosis.score import Scored
+from zendsp.diagnosis.decide.decide import Decision
+from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.convergence import with_step_error
 from zendsp.physics.fit import Data, Fit, fit, free_handles

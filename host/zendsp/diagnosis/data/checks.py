@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.contradictions import check_driven, check_free
-from zendsp.diagnosis.reading import Signals, unused_effects
+from zendsp.diagnosis.data.plausibility import check_driven, check_free
+from zendsp.diagnosis.data.reading import Signals, unused_effects
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint

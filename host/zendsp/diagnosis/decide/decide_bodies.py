@@ -15,15 +15,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.bodies import COM, LIMITS, BodySearch, FoundBody, Layout, refined, stated
-from zendsp.diagnosis.decide import FALSE_DISCOVERIES, Decision, dependence
-from zendsp.diagnosis.discrepancy import difference
-from zendsp.diagnosis.evidence import compare
-from zendsp.diagnosis.findings import NUMERIC, number
-from zendsp.diagnosis.mechanisms import LAWS_OF
-from zendsp.diagnosis.reading import Parts
+from zendsp.diagnosis.data.reading import Parts
+from zendsp.diagnosis.decide.bodies import (
+    COM,
+    LIMITS,
+    BodySearch,
+    FoundBody,
+    Layout,
+    refined,
+    stated,
+)
+from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, Decision, dependence
+from zendsp.diagnosis.decide.findings import NUMERIC, number
+from zendsp.diagnosis.decide.mechanisms import LAWS_OF
+from zendsp.diagnosis.measure.discrepancy import difference
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.score import fit_scored
 from zendsp.physics.bodies import Links
 from zendsp.physics.fit import joint_handles
 from zendsp.physics.model import Model

@@ -16,7 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.discrepancy import (
+from zendsp.diagnosis.data.reading import Parts
+from zendsp.diagnosis.decide.findings import new_terms
+from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
+from zendsp.diagnosis.measure.discrepancy import (
     STRUCTURED,
     Bursts,
     Size,
@@ -27,14 +30,11 @@ from zendsp.diagnosis.discrepancy import (
     mean_square,
     structure,
 )
-from zendsp.diagnosis.evidence import Evidence, block_scores, compare, settling
-from zendsp.diagnosis.findings import new_terms
-from zendsp.diagnosis.hypothesis import JointSearch, Rival, price
-from zendsp.diagnosis.mechanisms import LAWS_OF, mechanism_of
-from zendsp.diagnosis.reading import Parts
-from zendsp.diagnosis.score import Scored, fit_scored, informative
-from zendsp.diagnosis.search import Searcher
-from zendsp.diagnosis.windows import rms, window_error
+from zendsp.diagnosis.measure.evidence import Evidence, block_scores, compare, settling
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
+from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.search.forward import Searcher
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.joint import run

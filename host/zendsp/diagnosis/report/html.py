@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from zendsp.diagnosis.findings import number
+from zendsp.diagnosis.decide.findings import number
+from zendsp.diagnosis.report.summary import WORDS, headline
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable
-from zendsp.diagnosis.summary import WORDS, headline
 
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}
@@ -136,9 +136,7 @@ def _fit_table(d: Diagnosis) -> str:
         f"<tr><th>RMS position error within 0.25 s [{d.unit}]<th class=n>given<th"
         " class=n>calibrated<th class=n>improved<th class=n>noise floor"
     )
-    return (
-        f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"  # noqa: E501
-    )
+    return f"<table>{head}{row('recordings of the fit', d.estimation)}{row('held-out recordings', d.heldout)}{row('of these, untouched', d.test or d.heldout)}</table>"  # noqa: E501
 
 
 def _findings_table(findings: Sequence[Finding]) -> str:

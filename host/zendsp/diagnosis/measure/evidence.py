@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.discrepancy import deviation
-from zendsp.diagnosis.score import Scored, fastest
+from zendsp.diagnosis.measure.discrepancy import deviation
+from zendsp.diagnosis.measure.likelihood import Scored, fastest
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, run

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.reading import Signals, joint_columns
+from zendsp.diagnosis.data.reading import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.effects.base import Scale

@@ -1,0 +1,1 @@
+"""From files to joint records that the estimators can use."""

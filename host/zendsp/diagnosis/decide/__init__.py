@@ -1,0 +1,1 @@
+"""What is claimed: mechanisms, laws, bodies, and how sure."""

@@ -1,0 +1,1 @@
+"""A user's own simulator that can only be called."""

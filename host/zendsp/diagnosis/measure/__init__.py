@@ -1,0 +1,1 @@
+"""How well a model explains recordings: likelihood, evidence, discrepancy, and where it lies."""

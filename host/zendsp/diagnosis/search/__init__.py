@@ -1,0 +1,1 @@
+"""The hypotheses of one joint, screened, fitted and selected forward."""
