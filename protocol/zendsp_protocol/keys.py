@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from zendsp_protocol.texts import shown
+
 ROOT = "zendsp"
 LANES = ("quick", "sync", "stop", "slow", "bulk")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -76,4 +78,9 @@ def event(target: str = "*") -> str:
 
 def target_of(key: str) -> str:
     """Name of the target in a key."""
-    return key.split("/")[1]
+    return shown(key.split("/")[1], lines=False)
+
+
+def host_of(key: str) -> str:
+    """Name of the host in the key of its token."""
+    return shown(key.rpartition("/")[2], lines=False)
