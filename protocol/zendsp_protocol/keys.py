@@ -49,6 +49,18 @@ def alive(target: str = "*") -> str:
     return f"{ROOT}/{target}/alive"
 
 
+def ended(target: str) -> str:
+    """Liveliness token of a target that ends by itself, shown before :func:`alive` goes: one that
+    was killed, or is cut off, has none.
+    """
+    return f"{alive(target)}/ended"
+
+
+def life(target: str) -> str:
+    """Both tokens of a target."""
+    return f"{alive(target)}/**"
+
+
 def host(target: str, host_id: str = "*") -> str:
     """Liveliness token of a host connected to ``target``."""
     return f"{ROOT}/{target}/host/{host_id}"
