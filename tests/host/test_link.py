@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import io
 import socket
+import subprocess
 import threading
 import time
 import weakref
@@ -336,6 +338,16 @@ def test_who_is_connected_is_known_and_a_host_that_leaves_is_gone(running: Targe
     view.close()
     with pytest.raises(LinkError, match="connection to 'fake' is closed"):
         other.status()
+
+
+def test_a_target_that_is_not_ready_in_time_is_told_as_that() -> None:
+    from zendsp.link.connect import _wait_ready
+
+    with (
+        subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE) as process,
+        pytest.raises(LinkError, match=r"not ready within 0\.1 s; it said: runs as root"),
+    ):
+        _wait_ready(process, io.BytesIO(b"runs as root"), 0.1)
 
 
 def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor: Monitor) -> None:
