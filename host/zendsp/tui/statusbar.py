@@ -204,7 +204,7 @@ class StatusBar(Widget):
         bad = Style(color=self.app.theme_variables["error"], bold=True)
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link in ("none", "connecting"):
-            return line.append("Reference works without a target", Style(dim=True))
+            return line.append("Reference and Diagnose work without a target", Style(dim=True))
 
         def item(name: str, value: str, alarm: bool = False) -> None:
             line.append(f"{name} ", Style(dim=True))

@@ -61,6 +61,7 @@ class DiagnoseScreen(LoopActions):
         self.command: Command | None = None
         self.said: list[str] = []  # lines of the diagnosis that runs, or ran
         self.shown: Diagnosed | None = None
+        self._marked_by_hand = False
         self._began = 0.0
         self._cancelled = False
         self._painted: object = None
@@ -122,7 +123,7 @@ class DiagnoseScreen(LoopActions):
         self.runs = found
         here = {str(r.folder / DATA) for r in found} | set(self.added)
         self.roles = {path: role for path, role in self.roles.items() if path in here}
-        if not self.roles and found:
+        if not self.roles and found and not self._marked_by_hand:
             self.roles[str(found[0].folder / DATA)] = "fit"
         if not self.model:
             self.model = self.lab.model or next(map(str, self._models()), "")
@@ -176,8 +177,7 @@ class DiagnoseScreen(LoopActions):
         self.roles.pop(str(key), None)
         if now:
             self.roles[str(key)] = now
-        others = {path: role for path, role in self.roles.items() if role}
-        self.roles = others or {"": ""}  # nothing is marked, and that is wanted
+        self._marked_by_hand = True
         self.fill()
 
     def action_add(self) -> None:
