@@ -54,7 +54,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "tui": (
         "zendsp.cli.tui:command",
-        "Console, Execute and Reference in the terminal, or in a browser.",
+        "Console, Execute, Reference and Diagnose in the terminal, or a browser.",
     ),
     "rehearse": (
         "zendsp.cli.rehearse:command",

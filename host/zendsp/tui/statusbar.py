@@ -56,7 +56,7 @@ def latency(seconds: float) -> str:
 
 
 class Tabs(Widget):
-    """The names of the three screens; a click opens one."""
+    """The names of the four screens; a click opens one."""
 
     DEFAULT_CSS = "Tabs { height: 1; width: 1fr; }"
 

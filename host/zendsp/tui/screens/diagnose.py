@@ -35,7 +35,7 @@ SPINNER = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 BUTTONS = (
     ("report", "Report v"),
     ("compensate", "Compensate c"),
-    ("next", "Next motion n"),
+    ("next", "Next n"),
     ("save", "Save w"),
     ("earlier", "Open o"),
     ("compare", "Compare d"),
@@ -272,6 +272,8 @@ class DiagnoseScreen(LoopActions):
         finally:
             self.command = None
             shutil.rmtree(made, ignore_errors=True)
+            if self.is_mounted:
+                self._paint(0.0)
 
     def action_cancel(self) -> None:
         """End the diagnosis that runs."""
@@ -321,6 +323,7 @@ class DiagnoseScreen(LoopActions):
     def _detail(self, shown: str) -> None:
         for name in ("figure", "words-box", "loop"):
             self.query_one(f"#{name}").display = name == shown
+        self.query_one("#loop-scope").display = shown == "loop"
 
     def take_next(self, d: Diagnosed, run: Run) -> None:
         """Diagnose a run together with the recordings of a diagnosis."""
