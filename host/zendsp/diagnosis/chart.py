@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 SUFFIX = ".chart.json"
 DIGITS = 6  # of each number in a file: finer than any screen or page
 

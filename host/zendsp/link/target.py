@@ -15,8 +15,17 @@ from zendsp.link.programs import Programs
 from zendsp.link.sequence import Sequence
 from zendsp.link.tables import Tables
 from zendsp_protocol import messages as m
+from zendsp_protocol.views import html_table, sentence
 
 _ATTRIBUTES = ("link", "info")
+
+
+def _short(value: Any) -> str:
+    """A value in a few digits; of an array, the first elements."""
+    items = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(items, list):
+        return " ".join(_short(item) for item in items[:4]) + (" …" if len(items) > 4 else "")
+    return f"{items:.6g}" if isinstance(items, float) else str(items)
 
 
 def _quoted(name: str) -> str:
@@ -123,6 +132,23 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Names for ``target["<Tab>`` at a prompt."""
+        return [*self.variables(), *self.builtins()] if self.alive else []
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: how the target does, and the program's variables now."""
+        if not self.alive:
+            return sentence(repr(self))
+        status = self.status()
+        shown = sentence(repr(self)) + status._repr_html_()
+        infos = [v for v in self.variables().values() if v.kind != "table"]
+        if not infos or status.state in ("empty", "crashed"):
+            return shown
+        values = self.read([v.name for v in infos]).values
+        rows = [(v.name, _short(values[v.name]), v.unit, v.description) for v in infos]
+        return shown + html_table(("variable", "value", "unit", "description"), rows)
 
     def __repr__(self) -> str:
         state = "" if self.alive else ", not reachable"
