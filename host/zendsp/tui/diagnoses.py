@@ -113,7 +113,7 @@ def compare(one: Diagnosed, other: Diagnosed) -> str:
         ("untouched, calibrated", "test", "calibrated"),
         ("untouched, improved", "test", "improved"),
     ):
-        rows.append((label, *(_error(d.report, part, key) for d in (one, other))))
+        rows.append((label, _error(one.report, part, key), _error(other.report, part, key)))
     a, b = ({x["joint"]: x for x in d.report["discrepancy"]} for d in (one, other))
     for joint in sorted({*a, *b}):
         rows.append((f"left, joint {joint}", _left(a.get(joint)), _left(b.get(joint))))

@@ -23,7 +23,7 @@ COLOURS = {  # apart for colour-blind readers, and in grey
     "law": "black",
 }
 SPAN = "#e8c39e"
-STYLE = {
+STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -51,6 +51,7 @@ def draw(chart: Chart) -> Figure:
         if chart.beside
         else {"nrows": n, "ncols": 1, "height_ratios": ratio}
     )
+    figure: Figure
     with plt.rc_context(STYLE):
         figure, grid = plt.subplots(
             figsize=chart.size,

@@ -8,9 +8,10 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 from textual.widgets import Static
 
-from zendsp.diagnosis.chart import Array, Chart, Panel, Series
+from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.tui.scope.path import Axes, Curve, PathPlot, extent
 
+Frame = tuple[float, float, float, float]
 TRACES = {"before": 1, "after": 0, "law": 7, "floor": 2, "data": -1}
 STYLES = {"line": "line", "step": "line", "dots": "dots", "means": "marks", "bars": "marks"}
 LEAST_ROWS = 12  # for two panels over one another
@@ -93,14 +94,9 @@ def _curve(series: Series, log: bool) -> Curve:
     return Curve(series.label if style == "line" else "", xy, TRACES[series.role], style)
 
 
-def common_frame(panels: list[Panel], curves: list[list[Curve]]) -> tuple[float, ...]:
+def common_frame(panels: list[Panel], curves: list[list[Curve]]) -> Frame:
     """Return x0, x1, y0, y1 of panels that have the same axes."""
     low, high = extent([c for part in curves for c in part])
     bottom, top = panels[0].limits or (float(low[1]), float(high[1]))
-    wide = _least(np.array([low[0], high[0]]))
-    return (*wide, bottom, top)
-
-
-def _least(pair: Array) -> tuple[float, float]:
-    """A stretch that is no point."""
-    return (float(pair[0]), float(pair[1])) if pair[1] > pair[0] else (pair[0] - 1, pair[1] + 1)
+    left, right = float(low[0]), float(high[0])
+    return (left, right, bottom, top) if right > left else (left - 1.0, left + 1.0, bottom, top)
