@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pytest
 from journey import Installed
 from screen import Screen
 
@@ -32,7 +33,7 @@ def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
     h = STEP / inner
     q = qd = 0.0
     rows = []
-    for k in range(1500):
+    for k in range(1000):
         t = k * STEP
         r = sum(0.3 * np.sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
         seen = round(q / 1e-5) * 1e-5
@@ -52,6 +53,7 @@ def _click(screen: Screen, text: str) -> None:
     screen.keys(f"\x1b[<0;{at}M\x1b[<0;{at}m".encode())
 
 
+@pytest.mark.timeout(300)  # the diagnosis goes at low priority
 def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
     installed: Installed,
 ) -> None:
