@@ -10,6 +10,7 @@ import pytest
 from rich.style import Style
 from textual.app import App, ComposeResult
 from textual.pilot import Pilot
+from textual.widgets import OptionList
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -265,3 +266,19 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
         "power (o), home (h), enable (e)"
     ), "automatic: the sequence begins with power"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"
+
+
+async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp) -> None:
+    chosen: list[object] = []
+    options = [Option(name, name, detail) for name, detail in (
+        ("Kp1", "N m/rad"), ("Kp2", "N m/rad"), ("tau 2", "N m"))]  # fmt: skip
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Curves", options), chosen.append)
+        await pilot.pause()
+        rows = app.screen.query_one(OptionList)
+        await pilot.press("k", "p")
+        assert [o.id for o in rows.options] == ["Kp1", "Kp2"]
+        await pilot.press("backspace", "backspace", "u", "space", "2")
+        assert [o.id for o in rows.options] == ["tau 2"]
+        await pilot.press("backspace", "backspace", "backspace", "k", "down", "enter")
+        assert chosen == [["Kp2"]]
