@@ -123,6 +123,8 @@ class ZendspApp(App[None]):
             self.session.connect(self._target)
         elif self._begin:
             self._connect([f"machine {self._begin}"])
+        elif self._find is not None:
+            self.run_worker(self._look_around, thread=True, group="discovery")
 
     def on_unmount(self) -> None:
         self.session.close()
@@ -157,6 +159,23 @@ class ZendspApp(App[None]):
         """Choose a target."""
         self.expect_dialog()
         self.run_worker(self._ask_target, thread=True, exclusive=True, group="discovery")
+
+    def _look_around(self) -> None:
+        """Say what there is to begin with."""
+        assert self._find is not None
+        try:
+            found = self._find()
+        except ZendspError as error:
+            self.session.events.add(f"discovery: {error}", "warning")
+            return
+        for name, text in found:
+            self.session.events.add(f"target {name} answers ({text}): Ctrl+O connects")
+        if not found:
+            self.session.events.add(
+                "no target answers: Ctrl+O starts a simulated machine, F4 plans a motion,"
+                " F5 diagnoses a file"
+            )
+        self.session.tell_found([name for name, _ in found])
 
     def _ask_target(self) -> None:
         try:

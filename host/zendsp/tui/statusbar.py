@@ -178,7 +178,7 @@ class StatusBar(Widget):
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link != "up":
             words = {
-                "none": "no target: Ctrl+O connects",
+                "none": f"no target: Ctrl+O {_offer(s)}",
                 "connecting": f"connecting to {s.target} …",
                 "lost": f"LINK LOST to {s.target}: reconnecting …",
             }
@@ -222,3 +222,10 @@ class StatusBar(Widget):
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))
         return line
+
+
+def _offer(s: Snapshot) -> str:
+    """What Ctrl+O would do, as far as it is known which targets answer."""
+    if s.here is None:
+        return "connects"
+    return f"connects to {', '.join(s.here)}" if s.here else "starts a simulated machine"
