@@ -209,14 +209,17 @@ class LiveView:
 
     def _ipython_display_(self) -> None:
         """Draw it in a notebook, and go on drawing until it is closed."""
-        from IPython.display import HTML, display
+        from IPython.display import display
 
-        shown = display(HTML(self._repr_html_()), display_id=True)  # type: ignore[no-untyped-call]
+        def picture() -> dict[str, str]:
+            return {"text/html": self._repr_html_(), "text/plain": repr(self)}
+
+        shown = display(picture(), raw=True, display_id=True)  # type: ignore[no-untyped-call]
 
         def draw() -> None:
             while not self._closed:
                 time.sleep(PICTURE_S)
-                shown.update(HTML(self._repr_html_()))
+                shown.update(picture(), raw=True)
 
         background("live-picture", draw)
 

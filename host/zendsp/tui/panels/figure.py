@@ -89,7 +89,7 @@ def _curve(series: Series, log: bool) -> Curve:
     if log:
         with np.errstate(divide="ignore", invalid="ignore"):
             y = np.log10(y)
-    xy = np.stack([series.x, y], axis=1)
+    xy = np.stack([series.x, y], axis=1).astype(np.float64)
     style = STYLES[series.kind]
     return Curve(series.label if style == "line" else "", xy, TRACES[series.role], style)
 

@@ -195,7 +195,7 @@ class LoopActions(LabScreen):
             )
             self.app.push_screen(
                 Message("Compensation", Text(text), agree=f"Write {FILE}"),
-                lambda yes: self._write(c, place, texts) if yes else None,
+                lambda yes: self._keep_source(c, place, texts) if yes else None,
             )
             return
         text = (
@@ -216,6 +216,9 @@ class LoopActions(LabScreen):
         """
         shipped = source.parent in {p.parent for p in self.lab.examples()}
         return self.lab.workspace.root / source.name if shipped else source
+
+    def _keep_source(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> None:
+        self._write(c, place, texts)
 
     def _write(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> bool:
         try:
