@@ -16,7 +16,7 @@ import zenoh
 
 from zendsp.errors import LinkError, ZendspError
 from zendsp.link.link import Listener, background
-from zendsp.link.requests import Requests
+from zendsp.link.requests import Requests, Room
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -246,7 +246,7 @@ class LiveView:
         self.close()
 
 
-class LiveViews(Requests):
+class LiveViews(Room):
     """Methods of a target that concern live views."""
 
     def live(
@@ -277,4 +277,4 @@ class LiveViews(Requests):
         """
         names = [n for c in channels for n in ([c] if isinstance(c, str) else c)]
         arguments = {"channels": names, "decimation": decimation, "interval": interval}
-        return LiveView(self, arguments, history, callback)
+        return LiveView(self._requests, arguments, history, callback)
