@@ -149,7 +149,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
     (
         "docs/tui.md",
-        "app.py            the three screens over one session     actions.py     the table",
+        "app.py            the four screens over one session      actions.py     the table",
     ): DRAWING,
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
