@@ -114,9 +114,13 @@ class Choose(Dialog[list[str]]):
                 self.query_one("#keys", Static).update(f"at most {self._most}: take one away first")
                 return
             self._fill(self.query_one(Input).value)
-        elif event.character == "/" and rows.has_focus:
-            event.stop()
-            self.query_one(Input).focus()
+        elif rows.has_focus and (event.is_printable or event.key == "backspace"):
+            event.stop()  # the list keeps the focus: arrows and ⏎ go on working
+            line = self.query_one(Input)
+            if event.key == "backspace":
+                line.value = line.value[:-1]
+            elif event.character != "/" or line.value:  # as on the screens, / begins a filter
+                line.value += event.character or ""
 
     @on(OptionList.OptionSelected)
     def _selected(self, event: OptionList.OptionSelected) -> None:
