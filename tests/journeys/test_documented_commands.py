@@ -275,12 +275,9 @@ def benches(user: Installed) -> None:
 
 
 def tour(user: Installed) -> None:
-    """For the tour: recordings of the arm; the circle is planned on the page, after it is
-    simulated.
-    """
+    """For the tour: recordings of the arm."""
     made = user.script(ARM)
     assert made.returncode == 0, made.stderr
-    assert user.run("reference", "circle", "--out", "circle.mat").returncode == 0
 
 
 def running(user: Installed) -> None:
