@@ -143,7 +143,7 @@ async def test_what_a_fast_hand_types_after_a_key_that_opens_an_input_is_no_comm
             lab.post_message(Key(key, {"slash": "/"}.get(key, key)))
         await until(
             pilot,
-            lambda: lab.screen.query_one(Input).value == "psd",
+            lambda: [line.value for line in lab.screen.query(Input)] == ["psd"],
             "the input has what was typed",
         )
         assert not asked
