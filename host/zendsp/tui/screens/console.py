@@ -99,13 +99,13 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
 
     def action_filter(self) -> None:
         """Filter the table."""
-        self.app.expect_dialog()
+        self.lab.expect_dialog()
         self.variables.open_filter()
 
     def on_descendant_focus(self, event: events.DescendantFocus) -> None:
         """The filter line takes what was typed before it was there."""
         if event.widget.id == "filter":
-            self.app.call_later(self.app.hand_over)
+            self.app.call_later(self.lab.hand_over)
 
     def action_events(self) -> None:
         """Show events in the place of variables on a small terminal."""
