@@ -36,7 +36,7 @@ class Info(Message, frozen=True, kw_only=True):
     instance: str = ""  # of this run of the target, hexadecimal: another after each start
 
 
-class Diagnostic(Message, frozen=True, kw_only=True):
+class Diagnostic(Message, frozen=True):
     """One message of the compiler."""
 
     severity: str  # error, warning or note
@@ -46,7 +46,7 @@ class Diagnostic(Message, frozen=True, kw_only=True):
     message: str  # the compiler's own words
 
 
-class CompileResult(Message, frozen=True, kw_only=True):
+class CompileResult(Message, frozen=True):
     """Outcome of ``compile``."""
 
     ok: bool  # whether there is a program to load
@@ -65,7 +65,7 @@ class CompileResult(Message, frozen=True, kw_only=True):
         return f"<CompileResult {'; '.join(parts)}>"
 
 
-class VariableInfo(Message, frozen=True, kw_only=True):
+class VariableInfo(Message, frozen=True):
     """One entry of the dictionary of the running code."""
 
     name: str  # as in the C code
@@ -83,7 +83,7 @@ class VariableInfo(Message, frozen=True, kw_only=True):
     columns: int = 1  # of a table: values a row; length counts all values
 
 
-class Timing(Message, frozen=True, kw_only=True):
+class Timing(Message, frozen=True):
     """Timing counted by the runtime; ns."""
 
     ticks: int = 0  # samples counted
@@ -108,7 +108,7 @@ class Timing(Message, frozen=True, kw_only=True):
         )
 
 
-class Trip(Message, frozen=True, kw_only=True):
+class Trip(Message, frozen=True):
     """Why the drive tripped."""
 
     reason: str  # torque, speed, position, overrun, nan, stop, code, host lost, …
@@ -119,7 +119,7 @@ class Trip(Message, frozen=True, kw_only=True):
     text: str = ""  # a sentence for people
 
 
-class Status(Message, frozen=True, kw_only=True):
+class Status(Message, frozen=True):
     """The state of the target now."""
 
     state: ProgramState  # empty, loaded, running, paused, stopped or crashed
@@ -148,7 +148,7 @@ class Status(Message, frozen=True, kw_only=True):
         return f"<Status {text}, sample {self.tick}, {self.t:g} s{why}>"
 
 
-class JointInfo(Message, frozen=True, kw_only=True):
+class JointInfo(Message, frozen=True):
     """One joint of the machine."""
 
     name: str  # of the joint
@@ -167,7 +167,7 @@ class JointInfo(Message, frozen=True, kw_only=True):
     length: float = 0.0  # m, of the link; 0 where it means nothing
 
 
-class MachineInfo(Message, frozen=True, kw_only=True):
+class MachineInfo(Message, frozen=True):
     """What the machine says of itself."""
 
     name: str  # of the machine
@@ -182,7 +182,7 @@ class MachineInfo(Message, frozen=True, kw_only=True):
     needs_homing: bool = False  # before it may be enabled
 
 
-class Limits(Message, frozen=True, kw_only=True):
+class Limits(Message, frozen=True):
     """Checked every sample, below the user's code; one entry per joint."""
 
     position_min: tuple[float, ...]  # rad or m
@@ -221,7 +221,7 @@ class Said(Message, frozen=True, kw_only=True):
     text: str = ""
 
 
-class Change(Message, frozen=True, kw_only=True):
+class Change(Message, frozen=True):
     """One line of the parameter log."""
 
     tick: int  # sample at which it took effect
@@ -232,7 +232,7 @@ class Change(Message, frozen=True, kw_only=True):
     author: str  # who asked
 
 
-class Trigger(Message, frozen=True, kw_only=True):
+class Trigger(Message, frozen=True):
     """When a recording starts."""
 
     source: str  # variable or element
@@ -241,7 +241,7 @@ class Trigger(Message, frozen=True, kw_only=True):
     pre_s: float = 0.0  # s to keep from before
 
 
-class AcquireStatus(Message, frozen=True, kw_only=True):
+class AcquireStatus(Message, frozen=True):
     """State of one acquisition stream."""
 
     state: RecorderState  # idle, armed, running or done
