@@ -53,7 +53,8 @@ def command(acknowledge: bool, target: str, connect: str | None, as_json: bool) 
 
 def _meant(target: str, connect: str | None) -> list[str]:
     """Return which targets the user means: without a name all of this machine."""
-    from zendsp.link.find import local_entries, remote_endpoints
+    from zendsp.link.find import remote_endpoints
+    from zendsp.link.registered import local_entries
 
     if target or remote_endpoints(connect):
         return [target]
