@@ -58,6 +58,13 @@ class CompileResult(Message, frozen=True):
     compiler: str = ""  # path and version
     flags: tuple[str, ...] = ()  # all that were used
 
+    def __repr__(self) -> str:
+        cached = " (from the cache)" if self.cached else ""
+        parts = [f"ok in {self.seconds:.2g} s{cached}" if self.ok else "not compiled"]
+        parts += [f"{d.file}:{d.line}:{d.column}: {d.severity}: {d.message}"
+                  for d in self.diagnostics]  # fmt: skip
+        return f"<CompileResult {'; '.join(parts)}>"
+
 
 class VariableInfo(Message, frozen=True):
     """One entry of the dictionary of the running code."""
@@ -90,6 +97,16 @@ class Timing(Message, frozen=True):
     exec_histogram: WireValue = 0  # counts per bin
     late_histogram: WireValue = 0  # counts per bin
     histogram_edges_ns: WireValue = 0  # ns, one more than there are bins
+
+    def __repr__(self) -> str:
+        def spent(mean: float, most: float) -> str:
+            return f"{mean / 1e3:.1f} (at most {most / 1e3:.1f}) us"
+
+        return (
+            f"<Timing {self.ticks} samples, {self.overruns} overruns, {self.missed} missed;"
+            f" execution {spent(self.exec_mean_ns, self.exec_max_ns)},"
+            f" late {spent(self.late_mean_ns, self.late_max_ns)}>"
+        )
 
 
 class Trip(Message, frozen=True):

@@ -10,7 +10,7 @@ import pytest
 from rich.style import Style
 from textual.app import App, ComposeResult
 from textual.pilot import Pilot
-from textual.widgets import OptionList
+from textual.widgets import OptionList, Static
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -69,11 +69,24 @@ async def test_footer_help_and_palette_come_from_the_table(app: ZendspApp, scree
             b.binding.description for b in app.screen.active_bindings.values() if b.binding.show
         }
         assert {a.label for a in ACTIONS if a.scope in ("app", screen) and a.footer} <= shown
-        text = app.screen.help_text().plain
+        text = " ".join(app.screen.help_text().plain.split())
         assert all(a.help in text for a in ACTIONS if a.scope in ("app", screen))
         commands = [c.title for c in app.get_system_commands(app.screen)]
         wanted = [a for a in ACTIONS if a.scope in ("app", screen) and a.name != "command_palette"]
         assert commands == [f"{a.label} ({a.shown_key})" for a in wanted]
+
+
+async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        await app.action_show("console")
+        await pilot.press("f1")
+        await pilot.pause()
+        words = app.screen.query_one(".words", Static)
+        below = app.screen_stack[-2]
+        assert isinstance(below, LabScreen)
+        lines = below.help_text().plain.splitlines()
+        assert max(map(len, lines)) <= words.size.width, "nothing wraps to the left margin"
+        assert any(line.startswith(24 * " ") for line in lines)
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

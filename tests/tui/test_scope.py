@@ -11,6 +11,7 @@ from textual.app import App, ComposeResult
 from textual.color import Color
 
 from zendsp.tui.colours import DARK, LIGHT
+from zendsp.tui.panels.values import show_value
 from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
@@ -176,6 +177,9 @@ def test_numbers_on_axes_are_round_and_short() -> None:
         "—",
         "3.1416",
     )
+    assert number(-1.877e-322) == "0", "what a filter leaves that dies away"
+    assert show_value(np.array([-3070.0, 24113.0])) == "-3070 24113", "counts are whole"
+    assert show_value(np.array([0.12345, 5.9e-323])) == "0.123 0"
 
 
 def _contrast(a: str, b: str) -> float:

@@ -189,6 +189,7 @@ class Diagnosis:
                         "joint": r.joint,
                         "variable": r.variable,
                         "interval": [r.interval[0], r.interval[1]],
+                        "unit": r.unit,
                         "share": round(r.share, 4),
                         "time_share": round(r.time_share, 4),
                     }

@@ -256,8 +256,8 @@ class ZendspApp(App[None]):
         )
 
     def expect_dialog(self) -> None:
-        """Hold back the keys from now on until a dialog is there to take them, for :data:`HELD_S`
-        at the most.
+        """Hold back the keys from now on until a dialog or an input line is there to take them,
+        for :data:`HELD_S` at the most.
         """
         self._expected = time.monotonic() + HELD_S
 
@@ -266,20 +266,23 @@ class ZendspApp(App[None]):
         self._expected = 0.0
         self._held.clear()
 
-    async def hand_over(self, dialog: Dialog[Any]) -> None:
-        """Hand the dialog what was typed before it was there; later keys wait in this task's queue
-        meanwhile.
+    async def hand_over(self, dialog: Dialog[Any] | None = None) -> None:
+        """Hand what was typed to the dialog, or to the input that has the focus now; later keys
+        wait in this task's queue meanwhile.
         """
         self._expected = 0.0
-        dialog.opened = True
+        if dialog is not None:
+            dialog.opened = True
         held, self._held = self._held, []
         for key in held:
             await super().on_event(key)
 
     async def on_event(self, event: events.Event) -> None:
-        """Keep keys for a dialog that is on its way."""
-        if isinstance(event, events.Key) and not event.is_forwarded and self._dialog_comes():
-            self._held.append(event)
+        """Keep keys for a dialog that is on its way: also those that no widget wanted and that
+        come back here as commands, since a terminal hands on many keys at once.
+        """
+        if isinstance(event, events.Key) and self._dialog_comes():
+            self._held.append(events.Key(event.key, event.character))
             return
         await super().on_event(event)
 

@@ -41,7 +41,7 @@ from zendsp.diagnosis.external.output_error import (
     with_term,
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
-from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions
+from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import get_effect, library
@@ -177,6 +177,7 @@ def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, lis
                 torque,
                 np.zeros_like(torque),
                 {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command},
+                units(output.model, i + 1),
             )
             out.setdefault(i + 1, []).append(item)
     return out

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from zendsp.diagnosis.result import Diagnosis
 
+LEAST = 1e-4  # of a torque: less is not told from nothing
+MOST = 9.99
+
 WORDS = {
     "dry_friction": "dry friction",
     "fluid_friction": "fluid friction",
@@ -77,8 +80,8 @@ def summary(d: Diagnosis) -> str:
         )
     for r in d.regions[:2]:
         lines.append(
-            f"mismatch: joint {r.joint}, {r.variable} {r.interval[0]:.3g} … {r.interval[1]:.3g}:"
-            f" {100 * r.share:.0f} % of it in {100 * r.time_share:.0f} % of the time"
+            f"mismatch: joint {r.joint}, {r}: {100 * r.share:.0f} % of it in"
+            f" {100 * r.time_share:.0f} % of the time"
         )
     if d.refinements:
         lines.append(
@@ -86,10 +89,9 @@ def summary(d: Diagnosis) -> str:
         )
     for x in d.discrepancy[:7]:
         if d.verdict != "complete" or x.interval[1] < 1.0:
-            high = f"{100 * min(x.interval[1], 9.99):.2g}"
             lines.append(
-                f"nothing named explains: joint {x.joint}, {100 * x.share:.2g} % of its torque (at"
-                f" most {high} %)"
+                f"nothing named explains: joint {x.joint}, {percent(x.share)} of its torque (at"
+                f" most {percent(x.interval[1])})"
             )
     if d.verdict == "complete" and d.detectable:
         small = sorted(d.detectable, key=lambda x: -x.share)[:3]
@@ -103,3 +105,14 @@ def summary(d: Diagnosis) -> str:
         lines += ["", *[f"note: {n}" for n in d.notes]]
     lines.append(f"({d.seconds:.1f} s)")
     return "\n".join(lines)
+
+
+def percent(share: float) -> str:
+    """Return a share of a torque as people read it.
+
+    Examples
+    --------
+    >>> percent(0.0), percent(0.0351)
+    ('below 0.01 %', '3.5 %')
+    """
+    return f"{100 * min(share, MOST):.2g} %" if share >= LEAST else f"below {100 * LEAST:g} %"
