@@ -137,3 +137,25 @@ def test_numbers_that_are_not_free_stay() -> None:
     assert "inertia" not in keys  # fixed by hand
     assert "gravity" not in keys  # zero: physics that the model does not have
     assert keys == ["coefficient", "level"]
+
+
+def test_a_thinned_recording_says_nearly_the_same_of_the_parameters(data: Data) -> None:
+    thin = data.thinned()
+    whole, short = _fit(data, 2), _fit(thin, 2)
+    assert [rec[0].n for rec in thin.records] == [N // 2, N // 2]  # 4 ms of 2 ms
+    for name, (value, _) in whole.items():
+        # a first look only begins a fit: 2 % is well within the basin of any parameter
+        assert short[name][0] == pytest.approx(value, rel=0.02), name
+
+
+def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:
+    record = data.records[0][0]
+    for every in (2, 3, 7):
+        thin = record.thinned(every)
+        groups = record.n // every
+        said = np.where(record.counted, 1.0 / record.measurement.variance, 0.0)
+        kept = np.where(thin.counted, 1.0 / thin.measurement.variance, 0.0)
+        assert thin.n == groups
+        assert kept.sum() == pytest.approx(said[: groups * every].sum())
+        # the integral of the command at the ends of the groups is that of the recording
+        assert thin.integral == pytest.approx(record.integral[: groups * every + 1 : every])

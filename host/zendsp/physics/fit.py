@@ -33,6 +33,8 @@ ENDLESS = 1e30  # a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 ZERO_ERROR = 2e-3
+# s between the samples of a first look: sixteen a radian at the fastest observer that is tried
+FIRST_LOOK = 4e-3
 
 
 @dataclass(frozen=True)
@@ -178,6 +180,16 @@ class Data:
     def joints(self) -> int:
         """Number of joints."""
         return len(self.records[0])
+
+    def thinned(self) -> Data:
+        """The same recordings with samples as rare as a first look at a hypothesis needs them."""
+        return replace(
+            self,
+            records=tuple(
+                tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
+                for rec in self.records
+            ),
+        )
 
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""

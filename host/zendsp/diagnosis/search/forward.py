@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.diagnosis.search.backlash import refine
-from zendsp.diagnosis.search.candidates import coarse, screened, simulated, starts_of
+from zendsp.diagnosis.search.candidates import first_look, screened, simulated, starts_of
 from zendsp.diagnosis.search.hypothesis import (
     SUFFICIENT,
     UNSETTLED,
@@ -302,7 +302,7 @@ class Searcher:
         )
         joints = (self.joint,)
         base = fit(
-            slow,
+            first_look(slow, current.model, self.joint),
             current.model,
             current.fit.handles,
             joints=joints,
@@ -315,7 +315,7 @@ class Searcher:
 
         def slowly(rival: Rival) -> Rival:
             result = fit(
-                slow,
+                first_look(slow, rival.scored.model, self.joint),
                 rival.scored.model,
                 rival.scored.fit.handles,
                 joints=joints,
@@ -344,7 +344,7 @@ class Searcher:
             handles = joint_handles(data, model, self.joint)
             rounds = 3 if len(group) > 1 else 6
             result = fit(
-                coarse(data),
+                first_look(data, model, self.joint),
                 model,
                 handles,
                 joints=(self.joint,),
@@ -363,7 +363,7 @@ class Searcher:
             handles = best.scored.fit.handles
             more = 10 if best.effect == "backlash" else 5
             result = fit(
-                coarse(current.data),
+                first_look(current.data, best.scored.model, self.joint),
                 best.scored.model,
                 handles,
                 joints=(self.joint,),
