@@ -144,8 +144,8 @@ def test_a_thinned_recording_says_nearly_the_same_of_the_parameters(data: Data) 
     whole, short = _fit(data, 2), _fit(thin, 2)
     assert [rec[0].n for rec in thin.records] == [N // 2, N // 2]  # 4 ms of 2 ms
     for name, (value, _) in whole.items():
-        # a first look only begins a fit: 2 % is well within the basin of any parameter
-        assert short[name][0] == pytest.approx(value, rel=0.02), name
+        # a first look only begins a fit: 5 % is well within the basin of any parameter
+        assert short[name][0] == pytest.approx(value, rel=0.05), name
 
 
 def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:

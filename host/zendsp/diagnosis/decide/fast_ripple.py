@@ -10,6 +10,7 @@ nothing else is asked of it. The position's zero need not return from one record
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,6 +94,16 @@ def fixed(term: Term) -> Term:
     """
     return Term(
         term.effect, term.joint, {n: replace(q, free=False) for n, q in term.parameters.items()}
+    )
+
+
+def alike(some: Sequence[FineRipple], others: Sequence[FineRipple], span: float) -> bool:
+    """Whether the same ripples were found: along a travel of ``span`` (rad or m) they keep step to
+    within half a period, each with its counterpart at the same place.
+    """
+    return len(some) == len(others) and all(
+        abs(a.term.value("order") - b.term.value("order")) * span < math.pi
+        for a, b in zip(some, others, strict=True)
     )
 
 
