@@ -315,7 +315,8 @@ def _explain_joint(
     base = calibrate_joint(parts.fit, given, joint, jobs)
     tell(f"joint {joint}: looking for what passes fast")
     kind = given.joint_kind(joint)
-    look = fine_ripples(parts.fit, parts.choose, JointSearch(joint, base), kind, jobs)
+    bare = JointSearch(joint, base)
+    look = fine_ripples(parts.fit, parts.choose, bare, kind, jobs, early=True)
     done = _search_joint(parts, given, base, look, jobs, tell)
     fine = _fine_beneath(parts, done, kind, jobs)
     span = parts.fit.records[0][joint - 1].scale.position

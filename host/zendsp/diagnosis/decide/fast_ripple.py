@@ -21,7 +21,7 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
 from zendsp.diagnosis.result import Finding
 from zendsp.diagnosis.search.hypothesis import JointSearch, price
-from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
+from zendsp.diagnosis.search.screen import Screen, with_candidate
 from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles
 from zendsp.physics.model import Model, Term
 
@@ -43,7 +43,7 @@ class FineRipple:
 
 
 def fine_ripples(
-    train: Data, test: Data, search: JointSearch, kind: str, jobs: int
+    train: Data, test: Data, search: JointSearch, kind: str, jobs: int, *, early: bool = False
 ) -> list[FineRipple]:
     """Ripples that only a fast observer sees.
 
@@ -51,11 +51,13 @@ def fine_ripples(
     ----------
     train, test : Data
     search : JointSearch
-        Finished.
+        Its final model; where it has not begun, the calibrated one.
     kind : str
         "rotary" or "linear", for the units.
     jobs : int
         Threads.
+    early : bool
+        What is slow is still missing: nothing slow is held against a ripple then.
 
     Returns
     -------
@@ -67,13 +69,17 @@ def fine_ripples(
     band = min(BAND, 0.4 / record.sample_time)
     if band < 2 * FASTEST:
         return []
+    fast = least_order(train, joint)
+    among = (lambda point: point["order"] > fast) if early else (lambda _point: True)
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
     current = _fitted(data, search.final.model, joint, 4, jobs)
     found: list[FineRipple] = []
     while len(found) < MOST:
         screen = Screen(data, current.fit, joint, (joint,))
-        best = screen.candidates(frozenset({"ripple"}))
-        if not best or best[0].gain < SHARE * screen.cost or not _fast(best[0], record.scale.speed):
+        best = screen.candidates(frozenset({"ripple"}), jobs, among)
+        if not best or best[0].gain < (0.0 if early else SHARE) * screen.cost:
+            break
+        if not best[0].terms[0].value("order") > fast:
             break
         after = _fitted(data, with_candidate(current.model, best[0]), joint, 8, jobs)
         index = len(after.model.terms) - 1
@@ -107,8 +113,9 @@ def alike(some: Sequence[FineRipple], others: Sequence[FineRipple], span: float)
     )
 
 
-def _fast(candidate: Candidate, speed: float) -> bool:
-    return candidate.terms[0].value("order") * speed > FASTEST
+def least_order(data: Data, joint: int) -> float:
+    """Repeats per rad or m above which a ripple passes too fast for the observers of the search."""
+    return FASTEST / data.records[0][joint - 1].scale.speed
 
 
 def _fitted(data: Data, model: Model, joint: int, iterations: int, jobs: int) -> Scored:
