@@ -11,7 +11,12 @@ import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import Signals
-from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.likelihood import (
+    deviance,
+    fit_scored,
+    fitted_deviance,
+    tune_bandwidth,
+)
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.fit import Data, fit, free_handles, get_values, set_values
 from zendsp.physics.model_file import parse_model
@@ -159,3 +164,14 @@ def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:
         assert kept.sum() == pytest.approx(said[: groups * every].sum())
         # the integral of the command at the ends of the groups is that of the recording
         assert thin.integral == pytest.approx(record.integral[: groups * every + 1 : every])
+
+
+def test_the_deviance_of_a_fit_is_that_of_its_model(data: Data) -> None:
+    model = parse_model(MODEL)
+    result = fit(data, model, free_handles(model), joints=(1,))
+    # the kernel's lanes and its single pass differ in the last digits of a sine
+    assert fitted_deviance(data, result, (1,)) == pytest.approx(
+        deviance(data, result.model, (1,)), abs=1e-3
+    )
+    tuned, value = tune_bandwidth(data, result.model, (1,))
+    assert value == deviance(tuned, result.model, (1,))

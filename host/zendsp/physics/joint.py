@@ -371,8 +371,13 @@ def run_many(
     """
     lib, n = native(), record.n
     places: dict[bytes, int] = {}
-    place = [places.setdefault(_numbers(record, model), len(places)) for model in models]
+    packed = [pack(model.at(record.joint)) for model in models]
+    place = [
+        places.setdefault(_numbers(record, model, table), len(places))
+        for model, (_, table) in zip(models, packed, strict=True)
+    ]
     unlike = [models[place.index(i)] for i in range(len(places))]
+    tables = [packed[place.index(i)] for i in range(len(places))]
     out = np.empty((n, len(unlike)))
     for begin in range(0, len(unlike), LANES):
         some = unlike[begin : begin + LANES]
@@ -382,7 +387,8 @@ def run_many(
         m = lib.ffi.new("zk_model[]", LANES)
         known: dict[tuple[float, ...], tuple[Array, Array]] = {}
         alive = [
-            _fill(m[i], record, model, bandwidth, inner, known) for i, model in enumerate(some)
+            _fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
+            for i, model in enumerate(some)
         ]
         for i in range(len(some), LANES):
             m[i] = m[0]  # idle
@@ -393,8 +399,8 @@ def run_many(
     return out if len(unlike) == len(models) else out[:, place]
 
 
-def _numbers(record: JointRecord, model: Model) -> bytes:
-    """All numbers of a model that one joint's prediction depends on."""
+def _numbers(record: JointRecord, model: Model, table: Array) -> bytes:
+    """All numbers of a model that one joint's prediction depends on; ``table``: of its effects."""
     j = record.joint
     numbers = [mechanism_value(model, key, j) for key in record.basis]
     numbers += [
@@ -404,7 +410,7 @@ def _numbers(record: JointRecord, model: Model) -> bytes:
     ]
     numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
     numbers += _body_numbers(model)
-    return pack(model.at(j))[1].tobytes() + np.array(numbers).tobytes()
+    return table.tobytes() + np.array(numbers).tobytes()
 
 
 def _body_numbers(model: Model) -> tuple[float, ...]:
@@ -419,13 +425,14 @@ def _fill(
     bandwidth: float,
     inner: int,
     known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
+    packed: tuple[npt.NDArray[np.int32], Array] | None = None,
 ) -> list[Any]:
     """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia
-    and bias by mechanism values.
+    and bias by mechanism values; ``packed``: the joint's effects, where they are packed already.
     """
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
-    kinds, table = pack(model.at(record.joint))
+    kinds, table = packed or pack(model.at(record.joint))
     values = tuple(
         1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis
     ) + _body_numbers(model)

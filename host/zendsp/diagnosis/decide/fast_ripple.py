@@ -18,7 +18,7 @@ import numpy as np
 from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
+from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, fitted_deviance, informative
 from zendsp.diagnosis.result import Finding
 from zendsp.diagnosis.search.hypothesis import JointSearch, price
 from zendsp.diagnosis.search.screen import Screen, with_candidate
@@ -121,7 +121,7 @@ def least_order(data: Data, joint: int) -> float:
 def _fitted(data: Data, model: Model, joint: int, iterations: int, jobs: int) -> Scored:
     handles = joint_handles(data, model, joint)
     result = fit(data, model, handles, joints=(joint,), iterations=iterations, jobs=jobs)
-    return Scored(result, data, deviance(data, result.model, (joint,)), (joint,))
+    return Scored(result, data, fitted_deviance(data, result, (joint,)), (joint,))
 
 
 def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> Scored:

@@ -336,6 +336,7 @@ class Searcher:
     def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
         """A short fit from each start; the best is followed to slower observers."""
         best: Rival | None = None
+        known: float | None = None
         data = current.data
         if get_effect(group[0].effect).slow and data.bandwidth[self.joint - 1] > SETTLED:
             data = data.at_bandwidth(self.joint, SETTLED)
@@ -373,8 +374,10 @@ class Searcher:
                 brief=True,
             )
         else:
-            result = best.scored.fit
-        data, value = tune_bandwidth(current.data, result.model, (self.joint,), down_only=True)
+            result, known = best.scored.fit, best.scored.deviance
+        data, value = tune_bandwidth(
+            current.data, result.model, (self.joint,), down_only=True, known=known
+        )
         return replace(best, scored=Scored(result, data, value, (self.joint,)))
 
     def _rival(self, candidate: Candidate, scored: Scored) -> Rival:
