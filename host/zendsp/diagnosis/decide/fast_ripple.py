@@ -69,7 +69,7 @@ def fine_ripples(
     band = min(BAND, 0.4 / record.sample_time)
     if band < 2 * FASTEST:
         return []
-    fast = least_order(train, joint)
+    fast, n = least_order(train, joint), informative(train, joint)
     among = (lambda point: point["order"] > fast) if early else (lambda _point: True)
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
     current = _fitted(data, search.final.model, joint, 4, jobs)
@@ -77,13 +77,15 @@ def fine_ripples(
     while len(found) < MOST:
         screen = Screen(data, current.fit, joint, (joint,))
         best = screen.candidates(frozenset({"ripple"}), jobs, among)
-        if not best or best[0].gain < (0.0 if early else SHARE) * screen.cost:
+        if not best or not best[0].terms[0].value("order") > fast:
             break
-        if not best[0].terms[0].value("order") > fast:
+        share = best[0].gain / max(screen.cost, 1e-300)
+        cost = price(best[0].terms, n)
+        # beside what is slow and still missing the share of the energy says little
+        if n * -math.log1p(-min(share, 0.999)) < cost + GAIN if early else share < SHARE:
             break
         after = _fitted(data, with_candidate(current.model, best[0]), joint, 8, jobs)
         index = len(after.model.terms) - 1
-        cost = price(best[0].terms, informative(data, joint))
         if current.deviance - after.deviance < cost + GAIN:
             break
         evidence = compare(current, _rephased(after, held, joint, index, jobs), test, joint)
