@@ -8,7 +8,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from zendsp.diagnosis.decide.bodies import find_bodies
 from zendsp.diagnosis.decide.decide import Decision, decide
 from zendsp.diagnosis.decide.decide_bodies import decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
-from zendsp.diagnosis.decide.fast_ripple import FineRipple, alike, fine_ripples, fixed
+from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.measure.evidence import compare
@@ -150,12 +150,25 @@ def _diagnose(
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
     beneath, bare = bodies.model, parts
     parts = _with_bodies(bare, beneath)
-    searches, decisions, fine, whole = _explain(parts, given, beneath, jobs, tell)
+    searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims)))
         parts = _with_bodies(bare, beneath)
-        searches, decisions, fine, whole = _explain(parts, given, beneath, jobs, tell)
+        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+    tell("looking for what passes fast")
+    fine = [
+        ripple
+        for search, decision in zip(searches, decisions, strict=True)
+        if decision.kind in ("complete", "missing")
+        for ripple in fine_ripples(
+            parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
+        )
+    ]
+    # a ripple that nobody models lends itself to effects that are not there: search again upon it
+    if fine:
+        beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
+        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
         bases = [
@@ -242,28 +255,16 @@ def _read(
 
 def _explain(
     parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
-) -> tuple[list[JointSearch], list[Decision], list[FineRipple], Assembled]:
+) -> tuple[list[JointSearch], list[Decision], Assembled]:
     """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
     with what is known of it by now.
     """
-    explained = _search(parts, given, beneath, jobs, tell)
-    searches, decisions = [e.search for e in explained], [e.decision for e in explained]
-    fine = [ripple for e in explained for ripple in e.fine]
-    # the search stood upon each ripple as it was found before; now its numbers are known better
-    now = [
-        (fixed(then.term), fixed(ripple.term))
-        for e in explained
-        for then, ripple in zip(e.under, e.fine, strict=True)
-    ]
-    known = beneath.with_terms((*beneath.terms, *(old for old, _ in now)))
+    searches, decisions = _search(parts, given, beneath, jobs, tell)
     tell("fitting the improved model")
-    whole = assemble(parts.fit, known, decisions, jobs)
-    added = known.terms[len(given.terms) :]  # held, so they come out as they went in
-    kept = tuple(t for t in whole.calibrated.terms if t not in added)
-    calibrated = whole.calibrated.with_terms(kept)
-    better = tuple(next((n for o, n in now if o == t), t) for t in whole.improved.terms)
-    improved = whole.improved.with_terms(better)
-    return searches, decisions, fine, replace(whole, calibrated=calibrated, improved=improved)
+    whole = assemble(parts.fit, beneath, decisions, jobs)
+    added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
+    known = tuple(t for t in whole.calibrated.terms if t not in added)
+    return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))
 
 
 def _with_bodies(parts: Parts, model: Model) -> Parts:
@@ -273,24 +274,13 @@ def _with_bodies(parts: Parts, model: Model) -> Parts:
     return replace(parts, fit=replace(parts.fit, ranges=inertia_ranges(parts.fit.records, model)))
 
 
-@dataclass(frozen=True)
-class _Explained:
-    """What one joint came to: the search, and the decision. Both stand upon ripples that pass fast:
-    ``under`` as they were known then, ``fine`` as they are reported.
-    """
-
-    search: JointSearch
-    decision: Decision
-    under: tuple[FineRipple, ...]
-    fine: tuple[FineRipple, ...]
-
-
 def _search(
     parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
-) -> list[_Explained]:
+) -> tuple[list[JointSearch], list[Decision]]:
     joints = range(1, given.joints + 1)
     if jobs == 1 or given.joints == 1:
-        return [_explain_joint(parts, beneath, joint, jobs, tell) for joint in joints]
+        done = [_search_joint(parts, beneath, joint, jobs, tell) for joint in joints]
+        return [s for s, _ in done], [d for _, d in done]
     # joints are independent: a process each, which inherits the recordings and the effects that a
     # user has added
     context = multiprocessing.get_context("fork")
@@ -299,63 +289,16 @@ def _search(
         for joint, found in zip(joints, pool.map(_search_inherited, joints), strict=True):
             tell(f"joint {joint} of {given.joints}: searched")
             out.append(found)
-    return out
-
-
-def _explain_joint(
-    parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
-) -> _Explained:
-    """Search and decide one joint, upon the ripples that pass too fast for the search.
-
-    A ripple that nobody models lends itself to effects that are not there. It is looked for before
-    the search, beneath what else is missing, and again in what the search has found: only where the
-    two differ the joint is searched again.
-    """
-    tell(f"joint {joint}: calibrating the given model")
-    base = calibrate_joint(parts.fit, given, joint, jobs)
-    tell(f"joint {joint}: looking for what passes fast")
-    kind = given.joint_kind(joint)
-    bare = JointSearch(joint, base)
-    look = fine_ripples(parts.fit, parts.choose, bare, kind, jobs, early=True)
-    done = _search_joint(parts, given, base, look, jobs, tell)
-    fine = _fine_beneath(parts, done, kind, jobs)
-    span = parts.fit.records[0][joint - 1].scale.position
-    if not alike(done.under, fine, span):
-        done = _search_joint(parts, given, base, fine, jobs, tell)
-    return replace(done, fine=fine)
+    return [s for s, _ in out], [d for _, d in out]
 
 
 def _search_joint(
-    parts: Parts,
-    given: Model,
-    base: Scored,
-    fine: Sequence[FineRipple],
-    jobs: int,
-    tell: Progress,
-) -> _Explained:
-    (joint,) = base.joints
-    if fine:
-        given = given.with_terms((*given.terms, *(fixed(ripple.term) for ripple in fine)))
-        base = calibrate_joint(parts.fit, given, joint, jobs)
+    parts: Parts, given: Model, joint: int, jobs: int, tell: Progress
+) -> tuple[JointSearch, Decision]:
+    tell(f"joint {joint}: calibrating the given model")
+    base = calibrate_joint(parts.fit, given, joint, jobs)
     search = Searcher(parts.fit, joint, Acceptance(parts.choose), jobs, tell, given).search(base)
-    return _Explained(search, decide(parts, given, search, jobs, tell), tuple(fine), tuple(fine))
-
-
-def _fine_beneath(
-    parts: Parts, done: _Explained, kind: str, jobs: int
-) -> tuple[FineRipple, ...]:
-    """The ripples that pass fast beside what a search has found, in the order of ``done.under``."""
-    if done.decision.kind not in ("complete", "missing"):
-        return ()
-    known, search = [fixed(ripple.term) for ripple in done.under], done.search
-
-    def bare(scored: Scored) -> Scored:
-        model = scored.model
-        kept = model.with_terms(tuple(t for t in model.terms if t not in known))
-        return replace(scored, fit=replace(scored.fit, model=kept))
-
-    found = replace(search, base=bare(search.base), best=bare(search.final))
-    return tuple(fine_ripples(parts.fit, parts.choose, found, kind, jobs))
+    return search, decide(parts, given, search, jobs, tell)
 
 
 _inherited: list[tuple[Parts, Model]] = []  # filled in the processes of _search only
@@ -365,9 +308,9 @@ def _inherit(parts: Parts, given: Model) -> None:
     _inherited[:] = [(parts, given)]
 
 
-def _search_inherited(joint: int) -> _Explained:
+def _search_inherited(joint: int) -> tuple[JointSearch, Decision]:
     parts, given = _inherited[0]
-    return _explain_joint(parts, given, joint, 1, lambda _text: None)
+    return _search_joint(parts, given, joint, 1, lambda _text: None)
 
 
 def _where(lacking: dict[int, Any]) -> tuple[Any, Any]:

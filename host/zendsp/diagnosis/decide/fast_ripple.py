@@ -10,7 +10,6 @@ nothing else is asked of it. The position's zero need not return from one record
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +17,10 @@ import numpy as np
 from zendsp.diagnosis.decide.findings import estimates, sentence
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, fitted_deviance, informative
+from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
 from zendsp.diagnosis.result import Finding
 from zendsp.diagnosis.search.hypothesis import JointSearch, price
-from zendsp.diagnosis.search.screen import Screen, with_candidate
+from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles
 from zendsp.physics.model import Model, Term
 
@@ -43,7 +42,7 @@ class FineRipple:
 
 
 def fine_ripples(
-    train: Data, test: Data, search: JointSearch, kind: str, jobs: int, *, early: bool = False
+    train: Data, test: Data, search: JointSearch, kind: str, jobs: int
 ) -> list[FineRipple]:
     """Ripples that only a fast observer sees.
 
@@ -51,13 +50,11 @@ def fine_ripples(
     ----------
     train, test : Data
     search : JointSearch
-        Its final model; where it has not begun, the calibrated one.
+        Finished.
     kind : str
         "rotary" or "linear", for the units.
     jobs : int
         Threads.
-    early : bool
-        What is slow is still missing: nothing slow is held against a ripple then.
 
     Returns
     -------
@@ -69,23 +66,17 @@ def fine_ripples(
     band = min(BAND, 0.4 / record.sample_time)
     if band < 2 * FASTEST:
         return []
-    fast, n = least_order(train, joint), informative(train, joint)
-    among = (lambda point: point["order"] > fast) if early else (lambda _point: True)
     data, held = train.at_bandwidth(joint, band), test.at_bandwidth(joint, band)
     current = _fitted(data, search.final.model, joint, 4, jobs)
     found: list[FineRipple] = []
     while len(found) < MOST:
         screen = Screen(data, current.fit, joint, (joint,))
-        best = screen.candidates(frozenset({"ripple"}), jobs, among)
-        if not best or not best[0].terms[0].value("order") > fast:
-            break
-        share = best[0].gain / max(screen.cost, 1e-300)
-        cost = price(best[0].terms, n)
-        # beside what is slow and still missing the share of the energy says little
-        if n * -math.log1p(-min(share, 0.999)) < cost + GAIN if early else share < SHARE:
+        best = screen.candidates(frozenset({"ripple"}))
+        if not best or best[0].gain < SHARE * screen.cost or not _fast(best[0], record.scale.speed):
             break
         after = _fitted(data, with_candidate(current.model, best[0]), joint, 8, jobs)
         index = len(after.model.terms) - 1
+        cost = price(best[0].terms, informative(data, joint))
         if current.deviance - after.deviance < cost + GAIN:
             break
         evidence = compare(current, _rephased(after, held, joint, index, jobs), test, joint)
@@ -105,25 +96,14 @@ def fixed(term: Term) -> Term:
     )
 
 
-def alike(some: Sequence[FineRipple], others: Sequence[FineRipple], span: float) -> bool:
-    """Whether the same ripples were found: along a travel of ``span`` (rad or m) they keep step to
-    within half a period, each with its counterpart at the same place.
-    """
-    return len(some) == len(others) and all(
-        abs(a.term.value("order") - b.term.value("order")) * span < math.pi
-        for a, b in zip(some, others, strict=True)
-    )
-
-
-def least_order(data: Data, joint: int) -> float:
-    """Repeats per rad or m above which a ripple passes too fast for the observers of the search."""
-    return FASTEST / data.records[0][joint - 1].scale.speed
+def _fast(candidate: Candidate, speed: float) -> bool:
+    return candidate.terms[0].value("order") * speed > FASTEST
 
 
 def _fitted(data: Data, model: Model, joint: int, iterations: int, jobs: int) -> Scored:
     handles = joint_handles(data, model, joint)
     result = fit(data, model, handles, joints=(joint,), iterations=iterations, jobs=jobs)
-    return Scored(result, data, fitted_deviance(data, result, (joint,)), (joint,))
+    return Scored(result, data, deviance(data, result.model, (joint,)), (joint,))
 
 
 def _rephased(after: Scored, held: Data, joint: int, index: int, jobs: int) -> Scored:

@@ -8,7 +8,7 @@ projected out first: the baseline of every claim is the refitted model.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -191,14 +191,8 @@ class Screen:
         theta = -np.linalg.lstsq(gram, moment, rcond=1e-9)[0]
         return float(-2 * theta @ moment - theta @ gram @ theta), theta / norm
 
-    def candidates(
-        self,
-        only: frozenset[str] = frozenset(),
-        jobs: int = 1,
-        among: Callable[[dict[str, float]], bool] = lambda _point: True,
-    ) -> list[Candidate]:
-        """Each effect of the library (or only the named ones) at its best grid point, best first;
-        of the grid only the points ``among`` which to choose.
+    def candidates(self, only: frozenset[str] = frozenset(), jobs: int = 1) -> list[Candidate]:
+        """Each effect of the library (or only the named ones) at its best grid point, best first.
         """
         present = {t.effect for t in self.model.at(self.joint)}
         effects = [
@@ -207,7 +201,7 @@ class Screen:
             if self._applies(e, present) and (not only or e.name in only)
         ]
         with ThreadPoolExecutor(jobs) as pool:
-            found = pool.map(lambda effect: self._best(effect, among), effects)
+            found = pool.map(self._best, effects)
             return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
 
     def _applies(self, effect: Effect, present: set[str]) -> bool:
@@ -220,15 +214,13 @@ class Screen:
             return False
         return is_supported(effect, present) and usable(effect, self.records)
 
-    def _best(
-        self, effect: Effect, among: Callable[[dict[str, float]], bool]
-    ) -> list[Candidate]:
+    def _best(self, effect: Effect) -> list[Candidate]:
         """An effect at its best grid point; one for each choice of the numbers that no fit moves (a
         coupling's law).
         """
         chosen = [p.name for p in effect.parameters if not p.fitted]
         points: dict[tuple[float | None, ...], list[dict[str, float]]] = {}
-        for point in filter(among, grid_of(effect, self.records[0], self.model)):
+        for point in grid_of(effect, self.records[0], self.model):
             points.setdefault(tuple(point.get(name) for name in chosen), []).append(point)
         best = (
             max(self._at(effect, group), key=lambda found: found[0]) for group in points.values()
