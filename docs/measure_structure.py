@@ -1,5 +1,6 @@
-"""Prints files and lines of each room, and imports between rooms: ``measure_structure.py [REVISION]``.
-"""
+"""Print files and lines of each room, and imports between rooms.
+
+``python docs/measure_structure.py [REVISION]``
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ import msgspec
 
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_protocol.values import WireValue
+from zendsp_protocol.views import html_table
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
@@ -122,6 +123,31 @@ class Status(Message, frozen=True):
     homed: bool = True  # whether positions mean anything
     drive_mode: str = "off"  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
+
+    def __repr__(self) -> str:
+        trouble = self.crash or (self.trip.text or self.trip.reason if self.trip else "")
+        return (
+            f"<Status {self.machine}: {self.state}, drives {self.drive}, {self.t:.3f} s at"
+            f" {self.rate_hz:g} Hz{f', {trouble}' if trouble else ''}>"
+        )
+
+    def _repr_html_(self) -> str:
+        t = self.timing
+        when = f"sample {self.tick} ({self.t:.3f} s at {self.rate_hz:g} Hz)"
+        rows = [
+            ("machine", f"{self.machine}, {self.joints} joints, {self.clock} clock"),
+            ("program", f"{self.state}, {when}"),
+            ("drives", f"{self.drive}, {self.drive_mode}"),
+            ("time in ISR", f"{t.exec_mean_ns / 1e3:.1f} µs, at most {t.exec_max_ns / 1e3:.1f}"),
+            ("begins late by", f"{t.late_mean_ns / 1e3:.1f} µs, at most {t.late_max_ns / 1e3:.1f}"),
+            ("overruns, missed", f"{t.overruns}, {t.missed}"),
+            ("hosts", ", ".join(self.hosts) or "none"),
+        ]
+        if self.trip is not None:
+            rows.append(("trip", self.trip.text or self.trip.reason))
+        if self.crash:
+            rows.append(("crash", self.crash))
+        return html_table(("", ""), rows)
 
 
 class JointInfo(Message, frozen=True):

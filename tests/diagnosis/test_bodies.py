@@ -235,3 +235,23 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
     assert [t.value("mass") for t in back.terms if t.effect == "payload"] == [
         pytest.approx(mass.value)
     ]
+
+
+def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
+    """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it."""
+    from zendsp.diagnosis.decide.bodies import felt
+    from zendsp.physics.bodies import Links
+    from zendsp.physics.tree import Body
+
+    def link(parent: int, axis: tuple[float, float, float]) -> Body:
+        own = np.diag([0.1, 0.2, 0.3])
+        at = np.array([0.1, 0.2, 0.4])
+        return Body(parent, False, np.array(axis), np.eye(3), at, 1.0, at, own, "link")
+
+    motion, down = np.random.default_rng(1).normal(size=(2, 3, 50)), np.array([0.0, 0.0, -9.81])
+    flat = Links((link(-1, (0, 1, 0)), link(0, (0, 1, 0))), down, motion)
+    upright = Links((link(-1, (0, 0, 1)), link(0, (0, 1, 0))), down, motion)
+    assert [felt(flat, k) for k in (0, 1)] == [("com_x", "com_z")] * 2
+    # about the vertical nothing tells how high it is; behind the second joint all is felt
+    assert felt(upright, 0) == ("com_x", "com_y")
+    assert felt(upright, 1) == ("com_x", "com_y", "com_z")

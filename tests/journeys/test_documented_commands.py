@@ -72,6 +72,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/experiments.md",
         "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
     ): EXPERIMENT,
+    ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
     ("docs/experiments.md", "[[effect]]"): SYNTAX,
@@ -148,7 +149,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
     (
         "docs/tui.md",
-        "app.py            the three screens over one session     actions.py     the table",
+        "app.py            the four screens over one session      actions.py     the table",
     ): DRAWING,
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT

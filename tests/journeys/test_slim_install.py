@@ -10,8 +10,9 @@ from journey import Installed
 from screen import Screen
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
-BLOCKED = ("casadi", "pyarrow", "pinocchio", "pin", "pandas", "xarray", "mujoco", "distributed",
-           "dask", "pooch", "pysindy", "sysidentpy", "textual_serve", "sklearn")  # fmt: skip
+BLOCKED = ("casadi", "pyarrow", "pinocchio", "pin", "pandas", "xarray", "mujoco", "fmpy",
+           "distributed", "dask", "pooch", "pysindy", "sysidentpy", "textual_serve",
+           "sklearn")  # fmt: skip
 BLOCKER = f"""
 import sys
 

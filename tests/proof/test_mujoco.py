@@ -186,3 +186,33 @@ def test_quick_holds_what_a_diagnosis_without_gates_gets_wrong() -> None:
     assert len(quick) == len(QUICK) and {r.reality for r in quick} == {"mujoco"}
     assert {"complete", "nuisance", "foreign", "single"} == {r.kind for r in quick}
     assert all(r.size <= 0.05 for r in quick if r.kind == "foreign")
+
+
+@pytest.mark.parametrize("machine", ["mj_arm6", "mj_arm7"])
+def test_an_arm_given_as_mjcf_is_the_model_that_is_given_as_urdf(
+    short: None, tmp_path: Path, machine: str
+) -> None:
+    """A diagnosis sees the same bodies, effects and actuators: it cannot but find the same."""
+    from zendsp.physics.model_file import parse_model
+    from zendsp.physics.robot import robot_tree
+
+    models = []
+    for given in ("", "mjcf"):
+        case = make_case(Request(5, "single", machine, "payload", 1.0, "mujoco", given))
+        for name, content in case.files.items():
+            (tmp_path / name).write_text(content)
+        models.append(parse_model(case.model, str(tmp_path / "model.toml")))
+    a, b = models
+    assert (a.kind, b.kind) == ("urdf", "mjcf")
+    for x, y in zip(robot_tree(a)[0], robot_tree(b)[0], strict=True):
+        assert x.parent == y.parent and x.slides == y.slides
+        for key in ("axis", "rotation", "place", "mass", "com", "inertia"):
+            assert getattr(x, key) == pytest.approx(getattr(y, key), rel=1e-9, abs=1e-12), key
+    values = [
+        {(t.effect, t.joint): [q.value for q in t.parameters.values()] for t in m.terms}
+        for m in models
+    ]
+    assert values[0] == values[1] and len(values[0]) == len(a.terms) == len(b.terms)
+    assert a.actuator.gain == pytest.approx(b.actuator.gain)
+    assert a.actuator.limit == pytest.approx(b.actuator.limit)
+    assert a.joint_kinds == b.joint_kinds

@@ -10,6 +10,7 @@ import pytest
 from rich.style import Style
 from textual.app import App, ComposeResult
 from textual.pilot import Pilot
+from textual.widgets import OptionList
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -25,7 +26,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.statusbar import mean_and_max
+from zendsp.tui.statusbar import StatusBar, mean_and_max
 from zendsp.tui.trial import Trial
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -265,3 +266,37 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
         "power (o), home (h), enable (e)"
     ), "automatic: the sequence begins with power"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"
+
+
+@pytest.mark.parametrize(
+    ("found", "words", "event"),
+    [
+        ([("imi", "arm"), ("wam", "arm")], "Ctrl+O connects to imi, wam", "target imi answers"),
+        ([], "Ctrl+O starts a simulated machine", "F5 diagnoses a file"),
+    ],
+)
+async def test_an_empty_terminal_says_what_there_is_and_what_to_press(
+    tmp_path: Path, until: Until, found: list[tuple[str, str]], words: str, event: str
+) -> None:
+    app = ZendspApp(_nobody, folder=tmp_path, find_targets=lambda: found, frames=4.0)
+    async with app.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: app.session.snapshot.here is not None, "looked around")
+        line = app.screen.query_one(StatusBar).where(app.session.snapshot)
+        assert words in line.plain
+        assert any(event in e.text for e in app.session.events.since(0)[1])
+
+
+async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp) -> None:
+    chosen: list[object] = []
+    options = [Option(name, name, detail) for name, detail in (
+        ("Kp1", "N m/rad"), ("Kp2", "N m/rad"), ("tau 2", "N m"))]  # fmt: skip
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Curves", options), chosen.append)
+        await pilot.pause()
+        rows = app.screen.query_one(OptionList)
+        await pilot.press("k", "p")
+        assert [o.id for o in rows.options] == ["Kp1", "Kp2"]
+        await pilot.press("backspace", "backspace", "u", "space", "2")
+        assert [o.id for o in rows.options] == ["tau 2"]
+        await pilot.press("backspace", "backspace", "backspace", "k", "down", "enter")
+        assert chosen == [["Kp2"]]

@@ -7,12 +7,13 @@ from pathlib import Path
 import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp.cli.completing import variables
 
 PICTURES = (".png", ".svg", ".pdf")
 
 
 @click.command("acquire")
-@click.argument("channels", nargs=-1, required=True)
+@click.argument("channels", nargs=-1, required=True, shell_complete=variables)
 @click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
 @click.option(
     "-o",

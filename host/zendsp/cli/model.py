@@ -81,8 +81,12 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     Example:  zendsp model check bench.toml --recording run.csv
     """
     from zendsp.physics.model_file import load_model
+    from zendsp.physics.model import TREES
+    from zendsp.physics.robot import robot_tree
 
     model = load_model(file)
+    if model.kind in TREES:
+        robot_tree(model)
     body = _about(model)
     lines = [f"{file}: {body['text']}"]
     if recording is not None:

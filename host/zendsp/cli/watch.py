@@ -8,10 +8,11 @@ import time
 import click
 
 from zendsp.cli.common import emit, open_target, show, target_options
+from zendsp.cli.completing import variables
 
 
 @click.command("watch")
-@click.argument("channels", nargs=-1, required=True)
+@click.argument("channels", nargs=-1, required=True, shell_complete=variables)
 @click.option(
     "--interval",
     type=click.FloatRange(min=0.001),

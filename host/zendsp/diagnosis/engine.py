@@ -38,13 +38,14 @@ from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
+from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.propose import propose
 from zendsp.diagnosis.result import Diagnosis, FitTable, Left
 from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
-from zendsp.physics.model import Model
+from zendsp.physics.model import CALLED, Model
 from zendsp.physics.model_file import load_model, parse_model
 from zendsp.recording import Recording, Table
 
@@ -129,7 +130,7 @@ def _diagnose(
     begin = time.perf_counter()
     given_file = _as_model(model)
     given = kernel_model(given_file)
-    if given.kind == "python":
+    if given.kind in CALLED:
         from zendsp.diagnosis.external.blackbox import diagnose_simulator
 
         return diagnose_simulator(
@@ -207,7 +208,7 @@ def _diagnose(
         rejected=rejected,
         next_recording=proposal,
         seconds=time.perf_counter() - begin,
-        notes=tuple(notes),
+        notes=(*notes, *left_out(file_model(improved))),
         given=given_file,
         calibrated=file_model(whole.calibrated),
         improved=file_model(improved),

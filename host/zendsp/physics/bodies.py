@@ -16,15 +16,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model, Term, per_joint
-from zendsp.physics.tree import GRAVITY, Body, LinkMotion, about, link_motion, read_urdf
+from zendsp.physics.model import TREES, Model, Term, per_joint
+from zendsp.physics.robot import robot_tree
+from zendsp.physics.tree import GRAVITY, Body, LinkMotion, about, link_motion
 
 Array = npt.NDArray[np.float64]
 
@@ -102,9 +102,8 @@ def machine_tree(model: Model) -> tuple[list[Body], Array] | None:
     of the mechanism. Their x axis points along the link, and a rotary joint with gravity hangs down
     at q = 0.
     """
-    if model.kind == "urdf":
-        path = Path(model.file) if Path(model.file).is_absolute() else model.folder / model.file
-        return read_urdf(str(path)) if path.exists() else None
+    if model.kind in TREES:
+        return robot_tree(model)
     axis, empty = np.array([0.0, 0.0, 1.0]), np.zeros((3, 3))
     bare = Body(-1, False, axis, np.eye(3), np.zeros(3), 0.0, np.zeros(3), empty)
     if model.kind == "planar2r":

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from zendsp.errors import ModelError
 from zendsp.physics.codegen_terms import Variable, kernel_terms, number
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.simulate_native import simulator_library
 from zendsp.physics.simulate_plant import joint_count, tree_of, with_bodies
 
@@ -44,7 +44,7 @@ def rigid_code(model: Model) -> tuple[list[Variable], str, str, str]:
         return _diagonal(model)
     if model.kind == "planar2r":
         return _planar(model)
-    if model.kind == "urdf":
+    if model.kind in TREES:
         return _tree(model)
     raise ModelError(
         f"{model.name}: kind = {model.kind!r} has no rigid-body form that could become C"

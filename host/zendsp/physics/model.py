@@ -13,12 +13,16 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-KINDS = ("rotary", "linear", "planar2r", "urdf", "python")
+KINDS = ("rotary", "linear", "planar2r", "urdf", "mjcf", "fmu", "python")
+TREES = ("urdf", "mjcf")  # rigid bodies from a file of their own
+CALLED = ("python", "fmu")  # simulators that can only be called
 REQUIRED = {
     "rotary": ("inertia",),
     "linear": ("mass",),
     "planar2r": ("p1", "p2", "p3"),
     "urdf": (),
+    "mjcf": (),
+    "fmu": (),
     "python": (),
 }
 # that a model file may give; None: any, they are the simulator's own
@@ -27,6 +31,8 @@ PARAMETERS: dict[str, tuple[str, ...] | None] = {
     "linear": ("mass", "gravity"),
     "planar2r": ("p1", "p2", "p3", "l1", "l2"),
     "urdf": (),
+    "mjcf": (),
+    "fmu": None,
     "python": None,
 }
 
@@ -97,6 +103,30 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class Robot:
+    """How an MJCF is taken over.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        Names of the joints that the recording has, all others are held; empty: every joint.
+    take : str
+        ``"all"``: bodies, what the joints state, and the actuators; ``"bodies"``: bodies and
+        gravity alone, the model file has the rest; ``"servos"``: with them what servos do.
+    commands : bool
+        The model file says what a command means (``[actuator] gain``), the actuators do not count.
+    servos : tuple
+        A drive for each joint whose command is the set value of a servo, else None; empty where
+        there is none.
+    """
+
+    joints: tuple[str, ...] = ()
+    take: str = "all"
+    commands: bool = False
+    servos: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
 class Model:
     """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each
     parameter.
@@ -111,11 +141,15 @@ class Model:
     sensor: Sensor = Sensor()
     controller: Mapping[str, Any] = field(default_factory=dict)
     columns: Mapping[str, Any] = field(default_factory=dict)
-    file: str = ""  # urdf
+    file: str = ""  # urdf, mjcf, fmu
     entry: str = ""  # python
     joint_kinds: tuple[str, ...] = ()
     limits: Mapping[str, Any] = field(default_factory=dict)
     folder: Path = Path(".")
+    robot: Robot = Robot()
+    # fmu: names of its variables by role (inputs, outputs, start_position, start_velocity), and
+    # time_limit, s
+    fmu: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def joints(self) -> int:
@@ -131,6 +165,7 @@ class Model:
         return max(
             [
                 moving,
+                len(self.joint_kinds),
                 len(self.sensor.matrix),
                 len(self.actuator.matrix),
                 *(len(v) for v in self.mechanism.values()),

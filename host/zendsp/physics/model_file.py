@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,15 @@ from zendsp.physics.model import (
     Actuator,
     Model,
     Quantity,
+    Robot,
     Sensor,
     Term,
 )
+from zendsp.physics.robot import joint_kinds, stated
 from zendsp.spelling import unknown_keys
 
+OF_MJCF = ("joints", "take")
+OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
 KEYS = {  # of each table, whether this version uses the value or only knows it
     "": (
         "name",
@@ -37,7 +42,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
         "columns",
         "limits",
     ),
-    "mechanism": ("kind", "parameters", "file", "entry", "folder"),
+    "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_MJCF, *OF_FMU),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
     "sensor": ("position_resolution", "matrix", "offset", "side"),
     "controller": ("kind", "kp", "kd", "ki", "cutoff"),
@@ -54,6 +59,8 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
     ),
     "limits": ("position",),
 }
+NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
+TAKE = ("all", "bodies", "servos")  # of an MJCF
 QUANTITY = ("value", "free", "unit", "std")
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 
@@ -185,7 +192,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     kind = mechanism.get("kind")
     if kind not in KINDS:
         raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
-    for key, needed in (("urdf", "file"), ("python", "entry")):
+    for key, needed in NEEDED.items():
         if kind == key and not isinstance(mechanism.get(needed), str):
             raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
     # of the URDF or the Python module
@@ -194,6 +201,12 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     known = PARAMETERS[kind]
     if known is not None:
         read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
+    for owner, keys in (("mjcf", OF_MJCF), ("fmu", OF_FMU)):
+        for key in keys:
+            if key in mechanism and kind != owner:
+                raise ModelError(
+                    f"{path}: [mechanism] {key} belongs to kind = {owner!r}, not {kind!r}"
+                )
     values = {
         key: read.quantities(f"[mechanism.parameters] {key}", value)
         for key, value in parameters.items()
@@ -223,11 +236,46 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         entry=str(mechanism.get("entry", "")),
         limits=dict(read.table(data, "limits")),
         folder=folder,
+        fmu=_fmu(read, mechanism) if kind == "fmu" else {},
     )
+    own: tuple[Term, ...] = ()
+    if kind == "mjcf":
+        robot = _robot(read, mechanism, "gain" in read.table(data, "actuator"))
+        own, actuator, robot = stated(replace(model, robot=robot), robot)
+        model = replace(model, actuator=actuator, robot=robot)
+    model = replace(model, joint_kinds=joint_kinds(model))
     effects = data.get("effect", [])
     if not isinstance(effects, list):
         raise read.fail("[[effect]]", "an array of tables", effects)
-    return model.with_terms(tuple(_term(read, item, model.joints) for item in effects))
+    return model.with_terms(
+        (*own, *(_term(read, item, model.joints) for item in effects))
+    )
+
+
+def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key in OF_FMU:
+        if key not in mechanism:
+            continue
+        value = mechanism[key]
+        if key == "time_limit":
+            out[key] = read.number("[mechanism] time_limit", value, positive=True)
+            continue
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise read.fail(f"[mechanism] {key}", "a variable's name, or a list of names", value)
+        out[key] = names
+    return out
+
+
+def _robot(read: _Reader, mechanism: Mapping[str, Any], commands: bool) -> Robot:
+    names = mechanism.get("joints", [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise read.fail("[mechanism] joints", "a list of names", names)
+    take = mechanism.get("take", "all")
+    if take not in TAKE:
+        raise read.fail("[mechanism] take", " | ".join(TAKE), take)
+    return Robot(tuple(names), take, commands)
 
 
 def _actuator(read: _Reader, data: Mapping[str, Any]) -> Actuator:
@@ -315,12 +363,15 @@ def _quantity(items: tuple[Quantity, ...]) -> dict[str, Any]:
     return out
 
 
-def model_text(model: Model) -> str:
+def model_text(model: Model, *, beside: bool = False) -> str:
     """The model as TOML text that ``load_model`` reads back.
 
     Parameters
     ----------
     model : Model
+    beside : bool
+        The text goes beside the model's MJCF, as ``write_mjcf`` wrote it: what stands there is not
+        said again.
 
     Returns
     -------
@@ -331,7 +382,13 @@ def model_text(model: Model) -> str:
         data["sample_time"] = model.sample_time
     mechanism: dict[str, Any] = {"kind": model.kind}
     if model.file:
-        mechanism["file"] = str((model.folder / model.file).resolve())
+        mechanism["file"] = model.file if beside else str((model.folder / model.file).resolve())
+    if model.kind == "mjcf":  # all that counts stands in this file, the bodies aside
+        if not beside:
+            mechanism["take"] = "servos" if model.robot.servos else "bodies"
+        if model.robot.joints:
+            mechanism["joints"] = list(model.robot.joints)
+    mechanism |= model.fmu
     if model.entry:
         mechanism["entry"] = model.entry
         mechanism["folder"] = str(model.folder.resolve())
@@ -353,6 +410,8 @@ def model_text(model: Model) -> str:
     a, s = model.actuator, model.sensor
     gain: Any = _number(a.gain[0]) if len(a.gain) == 1 else [_number(g) for g in a.gain]
     data["actuator"] = {"gain": {"value": gain, "free": a.gain_free}, "delay": a.delay}
+    if beside and not model.robot.commands:
+        del data["actuator"]["gain"]
     if a.limit:
         data["actuator"]["limit"] = a.limit[0] if len(a.limit) == 1 else list(a.limit)
     if a.hold is not None:

@@ -9,14 +9,14 @@ tau_i. Both are linear in the parameters of the mechanism.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
-from zendsp.physics.model import Model
-from zendsp.physics.tree import inverse_dynamics, read_urdf
+from zendsp.physics.model import TREES, Model
+from zendsp.physics.robot import robot_tree
+from zendsp.physics.tree import inverse_dynamics
 
 Array = npt.NDArray[np.float64]
 
@@ -63,29 +63,13 @@ def bases(model: Model, motion: list[Array]) -> list[dict[str, Basis]]:
             },
             {"p2": Basis(one, qdd1), "p3": Basis(zero, c * qdd1 + s * qd1**2)},
         ]
-    if model.kind == "urdf":
-        return [{"fixed": basis} for basis in _urdf_bases(model, motion)]
+    if model.kind in TREES:
+        return [{"fixed": basis} for basis in _tree_bases(model, motion)]
     raise ModelError(f"kind = {model.kind!r} has no rigid-body form")
 
 
-def urdf_path(model: Model) -> str:
-    """Path of the URDF, relative to the model file.
-
-    Raises
-    ------
-    ModelError
-        Where there is no such file.
-    """
-    path = Path(model.file) if Path(model.file).is_absolute() else model.folder / model.file
-    if not path.exists():
-        raise ModelError(
-            f"[mechanism] file = {model.file!r}: no such file beside the model ({path})"
-        )
-    return str(path)
-
-
-def _urdf_bases(model: Model, motion: list[Array]) -> list[Basis]:
-    bodies, gravity = read_urdf(urdf_path(model))
+def _tree_bases(model: Model, motion: list[Array]) -> list[Basis]:
+    bodies, gravity = robot_tree(model)
     joints = len(bodies)
     if joints != len(motion):
         raise ModelError(f"{model.file}: has {joints} joints, the recording {len(motion)}")

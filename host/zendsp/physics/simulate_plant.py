@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +13,8 @@ from zendsp.errors import ModelError
 from zendsp.physics.bodies import body_terms, changed, turned_gravity
 from zendsp.physics.codegen_terms import kernel_terms
 from zendsp.physics.effects import get_effect
-from zendsp.physics.model import Model, Quantity, per_joint
-from zendsp.physics.rigid import urdf_path
+from zendsp.physics.model import TREES, Model, Quantity, per_joint
+from zendsp.physics.robot import robot_tree
 from zendsp.physics.simulate_native import (
     MAX_JOINTS,
     MAX_PARAMETERS,
@@ -24,22 +22,12 @@ from zendsp.physics.simulate_native import (
     SimulatorLibrary,
     simulator_library,
 )
-from zendsp.physics.tree import GRAVITY, Body, read_urdf
+from zendsp.physics.tree import GRAVITY, Body
 
 Array = npt.NDArray[np.float64]
 
-KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2}
+KINDS = {"rotary": 0, "linear": 0, "planar2r": 1, "urdf": 2, "mjcf": 2}
 INNER = 4  # integration steps per sample where nothing else is asked for
-
-
-@lru_cache(maxsize=16)
-def _tree(path: str, _changed: float) -> tuple[list[Body], Array]:
-    bodies, gravity = read_urdf(path)
-    if len(bodies) > MAX_JOINTS:
-        raise ModelError(
-            f"{path}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}"
-        )
-    return bodies, gravity
 
 
 def _rows(bodies: Sequence[Body]) -> Array:
@@ -55,12 +43,12 @@ def _rows(bodies: Sequence[Body]) -> Array:
 
 
 def tree_of(model: Model) -> tuple[Array, Array]:
-    """The links of a URDF model, with its payloads and what it knows to be wrong in the file.
+    """The links of a robot's file, with its payloads and what the model knows to be wrong in it.
 
     Parameters
     ----------
     model : Model
-        Of kind "urdf".
+        Of kind "urdf" or "mjcf".
 
     Returns
     -------
@@ -71,10 +59,23 @@ def tree_of(model: Model) -> tuple[Array, Array]:
     Raises
     ------
     ModelError
-        No such file, not a URDF, or joints that are neither revolute nor prismatic.
+        No such file, one that cannot be taken over, or parts that the simulator does not have.
     """
-    path = urdf_path(model)
-    bodies, gravity = _tree(path, Path(path).stat().st_mtime)
+    bodies, gravity = robot_tree(model)
+    if len(bodies) > MAX_JOINTS:
+        raise ModelError(
+            f"{model.file}: has {len(bodies)} joints; the simulator takes at most {MAX_JOINTS}"
+        )
+    if lifted := [b.name for b in bodies if b.lifted]:
+        raise ModelError(
+            f"{model.file}: gravcomp of body {lifted[0]!r}: the simulator has no compensated"
+            " weight; set gravcomp to 0"
+        )
+    if model.robot.servos:
+        raise ModelError(
+            f"{model.file}: its servos are not simulated: state [actuator] gain, then a command is"
+            " a torque"
+        )
     terms = body_terms(model)
     return _rows(changed(bodies, terms)), turned_gravity(gravity, terms).copy()
 
@@ -88,7 +89,7 @@ def with_bodies(model: Model) -> Model:
     ModelError
         A body that these parameters cannot express.
     """
-    if model.kind == "urdf" or not (terms := body_terms(model)):
+    if model.kind in TREES or not (terms := body_terms(model)):
         return model
     mechanism = {key: list(items) for key, items in model.mechanism.items()}
 
@@ -132,8 +133,8 @@ def with_bodies(model: Model) -> Model:
 
 
 def joint_count(model: Model) -> int:
-    """Number of joints of a model, also of a URDF whose columns name none."""
-    return len(tree_of(model)[0]) if model.kind == "urdf" else model.joints
+    """Number of joints of a model, also of a robot's file whose columns name none."""
+    return len(robot_tree(model)[0]) if model.kind in TREES else model.joints
 
 
 def _mechanism(model: Model, key: str, joints: int) -> list[float]:
@@ -238,7 +239,7 @@ class Plant:
         c.load_sensor = int(model.sensor.side == "load")
         c.delay = model.actuator.delay
         c.hold = max(1, round((model.actuator.hold or self.period) / self.period))
-        if model.kind == "urdf":
+        if model.kind in TREES:
             rows, gravity = tree_of(model)
             c.tree = self._pointer(rows)
             c.gravity = gravity.tolist()

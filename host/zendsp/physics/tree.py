@@ -29,6 +29,8 @@ class Body:
     com: Array  # m
     inertia: Array  # kg m^2, about the centre of mass
     name: str = ""  # of the link
+    # what a gravity compensation carries of it: mass, kg, and where, m; one row a part
+    lifted: tuple[tuple[float, Array], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ def link_motion(
             turn = np.broadcast_to(b.rotation, (n, 3, 3))
             place = b.place + q[:, k, None] * (b.rotation @ b.axis)
         else:
-            turn, place = b.rotation @ _turn(b.axis, q[:, k]), np.broadcast_to(b.place, (n, 3))
+            turn, place = b.rotation @ axis_turn(b.axis, q[:, k]), np.broadcast_to(b.place, (n, 3))
         root = b.parent < 0
         w, wd = (zero, zero) if root else (m.spin[b.parent], m.spin_rate[b.parent])
         a = (zero - gravity) if root else m.push[b.parent]
@@ -98,7 +100,18 @@ def inverse_dynamics(
             force = np.einsum("nij,nj->ni", turn, F[k])
             F[b.parent] = F[b.parent] + force
             N[b.parent] = N[b.parent] + np.einsum("nij,nj->ni", turn, N[k]) + _cross(place, force)
+    if any(b.lifted for b in bodies):  # what carries a part of the weight acts as that part would
+        still = np.zeros_like(q)
+        torque -= inverse_dynamics([_carried(b) for b in bodies], gravity, q, still, still)
     return torque
+
+
+def _carried(b: Body) -> Body:
+    """The part of a link whose weight is compensated, as a point mass."""
+    bare = replace(b, mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)), lifted=())
+    for mass, place in b.lifted:
+        bare = joined(bare, mass, place, np.zeros((3, 3)))
+    return bare
 
 
 def forward_dynamics(
@@ -125,7 +138,9 @@ def read_urdf(path: str) -> tuple[list[Body], Array]:
     try:
         robot = ET.parse(Path(path)).getroot()
         return _read(robot, path), np.array(GRAVITY)
-    except (ET.ParseError, OSError, ValueError, KeyError, AttributeError) as error:
+    except (
+        ET.ParseError, OSError, ValueError, KeyError, AttributeError, RecursionError
+    ) as error:  # fmt: skip
         raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
 
 
@@ -152,7 +167,7 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
 
     def visit(name: str, index: int, rotation: Array, place: Array) -> None:
         if index >= 0:
-            bodies[index] = _joined(bodies[index], *_inertial(links[name], rotation, place))
+            bodies[index] = joined(bodies[index], *_inertial(links[name], rotation, place))
         for joint in children[name]:
             kind, child = joint.attrib["type"], joint.find("child").attrib["link"]  # type: ignore[union-attr]
             turn, at = _origin(joint)
@@ -195,7 +210,8 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
     return bodies
 
 
-def _joined(b: Body, mass: float, com: Array, inertia: Array) -> Body:
+def joined(b: Body, mass: float, com: Array, inertia: Array) -> Body:
+    """A link with another body fixed to it; its inertia is about its own centre of mass."""
     total = b.mass + mass
     if total <= 0.0:
         return b
@@ -230,7 +246,7 @@ def _origin(element: ET.Element) -> tuple[Array, Array]:
     r, p, y = _numbers(words.get("rpy", "0 0 0"))
     turn = np.eye(3)
     for axis, angle in (((0, 0, 1), y), ((0, 1, 0), p), ((1, 0, 0), r)):
-        turn = turn @ _turn(np.array(axis, dtype=np.float64), np.array([angle]))[0]
+        turn = turn @ axis_turn(np.array(axis, dtype=np.float64), np.array([angle]))[0]
     return turn, _numbers(words.get("xyz", "0 0 0"))
 
 
@@ -241,7 +257,7 @@ def _numbers(text: str) -> Array:
     return values
 
 
-def _turn(axis: Array, angle: Array) -> Array:
+def axis_turn(axis: Array, angle: Array) -> Array:
     """Rotation matrices, shape (n, 3, 3), about a unit axis."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

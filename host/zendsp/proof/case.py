@@ -18,6 +18,7 @@ class Request:
     effect: str = ""  # for the kinds that conceal one effect
     size: float = 1.0
     reality: str = "own"  # who simulates it: own | mujoco
+    given: str = ""  # "mjcf": where the reality is MuJoCo's, an arm's model is given as its MJCF
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.joint import JointRecord, mechanism_value
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import TREES, Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def _system(rec: JointRecord, model: Model) -> tuple[Array, Array]:
     if model.kind == "rotary":
         columns += [np.sin(q), np.cos(q)]
     for other in range(rec.others.shape[0]):
-        if other + 1 != rec.joint and model.kind == "urdf":
+        if other + 1 != rec.joint and model.kind in TREES:
             _, vd, vdd = rec.others[other]
             columns += [vd, vdd, np.tanh((qd + vd) / slow)]
     # a joint that sticks bears any torque up to its friction: only what slides says anything of its

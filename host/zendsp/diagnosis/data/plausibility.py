@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from zendsp.errors import RecordingError
 from zendsp.physics.joint import JointRecord, mechanism_value
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.rigid import bases
 
 Array = npt.NDArray[np.float64]
@@ -125,7 +125,7 @@ def rigid_body(slow: Slow, model: Model) -> tuple[Array, Array]:
     states = list(np.stack([slow.q, slow.qd, slow.qdd], axis=1))
     weight = (
         _torques(model, list(np.stack([slow.q, rest, rest], axis=1)))
-        if model.kind == "urdf"
+        if model.kind in TREES
         else rest
     )
     rigid = _torques(model, states) - weight

@@ -16,7 +16,7 @@ from zendsp.physics.bodies import Links, body_terms, machine_tree
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, mechanism_value
-from zendsp.physics.model import Model, per_joint
+from zendsp.physics.model import TREES, Model, per_joint
 from zendsp.physics.rigid import bases
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
 
@@ -65,7 +65,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     if links is None and (terms := body_terms(model)):
         raise ModelError(
             f"{model.name}: [[effect]] kind = {terms[0].effect!r} needs bodies: [mechanism] kind ="
-            f" 'urdf' or 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
+            f" 'urdf', 'mjcf' or 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
         )
     weights = _weights(model, within)
     out = []
@@ -122,7 +122,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
 
 def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
     """Torque of the weight along a motion as the mechanism knows it, one array (n,) a joint."""
-    if model.kind != "urdf":
+    if model.kind not in TREES:
         return [np.zeros(s.shape[1]) for s in states]
     at_rest = [np.stack([s[0], 0 * s[0], 0 * s[0]]) for s in states]
     return [

@@ -15,7 +15,7 @@ from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.signals import find_resolution
+from zendsp.physics.signals import find_resolution, measure, noise_beside_quantisation, smooth
 from zendsp.recording import Recording, Table, read_table
 from zendsp.recording.units import to_si
 
@@ -172,10 +172,33 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
+    if model.robot.servos:
+        command, told = _through_servos(name, command, position, resolution, sample_time, model)
+        notes += told
     signals = Signals(
         name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra
     )
     return _decimate(signals)
+
+
+def _through_servos(
+    name: str, command: Array, position: Array, resolution: Array, sample_time: float, model: Model
+) -> tuple[Array, list[str]]:
+    """Torques that servos gave along the measured motion, from what they were told, and a note."""
+    out, joints = command.copy(), []
+    for j, drive in enumerate(model.robot.servos):
+        if drive is None:
+            continue
+        y = np.ascontiguousarray(position[:, j])
+        step = float(resolution[j])
+        measured = measure(y, sample_time, step, noise_beside_quantisation(y, step))
+        q, qd, _ = smooth(measured, sample_time, np.zeros(len(y))).states
+        out[:, j] = drive.applied(command[:, j], q, qd, sample_time)
+        joints.append(str(j + 1))
+    return out, [
+        f"{name}: joint {', '.join(joints)}: the command is the set value of a servo; taken as the"
+        f" torque that the servo of {Path(model.file).name} gives along the measured motion"
+    ]
 
 
 def with_same_columns(

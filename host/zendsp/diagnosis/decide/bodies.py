@@ -341,6 +341,23 @@ class Layout:
         return x
 
 
+# of the ten numbers of a link (``NUMBERS``), those that each coordinate of its centre is in
+_HOLDS = {"com_x": (1, 5, 6, 7, 8), "com_y": (2, 4, 6, 7, 9), "com_z": (3, 4, 5, 8, 9)}
+UNFELT = 1e-9  # of the largest column of a link: rounding is 1e-16 of it
+
+
+def felt(links: Links, link: int) -> tuple[str, ...]:
+    """Coordinates of a link's centre that any joint feels: along parallel axes, a place in their
+    direction is nothing to any of them.
+    """
+    sizes = np.zeros(10)
+    for joint in range(len(links.bodies)):
+        if links.moves(joint, link):
+            sizes = np.maximum(sizes, np.abs(links.columns(joint, link)[1]).max(axis=1))
+    seen = sizes > UNFELT * float(sizes.max())
+    return tuple(key for key, at in _HOLDS.items() if seen[list(at)].any())
+
+
 def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     """All that is tried."""
     out: list[Hypothesis] = []
@@ -348,14 +365,16 @@ def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
     # its parameters know nothing of what lies beside the links' lines
     flat = model.kind == "planar2r"
     for k, b in enumerate(links.bodies):
-        free: tuple[str, ...] = ("mass", "com_x") if flat else ("mass", *COM)
+        com = ("com_x",) if flat else felt(links, k)
+        free = ("mass", *com)
         out.append(
             Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"])
         )
         if b.mass > 0:
             out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
-            out.append(Hypothesis("body", k + 1, b.name, COM, COST["body"] + 3))
-            out.append(Hypothesis("body", k + 1, b.name, ("mass", *COM), COST["body"] + 4))
+            if com:
+                out.append(Hypothesis("body", k + 1, b.name, com, COST["body"] + len(com)))
+                out.append(Hypothesis("body", k + 1, b.name, free, COST["body"] + 1 + len(com)))
     if any(b.mass > 0 for b in links.bodies) and np.any(links.gravity):
         out.append(Hypothesis("base_tilt", free=("angle_x", "angle_y"), cost=COST["base_tilt"] + 2))
         out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))

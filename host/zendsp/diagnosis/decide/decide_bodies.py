@@ -194,11 +194,13 @@ def body_finding(claim: BodyClaim, everything: float) -> Finding:
 def _sentence(found: FoundBody, values: dict[str, Estimate]) -> str:
     effect, body = found.term.effect, found.body
     link = f"The link {body} (joint {found.term.joint})"
-    centre = ", ".join(number(values[key]).removesuffix(" m") for key in COM if key in values)
+    known = [key for key in COM if key in values]
+    centre = ", ".join(
+        (f"{key[-1]} = " if len(known) == 2 else "") + number(values[key]).removesuffix(" m")
+        for key in known
+    )
     if effect == "payload":
-        where = (
-            f"({centre}) m" if len([k for k in COM if k in values]) == 3 else f"{centre} m along it"
-        )
+        where = f"{centre} m along it" if len(known) == 1 else f"({centre}) m"
         return (
             f"{link} carries {number(values['mass'])} that the model lacks, with its centre at"
             f" {where} in the link's frame."

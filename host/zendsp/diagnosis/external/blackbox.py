@@ -1,4 +1,4 @@
-"""Diagnosis of a simulator that can only be called (``kind = "python"``).
+"""Diagnosis of a simulator that can only be called (``kind = "python"`` or ``"fmu"``).
 
 Parameters are calibrated by output error: least squares on the simulated position. Effects act on
 the simulator's input: the torque of an effect along the smoothed measured motion, divided by the
@@ -18,12 +18,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import Signals, read_signals, split, with_same_columns
 from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
@@ -40,11 +40,11 @@ from zendsp.diagnosis.external.output_error import (
     sensor_noise,
     with_term,
 )
-from zendsp.diagnosis.external.simulator import Bench, bench, load_entry
+from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
 from zendsp.errors import RecordingError
-from zendsp.physics.effects import get_effect
+from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import free_handles
 from zendsp.physics.model import Model, Term, per_joint
 
@@ -160,7 +160,7 @@ def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, lis
                     for k, r in enumerate(b.records)
                 )
                 columns.append(
-                    (e[:, i] - Bench(pushed, moved, b.function, b.size).error(output.model)[:, i])
+                    (e[:, i] - Bench(pushed, moved, b.simulator, b.size).error(output.model)[:, i])
                     / step
                 )
             a = np.stack(columns, axis=1) / sensor_noise(b, i)
@@ -198,10 +198,11 @@ def diagnose_simulator(
     sources, heldout : sequence of path, Recording or Table
         To calibrate on, and to judge on (where none: the last third of each).
     model : Model
-        Of ``kind = "python"``; its mechanism parameters go to the simulator, its effects act on the
-        command.
+        Of ``kind = "python"`` or ``"fmu"``; its mechanism parameters go to the simulator, its
+        effects act on the command.
     seed, jobs : int
-        As for ``diagnose``; a simulator is called in one thread.
+        As for ``diagnose``; a Python function is called in one thread, an FMU runs in ``jobs``
+        processes.
     progress : callable, optional
         Receives a sentence at each stage.
 
@@ -214,10 +215,22 @@ def diagnose_simulator(
     RecordingError, ModelError
         Unusable input, or a simulator that fails.
     """
+    simulator = simulator_of(model, jobs)
+    try:
+        return _diagnose(sources, model, heldout, simulator, progress or (lambda _text: None))
+    finally:
+        simulator.close()
+
+
+def _diagnose(
+    sources: Sequence[Any],
+    model: Model,
+    heldout: Sequence[Any],
+    simulator: Simulator,
+    tell: Progress,
+) -> Diagnosis:
     begin = time.perf_counter()
-    tell = progress or (lambda _text: None)
-    function = load_entry(model)
-    train, test, notes = _recordings(sources, heldout, model, function)
+    train, test, notes = _recordings(sources, heldout, model, simulator)
     tell("calibrating the simulator")
     given_error = errors(train, model)
     base = fit_output(train, model, free_handles(model, offsets=False), evaluations=25)
@@ -270,10 +283,7 @@ def diagnose_simulator(
         seconds=time.perf_counter() - begin,
         notes=(
             *notes,
-            (
-                f"black box: {sum(b.calls for b in (*train, *test))} simulations; springs, gaps and"
-                " bristles inside the simulator cannot be tried"
-            ),
+            _untried(train, test),
         ),
         given=file_model(model),
         calibrated=file_model(base.model),
@@ -282,14 +292,23 @@ def diagnose_simulator(
         missing=before,
         remaining=after,
         details={
-            "draw": lambda folder: draw(test, base.model, current.model, folder),
+            "charts": lambda: error_charts(test, base.model, current.model),
             "benches": (train, test),
         },
     )
 
 
+def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
+    """A note of what a black box does not let anybody try."""
+    inside = ", ".join(e.name for e in library().values() if not on_input(e))
+    return (
+        f"black box: {sum(b.calls for b in (*train, *test))} simulations; what has states of its"
+        f" own inside the simulator, or moves all joints, cannot be tried: {inside}"
+    )
+
+
 def _recordings(
-    sources: Sequence[Any], heldout: Sequence[Any], model: Model, function: Any
+    sources: Sequence[Any], heldout: Sequence[Any], model: Model, simulator: Simulator
 ) -> tuple[list[Bench], list[Bench], list[str]]:
     signals = [read_signals(source, model) for source in sources]
     if not signals:
@@ -300,8 +319,8 @@ def _recordings(
     if not held:
         signals, held, how = split(signals)
         notes += how
-    train, test = [bench(s, model, function) for s in signals], [
-        bench(s, model, function) for s in held
+    train, test = [bench(s, model, simulator) for s in signals], [
+        bench(s, model, simulator) for s in held
     ]
     if _restarts(train[0], model):
         for b in (*train, *test):
@@ -319,7 +338,7 @@ def _restarts(b: Bench, model: Model) -> bool:
     ones, window after window.
     """
     size = max(16, round(WINDOW / b.signals.sample_time))
-    windowed = Bench(b.signals, b.records, b.function, size)
+    windowed = Bench(b.signals, b.records, b.simulator, size)
     y = windowed.simulate(model)[::size]
     off = np.sqrt(np.mean((y - b.signals.position[::size]) ** 2, axis=0))
     return bool(
@@ -439,36 +458,34 @@ def _next(findings: Sequence[Finding]) -> Next | None:
     )
 
 
-def draw(
-    test: Sequence[Bench], calibrated: Model, improved: Model, folder: Path
-) -> list[tuple[str, str, Path]]:
-    """The held-out recording and both simulations' errors, one picture a joint."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    done = []
+def error_charts(test: Sequence[Bench], calibrated: Model, improved: Model) -> list[Chart]:
+    """The held-out recording and both simulations' errors, one chart a joint."""
     b = test[0]
     errors_of = [
-        (b.error(m), label, colour)
-        for m, label, colour in (
-            (calibrated, "calibrated", "#b4451f"),
-            (improved, "improved", "#1f5fa8"),
+        (b.error(m), label, role)
+        for m, label, role in (
+            (calibrated, "calibrated", "before"),
+            (improved, "improved", "after"),
         )
     ]
-    for i in range(len(b.records)):
-        figure, axis = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
-        for error, label, colour in errors_of:
-            axis.plot(b.signals.time, error[:, i], color=colour, lw=0.8, label=label)
-        axis.set(
-            xlabel="time [s]",
-            ylabel=f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
-            title=f"Joint {i + 1}: held-out recording, measured minus simulated",
+    time = np.asarray(b.signals.time, dtype=np.float64)
+    return [
+        Chart(
+            "fit",
+            f"Joint {i + 1}: error on the held-out recording",
+            f"error_joint{i + 1}",
+            (
+                Panel(
+                    "time [s]",
+                    f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
+                    tuple(
+                        Series("line", role, time, error[:, i], label)
+                        for error, label, role in errors_of
+                    ),
+                    f"Joint {i + 1}: held-out recording, measured minus simulated",
+                ),
+            ),
+            joint=i + 1,
         )
-        axis.legend(frameon=False)
-        path = folder / f"error_joint{i + 1}.png"
-        figure.savefig(path)
-        plt.close(figure)
-        done.append(("fit", f"Joint {i + 1}: error on the held-out recording", path))
-    return done
+        for i in range(len(b.records))
+    ]

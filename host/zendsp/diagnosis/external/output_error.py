@@ -184,7 +184,12 @@ def screen(
     record = benches[0].records[joint - 1]
     found, calls = [], 0
     present = {t.effect for t in current.model.at(joint)}
-    for effect in library().values():
+    every, told = list(library().values()), 0
+    for done, effect in enumerate(every):
+        if (tenth := 10 * done // len(every)) > told:
+            told = tenth
+            bar = "█" * tenth + "░" * (10 - tenth)
+            tell(f"joint {joint}: screening the library {bar} {calls} simulations")
         if (
             not on_input(effect)
             or effect.retime is not None

@@ -1,5 +1,5 @@
-"""A user's own simulator (``kind = "python"``): finding it, calling it, and putting effects on its
-input.
+"""A simulator that can only be called (``kind = "python"`` or ``"fmu"``): finding it, calling it,
+and putting effects on its input.
 """
 
 from __future__ import annotations
@@ -7,9 +7,9 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,48 @@ from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
 
 Array = npt.NDArray[np.float64]
 Function = Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
+
+
+class Simulator(Protocol):
+    """What a diagnosis calls: recordings in, positions out."""
+
+    name: str  # in sentences
+
+    def run(
+        self, recordings: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]
+    ) -> list[Any]:
+        """The position at every row of each recording."""
+
+    def close(self) -> None:
+        """Let go of processes and folders."""
+
+
+class Entry:
+    """The Python function that ``entry`` names; it is called in this process."""
+
+    def __init__(self, model: Model) -> None:
+        self.function, self.name = load_entry(model), f"the simulator {model.entry!r}"
+
+    def run(
+        self, recordings: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]
+    ) -> list[Any]:
+        """One call a recording."""
+        try:
+            return [np.asarray(self.function(r, parameters), float) for r in recordings]
+        except Exception as error:
+            raise ModelError(f"{self.name} failed: {type(error).__name__}: {error}") from error
+
+    def close(self) -> None:
+        """A function holds nothing."""
+
+
+def simulator_of(model: Model, jobs: int) -> Simulator:
+    """The simulator of a model whose kind is in ``CALLED``."""
+    if model.kind == "fmu":
+        from zendsp.diagnosis.external.fmu import Fmu
+
+        return Fmu(model, jobs)
+    return Entry(model)
 
 
 def on_timing() -> list[Effect]:
@@ -86,7 +128,7 @@ class Bench:
 
     signals: Signals
     records: tuple[JointRecord, ...]
-    function: Function
+    simulator: Simulator
     size: int = 0
     calls: int = 0
 
@@ -110,14 +152,25 @@ class Bench:
             for k, items in model.mechanism.items()
         }
         step = self.size or self.n
-        parts = [
-            self._piece(command, slice(a, min(a + step, self.n)), parameters, model.entry)
-            for a in range(0, self.n, step)
-        ]
+        rows = [slice(a, min(a + step, self.n)) for a in range(0, self.n, step)]
+        recordings = [self._recording(command, r) for r in rows]
+        parts = []
+        for recording, part in zip(
+            recordings, self.simulator.run(recordings, parameters), strict=True
+        ):
+            out = part[:, None] if np.ndim(part) == 1 else part
+            wanted = (len(recording["time"]), len(self.records))
+            if out.shape != wanted:
+                raise ModelError(
+                    f"{self.simulator.name} returned shape {out.shape} for {self.signals.name};"
+                    f" expected {wanted}: a position for every row"
+                )
+            parts.append(out)
         self.calls += 1
         return self._sensor(np.concatenate(parts), model)
 
-    def _piece(self, command: Array, rows: slice, parameters: dict[str, Any], entry: str) -> Array:
+    def _recording(self, command: Array, rows: slice) -> dict[str, Any]:
+        """Rows of the recording as a simulator gets them."""
         s = self.signals
         velocity = np.stack([r.motion.states[1] for r in self.records], axis=1)[rows]
         position = s.position[rows].copy()
@@ -127,7 +180,7 @@ class Bench:
         def shaped(values: Array) -> Array:
             return values[:, 0] if values.shape[1] == 1 else values
 
-        recording = {
+        return {
             "time": s.time[rows] - s.time[rows.start],
             "sample_time": s.sample_time,
             "position": shaped(position),
@@ -135,19 +188,6 @@ class Bench:
             "command": shaped(command[rows]),
             "reference": None if s.reference is None else shaped(s.reference[rows]),
         }
-        try:
-            out = np.asarray(self.function(recording, parameters), float)
-        except Exception as error:
-            raise ModelError(
-                f"the simulator {entry!r} failed on {s.name}: {type(error).__name__}: {error}"
-            ) from error
-        out = out[:, None] if out.ndim == 1 else out
-        if out.shape != position.shape:
-            raise ModelError(
-                f"the simulator {entry!r} returned shape {out.shape} for {s.name}; expected"
-                f" {position.shape}: a position for every row"
-            )
-        return out
 
     def error(self, model: Model) -> Array:
         """Measured minus simulated position, (n, joints); of windows without what an error of their
@@ -195,7 +235,7 @@ class Bench:
         return np.clip(np.nan_to_num(out, nan=1e6), -1e6, 1e6)
 
 
-def bench(signals: Signals, model: Model, function: Function) -> Bench:
+def bench(signals: Signals, model: Model, simulator: Simulator) -> Bench:
     """Smooth the motion of a recording (effects are evaluated along it) and tie it to the
     simulator.
     """
@@ -243,4 +283,4 @@ def bench(signals: Signals, model: Model, function: Function) -> Bench:
                 columns=joint_columns(signals, i),
             )
         )
-    return Bench(signals, tuple(records), function)
+    return Bench(signals, tuple(records), simulator)

@@ -1,5 +1,5 @@
-"""Writes the report folder: report.json, report.html, figures, model.toml and calibrated.toml,
-compensation.c, next_reference.mat.
+"""Writes the report folder: report.json, report.html, figures and their numbers, model.toml and
+calibrated.toml, compensation.c, next_reference.mat.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from zendsp.diagnosis.chart import SUFFIX, save_chart
 from zendsp.diagnosis.result import Diagnosis
+from zendsp.physics.model import Model
 from zendsp.physics.model_file import model_text
 
 
@@ -22,7 +24,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     out : path
         Folder, made where it does not exist.
     pictures : bool
-        Also report.html and its figures (matplotlib is imported only then).
+        Also report.html, its figures and their numbers (matplotlib is imported only then).
 
     Returns
     -------
@@ -32,7 +34,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "report.json").write_text(report_text(d), encoding="utf-8")
-    (folder / "model.toml").write_text(model_text(d.improved), encoding="utf-8")
+    (folder / "model.toml").write_text(_improved_text(d.improved, folder), encoding="utf-8")
     (folder / "calibrated.toml").write_text(model_text(d.calibrated), encoding="utf-8")
     _compensation(d, folder)
     if d.next_recording is not None and d.next_recording.reference is not None:
@@ -42,12 +44,45 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         reference = Reference(q, period, kind="separating", unit=d.unit)
         save_reference(reference, folder / "next_reference.mat", check=False)
     if pictures:
-        from zendsp.diagnosis.report.figures import draw_all
+        from zendsp.diagnosis.report.drawing import draw_all
+        from zendsp.diagnosis.report.figures import charts
         from zendsp.diagnosis.report.html import page
 
-        figures = d.details["draw"](folder) if "draw" in d.details else draw_all(d, folder)
+        drawn = charts(d)
+        for old in folder.glob(f"*{SUFFIX}"):  # of another diagnosis
+            old.unlink()
+        for chart in drawn:
+            save_chart(chart, folder)
+        figures = draw_all(drawn, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
+
+
+def left_out(model: Model) -> list[str]:
+    """A note of what ``model.mjcf`` does not hold; none where the model is no MJCF."""
+    if model.kind != "mjcf":
+        return []
+    if model.robot.take != "all":
+        return ["no model.mjcf is written: this model takes only the bodies from its MJCF"]
+    from zendsp.physics.mjcf_write import inexpressible
+
+    stay = [f"{t.effect} (joint {t.joint})" for t in inexpressible(model)]
+    if not stay:
+        return []
+    return [
+        f"model.mjcf holds what was found, except {', '.join(dict.fromkeys(stay))}: MuJoCo cannot"
+        " express that; it stands as [[effect]] in model.toml beside it"
+    ]
+
+
+def _improved_text(model: Model, folder: Path) -> str:
+    """The improved model; of an MJCF with a model.mjcf of its own, where that can be written."""
+    if model.kind != "mjcf":
+        return model_text(model)
+    from zendsp.physics.mjcf_write import write_mjcf
+
+    written = write_mjcf(model, folder.resolve() / "model.mjcf")
+    return model_text(model) if written is None else model_text(written, beside=True)
 
 
 def report_text(d: Diagnosis) -> str:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from zendsp.diagnosis.result import Diagnosis
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zendsp.diagnosis.result import Diagnosis
 
 WORDS = {
     "dry_friction": "dry friction",
@@ -18,18 +22,33 @@ WORDS = {
 
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence: the mechanism first."""
-    if d.verdict == "complete":
+    return verdict_sentence(d.verdict, [(f.mechanism, f.effect, f.joint) for f in d.findings])
+
+
+def verdict_sentence(verdict: str, found: Sequence[tuple[str, str, int]]) -> str:
+    """The verdict in one sentence.
+
+    Parameters
+    ----------
+    verdict : str
+    found : sequence of (mechanism, effect, joint)
+
+    Returns
+    -------
+    str
+    """
+    if verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
-    if d.verdict == "unexplained":
+    if verdict == "unexplained":
         return (
             "Unexplained: something is missing that no known effect describes; no physics is"
             " claimed."
         )
     joints: dict[int, list[str]] = {}
-    for f in d.findings:
-        word = f"{WORDS.get(f.mechanism, f.effect)} ({f.effect})"
-        if word not in joints.setdefault(f.joint, []):
-            joints[f.joint].append(word)
+    for mechanism, effect, joint in found:
+        word = f"{WORDS.get(mechanism, effect)} ({effect})"
+        if word not in joints.setdefault(joint, []):
+            joints[joint].append(word)
     where = [f"{' and '.join(words)} at joint {j}" for j, words in joints.items()]
     return f"Missing physics: {'; '.join(where)}."
 

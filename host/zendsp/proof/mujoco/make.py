@@ -12,12 +12,12 @@ from zendsp.proof.draft import Array, Concealed, Scale
 from zendsp.proof.files import NAMES, columns_of
 from zendsp.proof.forms import FORMS, foreign
 from zendsp.proof.measure import DRESSINGS, apply_faults, format_of
-from zendsp.proof.mujoco.chain import urdf
+from zendsp.proof.mujoco.chain import Joint, World, mjcf, urdf
 from zendsp.proof.mujoco.foreign import PARTS, TOGETHER, add_form
 from zendsp.proof.mujoco.friction import mujoco_dry
 from zendsp.proof.mujoco.machines import MACHINES, Bench, harden
 from zendsp.proof.mujoco.mechanics import TWO_SIDED
-from zendsp.proof.mujoco.simulate import Nominal, Record, Unstable, simulate
+from zendsp.proof.mujoco.simulate import Nominal, Record, Unstable, nominal_gravity, simulate
 from zendsp.proof.mujoco.truths import MAKERS
 from zendsp.proof.oracle import DETECTABLE, PROCESS, steady_observer
 
@@ -56,6 +56,8 @@ def attempt_case(request: Request, rng: Rng) -> Case:
     truth = truth_of(b, request, records[0])
     runs = [apply_faults(record.run, b.faults, b.sample_time, fork(rng)) for record in records]
     files = {"arm.urdf": urdf(b.nominal, b.limit, b.machine)} if b.kind == "urdf" else {}
+    if files and request.given == "mjcf":
+        model, files = as_mjcf(b, model)
     return Case(runs[0], runs[1], model, truth, form, "heldout", runs[2], files)
 
 
@@ -312,6 +314,24 @@ def given(b: Bench, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, A
     table["sensor"] = {"position_resolution": b.resolution if b.n > 1 else b.resolution[0]}
     table["columns"] = columns
     return table
+
+
+def as_mjcf(b: Bench, table: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """The same given model with an MJCF, which states what the table and the URDF stated before."""
+    rest = {key: value for key, value in table.items() if key not in ("effect", "actuator")}
+    joints = [Joint() for _ in range(b.n)]
+    words = {"viscous": "damping", "coulomb": "dry", "inertia": "armature"}
+    for entry in table.get("effect", []):
+        value = next(v["value"] for v in entry.values() if isinstance(v, dict))
+        setattr(joints[entry["joint"] - 1], words[entry["kind"]], value)
+    actuator = table["actuator"]
+    for joint, gain, limit in zip(joints, actuator["gain"]["value"], actuator["limit"],
+                                  strict=True):  # fmt: skip
+        joint.gain, joint.force_limit = gain, gain * limit
+    rest["mechanism"] = {"kind": "mjcf", "file": "arm.xml"}
+    rest["actuator"] = {"hold": actuator["hold"]}
+    world = World(gravity=nominal_gravity(b))
+    return rest, {"arm.xml": mjcf(b.nominal, joints, world, b.substep, b.integrator)}
 
 
 def inertial_figures(b: Bench) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What the three screens share: the status bar above, the footer below, and a look at the snapshot
+"""What the four screens share: the status bar above, the footer below, and a look at the snapshot
 at 30 Hz.
 """
 
@@ -26,7 +26,7 @@ WIDE = 116  # columns from which panels stand side by side
 
 
 class LabScreen(Screen[None]):
-    """One of Console, Execute, Reference."""
+    """One of Console, Execute, Reference, Diagnose."""
 
     NAME: ClassVar[str] = ""
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (WIDE, "-broad")]  # noqa: RUF012

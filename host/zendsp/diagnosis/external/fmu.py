@@ -1,0 +1,355 @@
+"""A co-simulation FMU (FMI 2.0 and 3.0) as a simulator that can only be called.
+
+An FMU is foreign machine code. Each of its instances lives in a process of its own, with its own
+unpacked folder: a crash, an endless step or a print ends or fills that process, never the
+diagnosis. Each simulation begins anew (reset and replay), since many FMUs cannot save their state.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import difflib
+import faulthandler
+import multiprocessing
+import os
+import signal
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import ModelError
+from zendsp.extras import need
+from zendsp.physics.model import Model
+
+Array = npt.NDArray[np.float64]
+
+TIME_LIMIT = 60.0  # s, for one recording or window; [mechanism] time_limit
+REAL = ("Real", "Float64")
+LOG = "said.txt"  # what an FMU prints
+
+
+@dataclass(frozen=True)
+class Ports:
+    """Value references of an FMU's variables, in the order of the joints."""
+
+    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    start_position: tuple[int, ...]
+    start_velocity: tuple[int, ...]
+    parameters: Mapping[str, int]
+
+
+class Fmu:
+    """Processes that simulate one FMU.
+
+    Parameters
+    ----------
+    model : Model
+        Of ``kind = "fmu"``.
+    jobs : int
+        How many processes.
+
+    Raises
+    ------
+    ModelError
+        Not a co-simulation FMU for this computer, or variables that it does not have.
+    """
+
+    def __init__(self, model: Model, jobs: int) -> None:
+        path = Path(model.file) if Path(model.file).is_absolute() else model.folder / model.file
+        self.name = f"[mechanism] file = {model.file!r}"
+        if not path.is_file():
+            raise ModelError(f"{self.name}: no such file beside the model ({path})")
+        self.path, self.limit = path, float(model.fmu.get("time_limit", TIME_LIMIT))
+        self.fmpy = need("fmpy", "fmpy", 'a model of kind = "fmu"', ModelError)
+        self.description = self._described()
+        self.ports = self._ports(model)
+        self.workers = [_Worker(self) for _ in range(max(1, jobs))]
+
+    def _described(self) -> Any:
+        try:
+            description = self.fmpy.read_model_description(str(self.path), validate=False)
+            with zipfile.ZipFile(self.path) as archive:
+                files = [name.split("/") for name in archive.namelist()]
+        except Exception as error:  # of zipfile, lxml, and fmpy's own
+            said = " ".join(str(error).split())
+            raise ModelError(f"{self.name}: is not an FMU that can be read: {said}") from error
+        if not str(description.fmiVersion).startswith(("2.", "3.")):
+            raise ModelError(f"{self.name}: is FMI {description.fmiVersion}; expected 2.0 or 3.0")
+        if description.coSimulation is None:
+            raise ModelError(
+                f"{self.name}: has no co-simulation; export it as a co-simulation FMU, with its"
+                " solver"
+            )
+        platforms = sorted({f[1] for f in files if f[0] == "binaries" and len(f) > 2 and f[2]})
+        if not {self.fmpy.platform, self.fmpy.platform_tuple} & set(platforms):
+            raise ModelError(
+                f"{self.name}: has no binary for {self.fmpy.platform} (it has"
+                f" {', '.join(platforms) or 'none'}): export it for this computer"
+            )
+        return description
+
+    def _ports(self, model: Model) -> Ports:
+        variables = {v.name: v for v in self.description.modelVariables}
+
+        def references(key: str, names: Sequence[str], causality: str = "") -> tuple[int, ...]:
+            out = []
+            for name in names:
+                v = variables.get(name)
+                if v is None:
+                    near = difflib.get_close_matches(name, list(variables), 3)
+                    raise ModelError(
+                        f"{self.name}: {key}: the FMU has no variable {name!r}; "
+                        + (f"did you mean {', '.join(near)}?" if near else
+                           f"it has {', '.join(list(variables)[:12])}")
+                    )  # fmt: skip
+                if v.type not in REAL or (causality and v.causality != causality):
+                    wanted = f"a real {causality or 'number'}"
+                    raise ModelError(
+                        f"{self.name}: {key} {name!r} is of type {v.type}, causality"
+                        f" {v.causality}; expected {wanted}"
+                    )
+                out.append(int(v.valueReference))
+            return tuple(out)
+
+        def of(role: str, column: str) -> list[str]:
+            spec = model.fmu.get(role) or model.columns.get(column, [])
+            return [spec] if isinstance(spec, str) else list(spec)
+
+        inputs, outputs = of("inputs", "command"), of("outputs", "position")
+        starts = [list(model.fmu.get(key, ())) for key in ("start_position", "start_velocity")]
+        for key, names in zip(("inputs", "start_position", "start_velocity"), (inputs, *starts),
+                              strict=True):  # fmt: skip
+            if names and len(names) != len(outputs):
+                raise ModelError(
+                    f"{self.name}: {key} has {len(names)} names, outputs {len(outputs)}; expected"
+                    " one for each joint"
+                )
+        return Ports(
+            references("inputs", inputs, "input"),
+            references("outputs", outputs, "output"),
+            references("start_position", starts[0]),
+            references("start_velocity", starts[1]),
+            {name: references("[mechanism.parameters]", [name])[0] for name in model.mechanism},
+        )
+
+    def run(
+        self, recordings: Sequence[Mapping[str, Any]], parameters: Mapping[str, Any]
+    ) -> list[Array]:
+        """Positions of all recordings, (n, joints) each, simulated side by side."""
+        shares = np.array_split(np.arange(len(recordings)), len(self.workers))
+        busy = [(w, share) for w, share in zip(self.workers, shares, strict=True) if len(share)]
+        for worker, share in busy:
+            worker.send([recordings[i] for i in share], parameters)
+        return [out for worker, share in busy for out in worker.receive(len(share))]
+
+    def close(self) -> None:
+        """End the processes and remove their folders."""
+        for worker in self.workers:
+            worker.close()
+
+
+class _Worker:
+    """One process with one instance."""
+
+    def __init__(self, fmu: Fmu) -> None:
+        self.fmu, self.folder = fmu, tempfile.TemporaryDirectory(prefix="zendsp-fmu-")
+        context = multiprocessing.get_context("fork")
+        self.pipe, child = context.Pipe()
+        self.process = context.Process(
+            target=_serve, args=(child, self.pipe, fmu, self.folder.name), daemon=True
+        )
+        self.process.start()
+        child.close()
+
+    def send(self, recordings: list[Any], parameters: Mapping[str, Any]) -> None:
+        try:
+            self.pipe.send((recordings, dict(parameters)))
+        except OSError:
+            raise self._crash() from None
+
+    def receive(self, count: int) -> list[Array]:
+        limit = self.fmu.limit * count
+        if not self.pipe.poll(limit):
+            self.process.kill()
+            raise ModelError(
+                f"{self.fmu.name}: the FMU did not answer within {limit:g} s ({count} simulations"
+                f" of at most {self.fmu.limit:g} s each); raise [mechanism] time_limit, or shorten"
+                " the recording"
+            )
+        try:
+            answer = self.pipe.recv()
+        except (EOFError, OSError):
+            raise self._crash() from None
+        if isinstance(answer, str):
+            raise ModelError(f"{self.fmu.name}: the FMU failed: {answer}{self._said()}")
+        return list(answer)
+
+    def _crash(self) -> ModelError:
+        self.process.join(5.0)
+        code = self.process.exitcode or 0
+        how = f"by {signal.Signals(-code).name}" if code < 0 else f"with status {code}"
+        return ModelError(f"{self.fmu.name}: the FMU ended its process {how}{self._said()}")
+
+    def _said(self) -> str:
+        try:
+            text = (Path(self.folder.name) / LOG).read_bytes()[-2000:].decode(errors="replace")
+        except OSError:
+            return ""
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        return f"; the last that it said: {lines[-1][:200]}" if lines else ""
+
+    def close(self) -> None:
+        self.pipe.close()
+        if self.process.is_alive():
+            self.process.kill()
+        self.process.join()
+        self.folder.cleanup()
+
+
+def _serve(pipe: Any, other: Any, fmu: Fmu, folder: str) -> None:
+    """The worker process: answers with positions, or with the sentence of what failed."""
+    other.close()
+    faulthandler.disable()  # its crash is told in one sentence
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the diagnosis's, which ends this one
+    said = os.open(str(Path(folder) / LOG), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    instance = None
+    while True:
+        try:
+            recordings, parameters = pipe.recv()
+        except EOFError:
+            os._exit(0)  # without what an FMU registered for the end
+        try:
+            instance = instance or _Instance(fmu, folder)
+            answer: Any = [instance.simulate(r, parameters) for r in recordings]
+        except Exception as error:
+            answer, instance = " ".join(f"{type(error).__name__}: {error}".split()), None
+        pipe.send(answer)
+
+
+class _Instance:
+    """An FMU in this process; FMI 2.0 and 3.0 behind one face."""
+
+    def __init__(self, fmu: Fmu, folder: str) -> None:
+        d, self.ports, self.fmpy = fmu.description, fmu.ports, fmu.fmpy
+        unpacked = str(Path(folder) / "fmu")
+        self.fmpy.extract(str(fmu.path), unpacked)
+        self.three = str(d.fmiVersion).startswith("3.")
+        if self.three:
+            from fmpy.fmi3 import FMU3Slave as Slave
+        else:
+            from fmpy.fmi2 import FMU2Slave as Slave
+        self.slave: Any = Slave(
+            instanceName="zendsp",
+            guid=d.guid,
+            unzipDirectory=unpacked,
+            modelIdentifier=d.coSimulation.modelIdentifier,
+        )
+        self.fresh = False
+        self._make()
+
+    def _make(self) -> None:
+        self.slave.instantiate()
+        self.fresh = True
+
+    def _again(self) -> None:
+        """Back to before the initialisation: by reset, or by another instance."""
+        if self.fresh:
+            return
+        try:
+            self.slave.terminate()
+            self.slave.reset()
+        except Exception:
+            self.slave.fmi3FreeInstance(self.slave.component) if self.three else (
+                self.slave.fmi2FreeInstance(self.slave.component)
+            )
+            self._make()
+
+    def _set(self, references: Sequence[int], values: Sequence[float] | Array) -> None:
+        if references:
+            put = self.slave.setFloat64 if self.three else self.slave.setReal
+            put(list(references), [float(v) for v in values])
+
+    def simulate(self, recording: Mapping[str, Any], parameters: Mapping[str, Any]) -> Array:
+        """Position at every row, (n, joints)."""
+        s, p = self.slave, self.ports
+        command = np.asarray(recording["command"], float).reshape(len(recording["time"]), -1)
+        step = float(recording["sample_time"])
+        self._again()
+        self.fresh = False
+        if not self.three:
+            s.setupExperiment(startTime=0.0)
+        for name, reference in p.parameters.items():
+            self._set([reference], [parameters[name]])
+        self._set(p.start_position, np.atleast_1d(recording["position"][0]))
+        self._set(p.start_velocity, np.atleast_1d(recording["velocity"][0]))
+        if self.three:
+            s.enterInitializationMode(startTime=0.0)
+        else:
+            s.enterInitializationMode()
+        self._set(p.inputs, command[0])
+        s.exitInitializationMode()
+        return self._replayed(command, step)
+
+    def _replayed(self, command: Array, step: float) -> Array:
+        """Outputs of all rows. A row costs three foreign calls and no objects of fmpy's: they would
+        take ten times as long as a small FMU.
+        """
+        get, put, do = self._calls()
+        told, said = (ctypes.c_double * command.shape[1])(), (ctypes.c_double * len(
+            self.ports.outputs))()  # fmt: skip
+        rows, out = command.tolist(), []
+        for k, u in enumerate(rows):
+            _check("get", get(said))
+            out.append(said[:])
+            if k + 1 < len(rows):
+                told[:] = u
+                _check("set", put(told))
+                _check("doStep", do(k * step, step))
+        return np.array(out)
+
+    def _calls(self) -> tuple[Any, Any, Any]:
+        """What each row calls: with a buffer of outputs, with one of inputs, with time and step."""
+        dll, c, p = self.slave.dll, self.slave.component, self.ports
+        reads, writes = (
+            (ctypes.c_uint * len(r))(*r) for r in (p.outputs, p.inputs)
+        )
+        n, m = len(reads), len(writes)
+        if not self.three:
+            get, put, do = dll.fmi2GetReal, dll.fmi2SetReal, dll.fmi2DoStep
+            return (
+                lambda x: get(c, reads, n, x),
+                lambda x: put(c, writes, m, x),
+                lambda t, h: do(c, ctypes.c_double(t), ctypes.c_double(h), 1),
+            )
+        get, put, do = dll.fmi3GetFloat64, dll.fmi3SetFloat64, dll.fmi3DoStep
+        flags, last = [ctypes.c_bool() for _ in range(3)], ctypes.c_double()
+        told = (*(ctypes.byref(f) for f in flags), ctypes.byref(last))
+
+        def step(t: float, h: float) -> int:
+            done = do(c, ctypes.c_double(t), ctypes.c_double(h), ctypes.c_bool(True), *told)
+            if flags[1].value:
+                raise RuntimeError(f"it asked to end the simulation at t = {t:.4g} s")
+            return int(done)
+
+        return (
+            lambda x: get(c, reads, ctypes.c_size_t(n), x, ctypes.c_size_t(n)),
+            lambda x: put(c, writes, ctypes.c_size_t(m), x, ctypes.c_size_t(m)),
+            step,
+        )
+
+
+def _check(what: str, status: int) -> None:
+    """Go on with ok and warnings only."""
+    if status > 1:
+        words = ("ok", "warning", "discard", "error", "fatal")
+        said = words[status] if status < len(words) else "unknown"
+        raise RuntimeError(f"{what} answered {said} (status {status})")
