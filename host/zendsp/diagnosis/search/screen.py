@@ -294,7 +294,7 @@ class Screen:
     def _least(self, effect: Effect, name: str) -> float:
         """A number so small that it hardly acts."""
         size, record = effect.parameter(name).size, self.records[0]
-        return record.sample_time if size == "time" else 1e-3 * record.scale.of(size)
+        return facts(record).sample_time if size == "time" else 1e-3 * record.scale.of(size)
 
     def _add_replaced(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
         size = self.records[0].scale
