@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from zendsp.diagnosis.data.sensors import SENSED, judged, read_sensed
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
@@ -140,6 +141,13 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         if role in columns and _has(get, columns[role])
     }
     extra = {role: _optional(name, role, get, columns[role], n, joints) for role in sorted(wanted)}
+    for role in SENSED:
+        if role in columns:
+            if _has(get, [item for item in _names(columns[role]) if item]):
+                shape = (n, joints)
+                extra[role] = read_sensed(name, role, get, columns[role], shape)
+            else:
+                notes.append(f"{name}: {role} was not used: no column {columns[role]!r}")
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(
@@ -161,6 +169,9 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         position = position + offset
     if model.actuator.matrix:
         command = command @ np.array(model.actuator.matrix).T
+    for role in [role for role in SENSED if role in extra]:
+        extra[role], said = judged(role, extra[role], position, command, sample_time)
+        notes += [f"{name}: {words}" for words in said]
     signals = Signals(
         name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra
     )
@@ -183,8 +194,12 @@ def with_same_columns(
 
 
 def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
-    """The optional columns of one joint (from 0) by their role, (n,) each."""
-    return {role: np.ascontiguousarray(values[:, joint]) for role, values in signals.extra.items()}
+    """The optional columns that one joint (from 0) has, by their role, (n,) each."""
+    return {
+        role: np.ascontiguousarray(values[:, joint])
+        for role, values in signals.extra.items()
+        if np.isfinite(values[:, joint]).all()
+    }
 
 
 def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
@@ -283,6 +298,11 @@ def _has(get: Any, column: Any) -> bool:
     except RecordingError:
         return False
     return True
+
+
+def _names(spec: Any) -> list[str]:
+    """The names of a column specification."""
+    return [str(item) for item in spec] if isinstance(spec, list) else [str(spec)]
 
 
 def _column_name(spec: Any, index: int) -> str:
