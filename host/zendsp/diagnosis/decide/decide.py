@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.reading import Parts
+from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
@@ -30,7 +31,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     mean_square,
     structure,
 )
-from zendsp.diagnosis.measure.evidence import Evidence, block_scores, compare, repeats, settling
+from zendsp.diagnosis.measure.evidence import Evidence, block_scores, compare, settling
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import Searcher

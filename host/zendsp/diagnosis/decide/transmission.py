@@ -167,7 +167,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
     load = _load(model, inertia, motor)
     findings, terms = _findings(parts, model, joint, chosen, claims, waves, load)
     found = {c.name for c in claims}
-    seen = ()
+    seen: tuple[Detectable, ...] = ()
     if "spring" not in found:
         least = _least(slow, chosen, scale, model)
         unit = unit_of("position", model.joint_kind(joint)) + "/(" + _torque(model, joint) + ")"
@@ -205,6 +205,11 @@ def _scale(twists: Sequence[Twist]) -> float:
     return max(rms([t.torque[t.kept] for t in twists]), 1e-300)
 
 
+def _may_be_off(slow: _Sets) -> bool:
+    """Whether an encoder's disc off centre is a slow error here: a full turn shows what it is."""
+    return all(float(np.ptp(t.q[t.kept])) < 2 * math.pi for t in slow.fit)
+
+
 def _fit(twists: Sequence[Twist], terms: Sequence[str], off: bool, scale: float) -> Linear:
     return regress(twists, [columns_of(t, terms, scale) for t in twists], off)
 
@@ -228,10 +233,8 @@ def _chosen(slow: _Sets, model: Model, inertia: float) -> tuple[Chosen, _Sets, t
     """The terms that describe the fit recordings best for their number and hold on those to choose
     by; with the transmitted torque that goes with them.
     """
-    turn = any(float(np.ptp(t.q[t.kept])) > 2 * math.pi for t in slow.fit)
-    rotary = model.joint_kind(1) == "rotary"
     best: tuple[Chosen, _Sets, tuple[float, float]] | None = None
-    for off in (False, True) if rotary and not turn else (False,):
+    for off in (False, True) if _may_be_off(slow) else (False,):
         here, motor = slow, (0.0, 0.0)
         if not has_bodies(model):
             fit, others, jm, std = with_motor_torque(
@@ -290,19 +293,18 @@ def _apart(twists: Sequence[Twist], one: Sequence[Array], other: Sequence[Array]
 def _claims(slow: _Sets, chosen: Chosen, scale: float, model: Model) -> list[_Claim]:
     """The chosen terms, each taken away and judged on the untouched recordings.
 
-    A disc off centre may explain a short piece as well as a spring does. Where the recordings of
-    the fit tell them apart, the spring is judged without the disc too; where they do not, the
-    disc is said to be as likely.
+    A disc off centre may explain a short piece as well as a spring does: the spring is judged with
+    it and without. Where the recordings of the fit do not tell them apart, that is said.
     """
     alike = "spring" in chosen.terms and _like_a_disc(slow, scale, model)
     out = []
     for term in chosen.terms:
         claim = _judged(slow, chosen, term, scale, model)
-        if claim is None and term == "spring" and chosen.off_centre:
-            plain = replace(
-                chosen, off_centre=False, fit=_fit(slow.fit, chosen.terms, False, scale)
-            )
-            claim = _judged(slow, plain, term, scale, model)
+        if claim is None and term == "spring" and _may_be_off(slow):
+            off = not chosen.off_centre
+            other = replace(chosen, off_centre=off, fit=_fit(slow.fit, chosen.terms, off, scale))
+            if _physical(other.terms, other.fit.x):
+                claim = _judged(slow, other, term, scale, model)
         if claim is not None:
             same = ("encoder_eccentricity",) if alike and term == "spring" else ()
             out.append(replace(claim, same=same))
@@ -334,7 +336,7 @@ def _judged(
 
 def _like_a_disc(slow: _Sets, scale: float, model: Model) -> bool:
     """Whether a disc off centre explains the fit recordings as well as a spring beside it does."""
-    if any(float(np.ptp(t.q[t.kept])) > 2 * math.pi for t in slow.fit):
+    if not _may_be_off(slow):
         return False
     disc, both = (_fit(slow.fit, terms, True, scale) for terms in ((), ("spring",)))
     _, log_e = evidence(disc.residual, both.residual, slow.fit)
@@ -350,9 +352,14 @@ def _least(slow: _Sets, chosen: Chosen, scale: float, model: Model) -> float:
         [replace(t, torsion=t.torque) for t in slow.test], columns, chosen.off_centre, np.zeros(1)
     )
     size = max(rms(unit.residual), 1e-300)
+    count = sum(len(r) for r in alone.residual)
+    error = math.hypot(
+        math.sqrt(float(alone.covariance[0, 0])),
+        max(t.noise for t in slow.test) / (size * math.sqrt(count)),
+    )
     root = POWER + math.sqrt(POWER**2 + 2.0 * _needed(model))
     left = _left(nothing.residual, slow.test)
-    return max(root * math.sqrt(float(alone.covariance[0, 0])), left / size)
+    return max(root * error, left / size)
 
 
 def _waves(raw: _Sets, model: Model) -> tuple[list[_Claim], _Sets]:
@@ -459,7 +466,7 @@ def _findings(
         relative = spring.std / abs(spring.value)
         numbers = {"stiffness": (stiffness, relative * stiffness)}
         if spring.damping[0] > PLAIN * spring.damping[1]:
-            numbers["damping"] = spring.damping[0] * stiffness, spring.damping[1] * stiffness
+            numbers["damping"] = spring.damping
         if load[0]:
             numbers["load_inertia"] = load
         details: dict[str, object] = {"compliance": -spring.value, "compliance_std": spring.std}

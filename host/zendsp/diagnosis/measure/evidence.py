@@ -65,20 +65,6 @@ def compare(before: Scored, after: Scored, test: Data, joint: int) -> Evidence:
     return Evidence(float(drawn.sum()), float(drawn.sum()) / error if error > 0 else 0.0, values)
 
 
-def repeats(r: Array, sample_time: float) -> float:
-    """By how much fewer independent samples a series has than samples, from its correlation within
-    0.25 s; 1 or more.
-    """
-    most = min(len(r) // 4, round(0.25 / sample_time))
-    energy = float(r @ r)
-    if most < 2 or energy <= 0:
-        return 1.0
-    size = 1 << int(np.ceil(np.log2(2 * len(r))))
-    correlation = np.fft.irfft(np.abs(np.fft.rfft(r, size)) ** 2, size)[1:most] / energy
-    end = int(np.argmax(correlation < 0)) if (correlation < 0).any() else len(correlation)
-    return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[:end])))
-
-
 def settling(scored: Scored, joint: int) -> float:
     """Share of a recording in which an observer of a model settles."""
     return (

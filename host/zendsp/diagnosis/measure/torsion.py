@@ -17,10 +17,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfiltfilt
 
+from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.measure.discrepancy import deviation
-from zendsp.diagnosis.measure.evidence import BLOCK, Evidence, repeats
+from zendsp.diagnosis.measure.evidence import BLOCK, Evidence
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model, per_joint
@@ -35,7 +37,9 @@ STILL = 0.02  # of the highest speed: slower, friction and the side of a gap are
 BENT = 0.1  # of the RMS torque: over so much of it a gap is crossed
 RATE = 8.0  # rows kept for each period of the low-pass
 ORDERS = 4000  # of an error over the angle, at most so many are tried
-ROUNDS = 5  # of the motor's own inertia
+ROUNDS = 2  # of the motor's own inertia and its dry friction by turns
+STEP = 0.1  # of the joint's inertia: first tries of what is the motor's
+SHARES = tuple(STEP * (i + 0.5) for i in range(10))
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,9 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
         record = rec[joint - 1]
         q, qd, qdd = record.motion.states
         load = record.columns["position_load"]
-        drive = per_joint(model.actuator.gain, joint, 1.0) * record.command
+        # held from row to row: at a row, the mean of before and after
+        held = 0.5 * (record.command + np.r_[record.command[:1], record.command[:-1]])
+        drive = per_joint(model.actuator.gain, joint, 1.0) * held
         torque = _of_bodies(record, model) if has_bodies(model) else drive
         still = STILL * float(np.quantile(np.abs(qd), 0.98))
         edge = max(2, round(0.05 / record.sample_time))
@@ -145,14 +151,21 @@ def joined(first: Twist, second: Twist, judging: int) -> Twist:
     counts as evidence.
     """
 
-    def both(name: str) -> Array:
-        return np.concatenate([getattr(first, name), getattr(second, name)])
+    def both(one: Array, other: Array) -> Array:
+        return np.concatenate([one, other])
 
-    return replace(
-        first,
-        **{k: both(k) for k in ("torsion", "q", "qd", "qdd", "drive", "torque", "kept")},
-        judging=np.repeat([judging == 0, judging == 1], [len(first.q), len(second.q)]),
-        extra={k: np.concatenate([v, second.extra[k]]) for k, v in first.extra.items()},
+    return Twist(
+        both(first.torsion, second.torsion),
+        both(first.q, second.q),
+        both(first.qd, second.qd),
+        both(first.qdd, second.qdd),
+        both(first.drive, second.drive),
+        both(first.torque, second.torque),
+        first.sample_time,
+        first.noise,
+        first.band,
+        np.concatenate([first.kept, second.kept]),
+        np.repeat([judging == 0, judging == 1], [len(first.q), len(second.q)]),
     )
 
 
@@ -285,26 +298,42 @@ def with_motor_torque(
     -------
     fit, others, motor inertia, its standard deviation
     """
-    motor, dry, spread = 0.5 * inertia, 0.0, inertia
+
+    def columns(share: float, dry: float) -> list[Array]:
+        out = []
+        for t in fit:
+            torque = t.drive - share * inertia * t.qdd
+            side = gap_shape(torque - dry * t.extra["direction"])
+            parts = [torque, t.extra["direction"], t.extra["rate"], side]
+            out.append(np.stack(parts, axis=1)[t.kept])
+        return out
+
+    dry, best = 0.0, 0.5
+    for _ in range(ROUNDS):
+
+        def cost(share: float, dry: float = dry) -> float:
+            return rms(regress(fit, columns(share, dry), off_centre).residual)
+
+        first = min(SHARES, key=cost)
+        bounds = (max(0.0, first - STEP), min(1.0, first + STEP))
+        best = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
+        found = regress(fit, columns(best, dry), off_centre)
+        dry = max(0.0, -float(found.x[1] / found.x[0])) if found.x[0] < 0 else 0.0
+    apart = []
+    for t in fit:
+        side = gap_shape(t.drive - best * inertia * t.qdd - dry * t.extra["direction"])
+        parts = [t.drive, t.qdd, t.extra["direction"], t.extra["rate"], side]
+        apart.append(np.stack(parts, axis=1)[t.kept])
+    loose = regress(fit, apart, off_centre)
+    spread = float(np.sqrt(loose.covariance[1, 1]) / max(abs(loose.x[0]), 1e-300))
 
     def with_torque(ts: Sequence[Twist]) -> list[Twist]:
         return [
-            replace(t, torque=t.drive - motor * t.qdd - dry * t.extra["direction"]) for t in ts
+            replace(t, torque=t.drive - best * inertia * t.qdd - dry * t.extra["direction"])
+            for t in ts
         ]
 
-    for _ in range(ROUNDS):
-        columns = []
-        for t in with_torque(fit):
-            parts = [t.drive, t.qdd, t.extra["direction"], t.extra["rate"], gap_shape(t.torque)]
-            columns.append(np.stack(parts, axis=1)[t.kept])
-        found = regress(fit, columns, off_centre)
-        compliance = -float(found.x[0])
-        if compliance <= 0:
-            break
-        motor = float(np.clip(found.x[1] / compliance, 0.02 * inertia, 0.98 * inertia))
-        dry = max(0.0, float(found.x[2]) / compliance)
-        spread = float(np.sqrt(found.covariance[1, 1])) / compliance
-    return with_torque(fit), [with_torque(ts) for ts in others], motor, spread
+    return with_torque(fit), [with_torque(ts) for ts in others], best * inertia, spread
 
 
 def joint_inertia(data: Data, model: Model, joint: int) -> float:
