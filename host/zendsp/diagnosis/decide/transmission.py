@@ -47,8 +47,10 @@ from zendsp.diagnosis.search.forward import calibrate_joint
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 
+OPEN = 0.3  # of the RMS torque: below, a gap may be open
 POWER = 1.28  # standard deviations: nine in ten
 LATE = 0.1  # of a row: a column that is later than this is moved
+OF_A_GAP = 0.05  # of its width: so much too narrow it came out of a simulated one of 20 mrad
 WAVES = 2  # errors over the angle, at most
 ENOUGH = 1.0  # of what stays unexplained: what is less is no finding
 # the simpler first; a spring may stand beside an encoder disc that is off centre
@@ -205,6 +207,12 @@ def _scale(twists: Sequence[Twist]) -> float:
     return max(rms([t.torque[t.kept] for t in twists]), 1e-300)
 
 
+def _loaded(twist: Twist) -> Twist:
+    """Without the rows at which a gap may be open: no law says on which side of it the load is."""
+    size = rms([twist.torque[twist.kept]])
+    return replace(twist, kept=twist.kept & (np.abs(twist.torque) > OPEN * size))
+
+
 def _may_be_off(slow: _Sets) -> bool:
     """Whether an encoder's disc off centre is a slow error here: a full turn shows what it is."""
     return all(float(np.ptp(t.q[t.kept])) < 2 * math.pi for t in slow.fit)
@@ -241,6 +249,7 @@ def _chosen(slow: _Sets, model: Model, inertia: float) -> tuple[Chosen, _Sets, t
                 slow.fit, (slow.choose, slow.test), inertia, off
             )
             here, motor = _Sets(fit, others[0], others[1]), (jm, std)
+        here = here.each(_loaded)
         scale = _scale(here.fit)
         for terms in CHOICES:
             found = _fit(here.fit, terms, off, scale)
@@ -328,9 +337,9 @@ def _judged(
     sure = log_e > _needed(model) and found.z > PLAIN and abs(value) > SURE * spread
     if not sure or size <= ENOUGH * left:
         return None
-    damping = (float(x[at + 1]) / value, float(std[at + 1]) / abs(value))
-    if term != "spring":
-        damping = (0.0, 0.0)
+    damping = (0.0, 0.0)
+    if term == "spring":
+        damping = float(x[at + 1]) / value, float(std[at + 1]) / abs(value)
     return _Claim(term, value, spread, found, log_e, size, left, damping=damping)
 
 
@@ -472,16 +481,14 @@ def _findings(
         details: dict[str, object] = {"compliance": -spring.value, "compliance_std": spring.std}
         name = "elasticity"
         if "gap" in by:
-            name, gap = "backlash", by["gap"]
-            numbers = {"gap": (-2 * gap.value, 2 * gap.std), **numbers}
+            name, numbers = "backlash", {"gap": _gap(by["gap"]), **numbers}
         elif "cubic" in by:
             name = "stiffening"
             bend = by["cubic"].value * stiffness**4 / _squared(parts, model, joint)
             numbers["stiffness3"] = bend, by["cubic"].std / by["cubic"].value * bend
         made.append((name, spring, numbers, details))
     elif "gap" in by:
-        gap = by["gap"]
-        made.append(("backlash", gap, {"gap": (-2 * gap.value, 2 * gap.std)}, {}))
+        made.append(("backlash", by["gap"], {"gap": _gap(by["gap"])}, {}))
     if "step" in by and spring is None:
         step = by["step"]
         made.append(("hysteresis", step, {"step": (-2 * step.value, 2 * step.std)}, {}))
@@ -499,6 +506,12 @@ def _findings(
     )
     terms = tuple(_term(model, parts, name, joint, numbers) for name, _, numbers, _ in made)
     return findings, tuple(t for t in terms if t is not None)
+
+
+def _gap(claim: _Claim) -> tuple[float, float]:
+    """Full width, and its standard deviation."""
+    width = -2.0 * claim.value
+    return width, math.hypot(2.0 * claim.std, OF_A_GAP * width)
 
 
 def _squared(parts: Parts, model: Model, joint: int) -> float:
@@ -565,11 +578,12 @@ def _finding(
     if claim.same:
         text += f" This recording cannot tell it from {', '.join(claim.same)}."
     same = claim.same
+    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
     return Finding(
         name,
         joint,
         values,
-        _sure(claim),
+        sure,
         share,
         same,
         (),
