@@ -10,6 +10,7 @@ import reality
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import Parts, read_signals
+from zendsp.diagnosis.decide.torque_sensor import sides_of
 from zendsp.diagnosis.decide.transmission import Measured, measured_transmissions
 from zendsp.errors import RecordingError
 from zendsp.physics.model import Model
@@ -143,3 +144,19 @@ def _speed(made: dict[str, np.ndarray]) -> np.ndarray:
 def test_a_column_that_the_recording_lacks_is_named() -> None:
     signals = read_signals(recording(dict(columns((), 1))), model(current="i"))
     assert any("current was not used: no column 'i'" in note for note in signals.notes)
+
+
+@pytest.mark.parametrize(("motor", "load", "side"), [(0.03, 0.0, "before"), (0.0, 0.03, "after")])
+def test_friction_before_and_after_a_torque_sensor_is_told_apart(
+    motor: float, load: float, side: str
+) -> None:
+    machine = {"soft": 200.0, "load": 0.006, "resolution": FINE, "viscous": 0.0}
+    machine |= {"coulomb": motor, "dry_load": load}
+    given = model(torque_measured="ts")
+    made = columns(tuple(sorted(machine.items())), 1)
+    data = prepare([read_signals(recording(made), given)], given, 64.0)
+    sides = sides_of(Parts(data, data, data), given, 1)
+    assert sides is not None and sides.side == side
+    (before, _), (after, _) = sides.dry
+    assert before == pytest.approx(motor, abs=0.003)  # a tenth: the direction is smoothed
+    assert after == pytest.approx(load, abs=0.003)

@@ -34,6 +34,7 @@ from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
+from zendsp.diagnosis.decide.torque_sensor import sided
 from zendsp.diagnosis.decide.transmission import measured_transmissions
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored
@@ -184,6 +185,7 @@ def _diagnose(
     rejected = (*rejected_bodies(bodies, claims), *rejected)
     findings += tuple(ripple.finding for ripple in fine)
     findings += tuple(finding for m in measured for finding in m.findings)
+    findings = sided(findings, parts, bodies.model)
     kinds = {d.kind for d in decisions}
     verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
     improved = whole.improved if findings else whole.calibrated

@@ -83,9 +83,7 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
         record = rec[joint - 1]
         q, qd, qdd = record.motion.states
         load = record.columns["position_load"]
-        # held from row to row: at a row, the mean of before and after
-        held = 0.5 * (record.command + np.r_[record.command[:1], record.command[:-1]])
-        drive = per_joint(model.actuator.gain, joint, 1.0) * held
+        drive = held_drive(record, model, joint)
         torque = _of_bodies(record, model) if has_bodies(model) else drive
         still = STILL * float(np.quantile(np.abs(qd), 0.98))
         edge = max(2, round(0.05 / record.sample_time))
@@ -99,6 +97,14 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
             )
         )
     return out
+
+
+def held_drive(record: JointRecord, model: Model, joint: int) -> Array:
+    """Torque of the drive at each row, (n,): the command is held from row to row, so the mean of
+    before and after.
+    """
+    held = 0.5 * (record.command + np.r_[record.command[:1], record.command[:-1]])
+    return np.asarray(per_joint(model.actuator.gain, joint, 1.0) * held)
 
 
 def _of_bodies(record: JointRecord, model: Model) -> Array:
