@@ -93,6 +93,14 @@ def test_a_gap_is_measured() -> None:
     assert gap.findings[0].parameters["gap"].value == pytest.approx(0.02, rel=0.1)
 
 
+def test_a_transmission_that_stiffens_is_measured() -> None:
+    bent = only(measured(soft=15.0, hard=8e3, load=0.006, resolution=FINE))
+    assert [f.effect for f in bent.findings] == ["stiffening"]
+    numbers = bent.findings[0].parameters
+    assert numbers["stiffness"].value == pytest.approx(15.0, rel=0.2)  # the first two terms of a
+    assert numbers["stiffness3"].value == pytest.approx(8e3, rel=0.6)  # series in the torque
+
+
 def test_a_late_second_sensor_is_taken_out_and_said() -> None:
     spring = only(measured(late=2, soft=40.0, load=0.006, resolution=FINE))
     assert [f.effect for f in spring.findings] == ["elasticity"]

@@ -167,7 +167,7 @@ def _measured(parts: Parts, model: Model, joint: int, jobs: int) -> Measured:
         )
         return Measured(joint, notes=tuple(notes))
     load = _load(model, inertia, motor)
-    findings, terms = _findings(parts, model, joint, chosen, claims, waves, load)
+    findings, terms = _findings(parts, model, joint, scale, claims, waves, load)
     found = {c.name for c in claims}
     seen: tuple[Detectable, ...] = ()
     if "spring" not in found:
@@ -454,14 +454,14 @@ def _load(model: Model, inertia: float, motor: tuple[float, float]) -> tuple[flo
 
 def _sure(claim: _Claim) -> float:
     ratio = (claim.size / max(claim.left, 1e-300)) ** 1.5
-    return min(MOST, ratio / (0.5 + ratio))
+    return float(min(MOST, ratio / (0.5 + ratio)))
 
 
 def _findings(
     parts: Parts,
     model: Model,
     joint: int,
-    chosen: Chosen,
+    scale: float,
     claims: Sequence[_Claim],
     waves: Sequence[_Claim],
     load: tuple[float, float],
@@ -484,7 +484,7 @@ def _findings(
             name, numbers = "backlash", {"gap": _gap(by["gap"]), **numbers}
         elif "cubic" in by:
             name = "stiffening"
-            bend = by["cubic"].value * stiffness**4 / _squared(parts, model, joint)
+            bend = by["cubic"].value * stiffness**4 / scale**2
             numbers["stiffness3"] = bend, by["cubic"].std / by["cubic"].value * bend
         made.append((name, spring, numbers, details))
     elif "gap" in by:
@@ -512,12 +512,6 @@ def _gap(claim: _Claim) -> tuple[float, float]:
     """Full width, and its standard deviation."""
     width = -2.0 * claim.value
     return width, math.hypot(2.0 * claim.std, OF_A_GAP * width)
-
-
-def _squared(parts: Parts, model: Model, joint: int) -> float:
-    """The square that a cubic column was scaled by."""
-    raw = [lowpass(t, OF_BODIES) for t in twists(parts.fit, model, joint)]
-    return _scale(raw) ** 2
 
 
 def _term(
