@@ -31,8 +31,8 @@ from zendsp.link import Target
 from zendsp.link.find import local_entries
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, verbs
-from zendsp_target.endpoints import Security, with_free_ports
-from zendsp_target.endpoints import zenoh_config as target_config
+from zendsp_target.access.endpoints import Security, with_free_ports
+from zendsp_target.access.endpoints import zenoh_config as target_config
 
 BARE = "bare/quick"
 BULK = "bare/bulk"

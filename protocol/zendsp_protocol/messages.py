@@ -36,7 +36,7 @@ class Info(Message, frozen=True, kw_only=True):
     instance: str = ""  # of this run of the target, hexadecimal: another after each start
 
 
-class Diagnostic(Message, frozen=True, kw_only=True):
+class Diagnostic(Message, frozen=True):
     """One message of the compiler."""
 
     severity: str  # error, warning or note
@@ -46,7 +46,7 @@ class Diagnostic(Message, frozen=True, kw_only=True):
     message: str  # the compiler's own words
 
 
-class CompileResult(Message, frozen=True, kw_only=True):
+class CompileResult(Message, frozen=True):
     """Outcome of ``compile``."""
 
     ok: bool  # whether there is a program to load
@@ -58,7 +58,7 @@ class CompileResult(Message, frozen=True, kw_only=True):
     flags: tuple[str, ...] = ()  # all that were used
 
 
-class VariableInfo(Message, frozen=True, kw_only=True):
+class VariableInfo(Message, frozen=True):
     """One entry of the dictionary of the running code."""
 
     name: str  # as in the C code
@@ -76,7 +76,7 @@ class VariableInfo(Message, frozen=True, kw_only=True):
     columns: int = 1  # of a table: values a row; length counts all values
 
 
-class Timing(Message, frozen=True, kw_only=True):
+class Timing(Message, frozen=True):
     """Timing counted by the runtime; ns."""
 
     ticks: int = 0  # samples counted
@@ -91,7 +91,7 @@ class Timing(Message, frozen=True, kw_only=True):
     histogram_edges_ns: WireValue = 0  # ns, one more than there are bins
 
 
-class Trip(Message, frozen=True, kw_only=True):
+class Trip(Message, frozen=True):
     """Why the drive tripped."""
 
     reason: str  # torque, speed, position, overrun, nan, stop, code, host lost, …
@@ -102,7 +102,7 @@ class Trip(Message, frozen=True, kw_only=True):
     text: str = ""  # a sentence for people
 
 
-class Status(Message, frozen=True, kw_only=True):
+class Status(Message, frozen=True):
     """The state of the target now."""
 
     state: ProgramState  # empty, loaded, running, paused, stopped or crashed
@@ -124,7 +124,7 @@ class Status(Message, frozen=True, kw_only=True):
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
 
 
-class JointInfo(Message, frozen=True, kw_only=True):
+class JointInfo(Message, frozen=True):
     """One joint of the machine."""
 
     name: str  # of the joint
@@ -143,7 +143,7 @@ class JointInfo(Message, frozen=True, kw_only=True):
     length: float = 0.0  # m, of the link; 0 where it means nothing
 
 
-class MachineInfo(Message, frozen=True, kw_only=True):
+class MachineInfo(Message, frozen=True):
     """What the machine says of itself."""
 
     name: str  # of the machine
@@ -158,7 +158,7 @@ class MachineInfo(Message, frozen=True, kw_only=True):
     needs_homing: bool = False  # before it may be enabled
 
 
-class Limits(Message, frozen=True, kw_only=True):
+class Limits(Message, frozen=True):
     """Checked every sample, below the user's code; one entry per joint."""
 
     position_min: tuple[float, ...]  # rad or m
@@ -197,7 +197,7 @@ class Said(Message, frozen=True, kw_only=True):
     text: str = ""
 
 
-class Change(Message, frozen=True, kw_only=True):
+class Change(Message, frozen=True):
     """One line of the parameter log."""
 
     tick: int  # sample at which it took effect
@@ -208,7 +208,7 @@ class Change(Message, frozen=True, kw_only=True):
     author: str  # who asked
 
 
-class Trigger(Message, frozen=True, kw_only=True):
+class Trigger(Message, frozen=True):
     """When a recording starts."""
 
     source: str  # variable or element
@@ -217,7 +217,7 @@ class Trigger(Message, frozen=True, kw_only=True):
     pre_s: float = 0.0  # s to keep from before
 
 
-class AcquireStatus(Message, frozen=True, kw_only=True):
+class AcquireStatus(Message, frozen=True):
     """State of one acquisition stream."""
 
     state: RecorderState  # idle, armed, running or done

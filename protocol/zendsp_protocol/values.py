@@ -34,7 +34,10 @@ class Packed(msgspec.Struct, frozen=True):
     columns: int = 1
 
 
-WireValue = bool | int | float | list[bool | int | float] | Packed
+if TYPE_CHECKING:  # the target's own side puts arrays into its messages; `enc_hook` packs them
+    WireValue = bool | int | float | list[bool | int | float] | Packed | npt.NDArray[Any]
+else:
+    WireValue = bool | int | float | list[bool | int | float] | Packed
 
 
 def to_wire(value: Any) -> WireValue:

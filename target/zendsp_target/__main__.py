@@ -14,8 +14,8 @@ from typing import NoReturn
 
 from zendsp_isr.build import machine_title
 from zendsp_protocol.errors import ZendspError
-from zendsp_target.admission import settle
-from zendsp_target.endpoints import Security
+from zendsp_target.access.admission import settle
+from zendsp_target.access.endpoints import Security
 
 AS_ROOT = (
     "zendsp target: runs as root, so whoever may download a program to it runs code as root; "
@@ -150,9 +150,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
-    from zendsp_target.memory import keep_large_buffers
     from zendsp_target.monitor import Monitor, Options
     from zendsp_target.runtime import Runtime
+    from zendsp_target.serving.malloc import keep_large_buffers
 
     keep_large_buffers()
     name = args.name or machine_title(args.machine)

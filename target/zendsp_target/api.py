@@ -1,5 +1,6 @@
 """What the monitor may ask of the real-time side: the seam between the network and the loop.
 
+What it answers with are messages of the protocol, in which arrays are still arrays.
 ``zendsp_target.runtime.Runtime`` implements it on shared memory and a native runner process; the
 Zenoh server calls it and knows nothing of either. Every call is quick (the slow ones say so) and
 safe from any thread. Errors are those of ``zendsp_protocol.errors``.
@@ -8,162 +9,27 @@ safe from any thread. Errors are those of ``zendsp_protocol.errors``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp_protocol.kept import About
-from zendsp_protocol.messages import Held
-from zendsp_protocol.states import DriveState, ProgramState, RecorderState
+from zendsp_protocol.messages import (
+    AcquireStatus,
+    Change,
+    CompileResult,
+    Held,
+    Limits,
+    MachineInfo,
+    Status,
+    Trigger,
+    VariableInfo,
+)
+from zendsp_protocol.values import Value
 
 RECORDER = 0  # the acquisition stream that `acquire_…` verbs speak of
-Value = bool | int | float | npt.NDArray[Any]
-
-
-@dataclass(frozen=True)
-class Diagnostic:
-    """One message of the compiler, in the user's own file."""
-
-    severity: str  # "error" | "warning" | "note"
-    file: str
-    line: int  # 1-based; 0 where the compiler gives none
-    column: int
-    message: str
-
-
-@dataclass(frozen=True)
-class CompileResult:
-    ok: bool
-    key: str  # content hash: source + header + flags + compiler; names the cached program
-    diagnostics: tuple[Diagnostic, ...]
-    seconds: float
-    cached: bool
-    compiler: str  # path and version line
-    flags: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class VariableInfo:
-    """One entry of the dictionary that the running code declares."""
-
-    name: str
-    type: str  # "double" | "float" | "int32" | "bool"
-    length: int  # 1 = scalar, else array elements
-    # "parameter" (host may write) | "signal" (read only) | "table" (large array, two banks)
-    kind: str
-    unit: str
-    minimum: float  # -inf where none
-    maximum: float  # +inf where none
-    initial: Value
-    description: str
-    address: int  # offset within the program's image, bytes
-    columns: int = 1  # of a table: values a row; `length` counts all values, rows × columns
-
-
-@dataclass(frozen=True)
-class JointInfo:
-    """One joint of the machine."""
-
-    name: str
-    unit: str  # "rad" | "m"
-    command: str  # what the analog output means in torque mode: "torque" | "force" | "voltage"
-    counts_per_unit: float  # encoder counts per rad (m)
-    zero_counts: float  # encoder reading at position zero
-    mv_per_torque: float  # mV per N m (N); 0 where the command is a voltage
-    mv_per_speed: float  # mV per rad/s (m/s), velocity mode
-    command_max: float  # mV
-    position_min: float
-    position_max: float
-    speed_max: float
-    torque_max: float
-    home: float  # position where homing ends
-    length: float  # link length, m; 0 where it has no meaning
-
-
-@dataclass(frozen=True)
-class MachineInfo:
-    """What the machine says of itself."""
-
-    name: str
-    text: str
-    simulated: bool
-    joints: tuple[JointInfo, ...]
-    adc_names: tuple[str, ...]
-    adc_units: tuple[str, ...]
-    dins: int
-    douts: int
-    stop_input: int  # digital input that stops, -1: none
-    needs_homing: bool
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Checked every sample, below the user's code. One entry per joint."""
-
-    position_min: tuple[float, ...]
-    position_max: tuple[float, ...]
-    speed_max: tuple[float, ...]
-    torque_max: tuple[float, ...]
-    command_max: tuple[float, ...]  # mV
-    torque_clamp: bool  # True: clamp a command at its limit; False: trip
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Counted by the runtime in constant time per sample; all times in ns."""
-
-    ticks: int
-    overruns: int
-    missed: int
-    exec_mean_ns: float
-    exec_max_ns: int
-    late_mean_ns: float
-    late_max_ns: int
-    exec_histogram: npt.NDArray[np.int64]  # counts per bin
-    late_histogram: npt.NDArray[np.int64]
-    histogram_edges_ns: npt.NDArray[np.float64]  # logarithmic, len = bins + 1
-
-
-@dataclass(frozen=True)
-class Trip:
-    # "torque" | "speed" | "position" | "overrun" | "nan" | "stop" | "code" | "host lost" …
-    reason: str
-    joint: int  # 1-based; 0 where none
-    tick: int
-    value: float
-    limit: float
-    text: str
-
-
-@dataclass(frozen=True)
-class Status:
-    state: ProgramState
-    tick: int
-    t: float  # s since start
-    rate_hz: float
-    clock: str  # "real" | "fast"
-    scheduling: str  # a sentence: what was granted and what was refused
-    machine: str
-    joints: int
-    program: str  # key of the loaded program, "" if none
-    timing: Timing
-    drive: DriveState
-    trip: Trip | None
-    crash: str  # "" or a sentence: signal, last sample
-    # enc, aout, adc, din, dout
-    io: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
-    homed: bool = True
-    drive_mode: str = "off"  # what the drives are told: "off" | "torque" | "velocity"
-
-
-@dataclass(frozen=True)
-class Trigger:
-    source: str  # variable or element
-    level: float
-    edge: str  # "rising" | "falling" | "both"
-    pre_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -173,32 +39,6 @@ class AcquireConfig:
     seconds: float = 1.0  # per shot, or ring length
     trigger: Trigger | None = None
     continuous: bool = False
-
-
-@dataclass(frozen=True)
-class AcquireStatus:
-    state: RecorderState
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    decimation: int
-    first: int  # index of the oldest row still held
-    count: int  # rows written so far (monotonic)
-    wanted: int  # rows of a single shot, 0 when continuous
-    lost: int  # rows overwritten before they were read, or never stored
-    start_tick: int  # tick of row 0
-    trigger_row: int  # row at which the trigger fired, -1 where none
-
-
-@dataclass(frozen=True)
-class Change:
-    """One line of the parameter log."""
-
-    tick: int
-    host_time: float  # Unix s
-    name: str
-    old: Value
-    new: Value
-    author: str
 
 
 @dataclass(frozen=True)

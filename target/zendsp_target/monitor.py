@@ -12,13 +12,19 @@ from typing import Any
 import zenoh
 
 from zendsp_protocol.errors import LinkError, Refused
-from zendsp_target import endpoints as listening
-from zendsp_target.admission import Doors, access_control, settle
+from zendsp_target.access import endpoints as listening
+from zendsp_target.access.admission import Doors, access_control, settle
+from zendsp_target.access.endpoints import Security
+from zendsp_target.access.registration import (
+    check_free,
+    own_folder,
+    register,
+    unregister,
+    users_file,
+)
 from zendsp_target.api import RuntimeApi
-from zendsp_target.endpoints import Security
-from zendsp_target.registration import check_free, own_folder, register, unregister, users_file
-from zendsp_target.server import Server
-from zendsp_target.service import identity
+from zendsp_target.serving.server import Server
+from zendsp_target.serving.service import identity
 
 TRIES = 5  # another process may take a free port before Zenoh does
 PARENT_POLL_S = 0.2

@@ -14,8 +14,8 @@ import pytest
 from zendsp_isr.build import build_machine, machine_names, source_root
 from zendsp_isr.compiler import find_compiler
 from zendsp_protocol.errors import CompileFailed
-from zendsp_target.layout import layout
-from zendsp_target.safety import histogram_edges
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.safety import histogram_edges
 
 ROOT = source_root()
 STRICT = [

@@ -34,6 +34,9 @@ class Machine:
     wiggle: float = 0.0  # a user's own effect: wiggle * q̇ / (1 + q̇²)
     # a look-alike of friction that varies with position: sticky * tanh(2 sin(3 q)) * tanh(q̇ / 0.1)
     sticky: float = 0.0
+    # two more that no library has: swirl * sin(2 q̇), and blend * q * q̇
+    swirl: float = 0.0
+    blend: float = 0.0
     push: tuple[float, float, float] = (0.0, 0.0, 0.0)  # N m, from s, to s
     gap: float = 0.0  # rad, behind which `load` of the inertia hangs on a contact of 120 N m/rad
     load: float = 0.0
@@ -154,6 +157,7 @@ def simulate(
                     slope * math.sin(q + m.wobble * math.sin(5 * q + 0.6)) - math.sin(q)
                 )
             f += m.sticky * math.tanh(2 * math.sin(3 * q)) * math.tanh(v / 0.1)
+            f += m.swirl * math.sin(2 * v) + m.blend * q * v
             # dry friction implicitly in its slope: stable at any step
             s = math.tanh(v / 1e-3)
             steep = level / 1e-3 * (1 - s * s)

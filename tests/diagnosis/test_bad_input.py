@@ -399,6 +399,22 @@ def test_rows_that_repeat_the_row_before_are_left_out_and_said(
     assert any("3 rows repeat the row before" in n for n in signals.notes)
 
 
+def test_a_position_that_was_not_read_anew_is_no_motion_and_said(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    given = kernel_model(load_model(model))
+    true = read_signals(reality.save(tmp_path / "good.csv", good), given).position[:, 0]
+    step = np.abs(np.diff(true))
+    parts = np.array_split(np.arange(2, len(step) - 2), 4)
+    fast = [int(part[np.argmax(step[part])]) for part in parts]  # steps of many counts
+    stale = {k: v.copy() for k, v in good.items()}
+    for k in fast:
+        stale["q"][k + 1] = stale["q"][k]
+    signals = read_signals(reality.save(tmp_path / "stale.csv", stale), given)
+    assert any(f"{len(fast)} positions repeat the one before" in n for n in signals.notes)
+    assert np.abs(signals.position[:, 0] - true).max() < 0.2 * step[fast].min()
+
+
 def test_a_joint_that_is_hardly_driven_is_not_read_in_degrees(tmp_path: Path) -> None:
     free = reality.simulate(
         reality.Machine(kp=0.0, kd=0.0, gravity=0.4, coulomb=0.001, viscous=0.002),

@@ -5,11 +5,16 @@ has touched.
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import reality
 
 from zendsp.diagnosis import Diagnosis, diagnose
+from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.physics.model import Term
 
 RATE = 500.0
 KNOWN = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]
@@ -41,9 +46,18 @@ def test_what_only_the_recordings_of_the_fit_show_is_not_claimed(tmp_path: Path)
 def test_a_look_alike_of_a_law_is_a_mechanism_without_one_or_unexplained(tmp_path: Path) -> None:
     d = decided(tmp_path, reality.Machine(sticky=0.02))
     assert d.verdict in ("missing", "unexplained")
-    assert all(
-        f.effect == "unknown" and f.mechanism == "dry_friction" for f in d.findings
-    ), d.findings
+    assert all(f.effect == "unknown" and f.mechanism == "dry_friction" for f in d.findings), (
+        d.findings
+    )
+
+
+@pytest.mark.parametrize("foreign", [{"swirl": 0.008}, {"blend": 0.005}])
+def test_a_small_function_of_state_is_seen_and_gets_no_name_that_it_only_resembles(
+    foreign: dict[str, float], tmp_path: Path
+) -> None:
+    d = decided(tmp_path, reality.Machine(**foreign))
+    assert d.verdict in ("missing", "unexplained")
+    assert all(f.effect == "unknown" for f in d.findings), d.findings
 
 
 def test_a_push_is_a_disturbance_with_its_times(tmp_path: Path) -> None:
@@ -72,3 +86,57 @@ def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_
     assert 0 < ripple.size < 0.01
     again = decided(tmp_path, reality.Machine(ripple=2 * ripple.size))
     assert [f.effect for f in again.findings] == ["ripple"]
+
+
+def piece(size: float, z: float, log_e: float) -> decision.Piece:
+    term = Term("ripple", 1, {})
+    evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
+    return decision.Piece("position_torque", (term,), SimpleNamespace(), size, evidence, log_e)  # type: ignore[arg-type]
+
+
+def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: decision.Size(0.01, 0.0, 0.02))
+    monkeypatch.setattr(decision, "structure", lambda *_: decision.Structure(0.01, 0.5, 1.0))
+    monkeypatch.setattr(decision, "_kept_laws", lambda *_: [])
+    parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
+    final = SimpleNamespace(model=None)
+    sure, unlikely, uneven, small = (
+        piece(0.1, 5.0, 20.0),
+        piece(0.1, 5.0, 3.0),
+        piece(0.1, 1.0, 20.0),
+        piece(0.005, 5.0, 20.0),
+    )
+    claimed, rest = decision._claimed(
+        parts,
+        None,
+        final,
+        1,
+        [sure, unlikely, uneven, small],  # type: ignore[arg-type]
+    )
+    assert claimed == [sure] and rest == [unlikely, uneven, small]
+
+
+def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[object] = []
+    term = Term("ripple", 1, {})
+    final = SimpleNamespace(model=None)
+
+    def ask(data: object, *_: object) -> decision.Piece:
+        asked.append(data)
+        return piece(0.1, 0.0, 0.0)
+
+    monkeypatch.setattr(decision, "_worth_choosing", lambda *_: final)
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: None)
+    monkeypatch.setattr(decision, "new_terms", lambda *_: [term])
+    monkeypatch.setattr(decision, "_grouped", lambda *_: {("position_torque", 0): (term,)})
+    monkeypatch.setattr(decision, "_piece", ask)
+    monkeypatch.setattr(decision, "_claimed", lambda *_: ([], []))
+    monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
+    parts = SimpleNamespace(fit="fit", choose="choose", test="test")
+    search = SimpleNamespace(joint=1, base=SimpleNamespace(model=None))
+    outcome = decision.decide(parts, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    assert outcome == "nothing" and asked == ["test"]

@@ -16,20 +16,19 @@ import numpy.typing as npt
 
 from zendsp_protocol.errors import AcquisitionError, CompileFailed, NotYet, Refused, VariableError
 from zendsp_protocol.kept import About
-from zendsp_protocol.messages import Held
-from zendsp_target.api import (
-    AcquireConfig,
+from zendsp_protocol.messages import (
     AcquireStatus,
-    Blank,
     Change,
     CompileResult,
     Diagnostic,
+    Held,
     Status,
     Timing,
     Trip,
-    Value,
     VariableInfo,
 )
+from zendsp_protocol.values import Value
+from zendsp_target.api import AcquireConfig, Blank
 
 INF = float("inf")
 INFOS = (

@@ -15,8 +15,8 @@ from zendsp.errors import LinkError, Refused
 from zendsp.lab_keys import Holder, Lab
 from zendsp.link import connect
 from zendsp.link.settings import Credentials, common_name
-from zendsp_target.admission import settle
-from zendsp_target.endpoints import Security
+from zendsp_target.access.admission import settle
+from zendsp_target.access.endpoints import Security
 from zendsp_target.monitor import Monitor, Options
 
 x509 = pytest.importorskip("cryptography.x509", reason="zendsp keys needs cryptography")

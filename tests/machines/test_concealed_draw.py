@@ -13,8 +13,9 @@ from test_machines import CENTRE, GAINS
 
 import zendsp
 from zendsp_protocol.errors import Refused
-from zendsp_target.concealed import EFFECTS, load_concealed, verify_seal
-from zendsp_target.concealed_draw import DRAWS, MACHINES, NAMED, draw
+from zendsp_target.concealed.draw import DRAWS, MACHINES, NAMED, draw
+from zendsp_target.concealed.load import load_concealed
+from zendsp_target.concealed.sealed import EFFECTS, verify_seal
 
 Array = np.ndarray  # type: ignore[type-arg]
 SPEED = {"imi_planar": 0.4, "pendulum": 0.4, "wam7": 0.3}  # Hz

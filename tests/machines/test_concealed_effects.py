@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plants import Plant
 
-from zendsp_target.concealed import EFFECTS, Concealed, ConcealedEffect
+from zendsp_target.concealed.sealed import EFFECTS, Concealed, ConcealedEffect
 
 Array = np.ndarray  # type: ignore[type-arg]
 P1, P2, P3 = 3.473, 0.196, 0.242

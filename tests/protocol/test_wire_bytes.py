@@ -16,7 +16,6 @@ import pytest
 from zendsp_protocol import codec, values, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import VariableError
-from zendsp_target import api
 
 RECORDED: dict[str, str] = json.loads(
     (Path(__file__).parent / "wire_bytes.json").read_text(encoding="utf-8")
@@ -84,8 +83,8 @@ MESSAGES: dict[str, Callable[[], bytes]] = {
     "none": lambda: codec.encode_result(None),
     "dataclasses": lambda: codec.encode_result(
         (
-            api.Change(3, 1.5, "Kp1", 1.0, np.array([2.0, 3.0]), "me"),
-            api.Trigger("q", 0.0, "both", 0.0),
+            m.Change(3, 1.5, "Kp1", 1.0, np.array([2.0, 3.0]), "me"),
+            m.Trigger("q", 0.0, "both", 0.0),
         )
     ),
     "texts": lambda: codec.encode(

@@ -9,8 +9,8 @@ import pytest
 
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
-from zendsp_target import admission
-from zendsp_target.admission import (
+from zendsp_target.access import admission
+from zendsp_target.access.admission import (
     Doors,
     access_control,
     check_role,
@@ -18,8 +18,8 @@ from zendsp_target.admission import (
     read_users,
     settle,
 )
-from zendsp_target.endpoints import Security, check
-from zendsp_target.registration import own_folder, users_file
+from zendsp_target.access.endpoints import Security, check
+from zendsp_target.access.registration import own_folder, users_file
 
 
 def write(path: Path, text: str) -> str:

@@ -15,9 +15,9 @@ import pytest
 from zendsp_isr.build import build, content_key
 from zendsp_isr.compiler import find_compiler, parse_messages
 from zendsp_protocol.errors import CompileFailed, Refused
-from zendsp_target.compile_service import compile_program, program_path
 from zendsp_target.runtime import Runtime, program_text
-from zendsp_target.settings import Settings, split_options
+from zendsp_target.runtime.compile_service import compile_program, program_path
+from zendsp_target.runtime.process.settings import Settings, split_options
 
 HEAD = '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\n'
 
@@ -239,10 +239,11 @@ def test_messages_of_clang_are_read_from_text() -> None:
 
 def test_the_target_imports_neither_textual_nor_scipy_nor_matplotlib() -> None:
     code = (
-        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.compile_service,"
-        " zendsp_target.__main__, zendsp_target.layout\nzendsp_target.layout.layout()\nprint([m for"
-        " m in ('textual', 'scipy', 'matplotlib', 'pandas', 'click', 'rich', 'zendsp') if m in"
-        " sys.modules])"
+        "import sys, zendsp_target, zendsp_target.runtime, zendsp_target.runtime.compile_service,"
+        " zendsp_target.__main__, zendsp_target.runtime.memory.layout\n"
+        "zendsp_target.runtime.memory.layout.layout()\n"
+        "print([m for m in ('textual', 'scipy', 'matplotlib', 'pandas', 'click', 'rich', 'zendsp')"
+        " if m in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60

@@ -14,7 +14,7 @@ import pytest
 
 from zendsp_isr import compiler
 from zendsp_isr.confine import landlock_version
-from zendsp_target.compile_service import compile_program
+from zendsp_target.runtime.compile_service import compile_program
 
 HEAD = (
     '#include "isr.h"\nstatic double x;\nvoid UserInit(void) { SIGNAL(x, "", ""); }\nvoid'
@@ -141,7 +141,7 @@ WAYS = {
 @needs_landlock
 @pytest.mark.parametrize("way", list(WAYS))
 def test_a_file_outside_is_never_shown(way: str, secret: Path) -> None:
-    from zendsp_target.compile_service import program_path
+    from zendsp_target.runtime.compile_service import program_path
 
     result = compile_program({"peek.c": HEAD + WAYS[way].format(path=secret)})
     assert SECRET not in str(result.diagnostics)

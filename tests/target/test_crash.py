@@ -200,7 +200,7 @@ from zendsp_target.runtime import Runtime
 runtime = Runtime("imi_planar", clock="real", hang_s=60.0)
 runtime.load(runtime.compile({"user.c": sys.argv[1]}).key)
 runtime.start()
-print(runtime._session.process.pid, runtime._folder.path, flush=True)
+print(runtime.programs.session.process.pid, runtime.programs.folder.path, flush=True)
 time.sleep(600)
 """
 

@@ -6,17 +6,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from zendsp.errors import Refused
 from zendsp.link import Target, connect, local
-from zendsp_target.api import Limits, RuntimeApi, Status, Timing
-from zendsp_target.drives import Drives
+from zendsp_protocol.messages import Limits, Status, Timing
+from zendsp_target.api import RuntimeApi
+from zendsp_target.serving.drives import Drives
 
 _NONE = np.zeros(0, dtype=np.int64)
 _STATUS = Status(

@@ -42,7 +42,7 @@ def test_many_loads_and_crashes_leak_neither_files_nor_threads_nor_memory(
 
     def counted() -> tuple[int, int, int]:
         gc.collect()
-        folder = Path(runtime._folder.path)
+        folder = Path(runtime.programs.folder.path)
         return (
             len(os.listdir("/proc/self/fd")),
             threading.active_count(),
@@ -61,9 +61,9 @@ def test_many_loads_and_crashes_leak_neither_files_nor_threads_nor_memory(
 
 def test_close_removes_everything(make_runtime: Make) -> None:
     runtime = make_runtime(COUNT)
-    session = runtime._session
+    session = runtime.programs.session
     assert session is not None
-    folder, pid = runtime._folder.path, session.process.pid
+    folder, pid = runtime.programs.folder.path, session.process.pid
     runtime.start()
     runtime.close()
     runtime.close()  # twice is once

@@ -13,7 +13,7 @@ from zendsp_protocol import codec
 from zendsp_protocol.errors import LinkError, NotApplied
 from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS
-from zendsp_target.once import LINKS, QUIET_S, RESULTS, Once
+from zendsp_target.serving.request_log import LINKS, QUIET_S, RESULTS, Once
 
 LINK = b"a-link-0"
 YES = codec.encode_result({})

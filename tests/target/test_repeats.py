@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from zendsp_protocol import codec, verbs
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError, ZendspError
-from zendsp_target.live import LiveStreams
-from zendsp_target.repeats import Repeats
 from zendsp_target.runtime import Runtime
-from zendsp_target.service import Service, identity
+from zendsp_target.serving.live_streams import LiveStreams
+from zendsp_target.serving.repeated_requests import Repeats
+from zendsp_target.serving.service import Service, identity
 
 Make = Callable[..., Runtime]
 

@@ -10,7 +10,8 @@ import pytest
 
 from zendsp_protocol.chunks import FOLD, crc, folded_crc
 from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
-from zendsp_target.api import AcquireConfig, Trigger
+from zendsp_protocol.messages import Trigger
+from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime, program_text
 
 

@@ -11,7 +11,8 @@ import numpy.typing as npt
 import pytest
 
 from zendsp_protocol.errors import Refused
-from zendsp_target.api import AcquireConfig, Status
+from zendsp_protocol.messages import Status
+from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]

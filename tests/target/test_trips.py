@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zendsp_target.api import AcquireConfig, Trip
+from zendsp_protocol.messages import Trip
+from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
 Make = Callable[..., Runtime]

@@ -14,10 +14,10 @@ import pytest
 
 from zendsp_protocol.errors import Refused, RunnerDied, VariableError
 from zendsp_target.api import AcquireConfig
-from zendsp_target.change_log import ChangeLog, Flight
-from zendsp_target.layout import layout
-from zendsp_target.plans import ENTRY
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.plans import ENTRY
 
 Make = Callable[..., Runtime]
 
@@ -96,7 +96,7 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
         """Scribble over batches that were never committed, as a writer that dies half-way leaves
         them.
         """
-        session = runtime._session
+        session = runtime.programs.session
         assert session is not None
         updates = session.updates
         noise = np.random.default_rng(1)
@@ -116,7 +116,7 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
     runtime.start()
     for thread in threads:
         thread.start()
-    session = runtime._session
+    session = runtime.programs.session
     assert session is not None
     try:
         while session.tick < 1_000_000 or sent[0] < 1000:
@@ -360,9 +360,9 @@ def test_an_update_for_a_runner_that_is_gone_says_how_it_died(make_runtime: Make
 def test_the_log_keeps_its_newest_lines_and_their_numbers(
     monkeypatch: pytest.MonkeyPatch, make_runtime: Make
 ) -> None:
-    monkeypatch.setattr("zendsp_target.change_log._MAX_LOG", 10)
+    monkeypatch.setattr("zendsp_target.runtime.variables.change_log._MAX_LOG", 10)
     runtime = make_runtime(LIMITED)
-    session = runtime._session
+    session = runtime.programs.session
     assert session is not None
     place = session.dictionary.place("a")
     log = ChangeLog()

@@ -8,8 +8,8 @@ import pytest
 
 from zendsp_protocol import verbs
 from zendsp_protocol.errors import NotYet, Refused, ZendspError
-from zendsp_target.later import Later
-from zendsp_target.variable_verbs import VariableVerbs
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.variable_verbs import VariableVerbs
 
 
 class Waiting:

@@ -103,8 +103,8 @@ def _running(make_runtime: Make, wait_for: Wait, card: Card, **options: float) -
 
 
 def _pid(runtime: Runtime) -> int:
-    assert runtime._session is not None
-    return runtime._session.process.pid
+    assert runtime.programs.session is not None
+    return runtime.programs.session.process.pid
 
 
 def test_every_sample_keeps_it_alive_after_its_outputs(

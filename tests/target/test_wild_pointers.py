@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from zendsp_protocol.errors import RunnerDied, ZendspError
-from zendsp_target.api import AcquireConfig, Trigger
+from zendsp_protocol.messages import Trigger
+from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
 # Finds the shared mappings in /proc/self/maps, and fills them at sample 50 with a byte, or with
@@ -89,7 +90,7 @@ def test_the_monitor_survives_shared_memory_full_of_rubbish(
                 call()
             except ZendspError:
                 continue  # a clear refusal is a fine answer; anything else fails the test
-        return runtime._session is not None and runtime._session.crash != ""
+        return runtime.programs.session is not None and runtime.programs.session.crash != ""
 
     wait_for(ended)
     for call in calls:

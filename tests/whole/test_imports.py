@@ -4,11 +4,14 @@ anyone wait.
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -139,3 +142,35 @@ def test_the_command_on_a_bare_target_says_how_to_start_it() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     assert "python -m zendsp_target" in done.stderr and "pip install zendsp" in done.stderr
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the four packages, by its dotted name."""
+    root = Path(__file__).parents[2]
+    found = {}
+    for source in ("host", "target", "protocol", "c_isr"):
+        for path in (root / source).rglob("*.py"):
+            parts = path.relative_to(root / source).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imported(path: Path, known: dict[str, Path]) -> Iterator[str]:
+    """What a module imports, anywhere in it: also within a function, also for its types only."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and node.module in known:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in known else node.module
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    known = modules()
+    assert len(known) > 300
+    graph = {name: set(imported(path, known)) - {name} for name, path in known.items()}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" → ".join(reversed(error.args[1])))

@@ -4,7 +4,7 @@
  *     effect2 = ripple joint=2 order=8 amplitude=0.5 phase=0.3
  *
  * One line an effect, numbered from 1 without gaps; names and units of the parameters are those of the effects table in
- * docs/machines_simulated.md. zendsp_target.concealed writes these lines; nobody else needs to.
+ * docs/machines_simulated.md. zendsp_target.concealed.sealed writes these lines; nobody else needs to.
  */
 #ifndef ZENDSP_CONCEALED_SPEC_H
 #define ZENDSP_CONCEALED_SPEC_H

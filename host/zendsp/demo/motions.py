@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.demo.stage import Stage
 from zendsp.reference import Machine, Reference, make_circle, make_multisine, make_point_to_point
 
 TRAVEL_S = 0.8  # from the end of one motion to the beginning of the next
@@ -65,7 +64,8 @@ def _multisine(
     )
 
 
-def _arm_train(machine: Machine) -> Reference:
+def arm_train(machine: Machine) -> Reference:
+    """What the arm is recorded on: circles slow and fast, then a wide multisine."""
     slow = make_circle(machine, radius=0.12, x=0.48, duration=3.0)
     fast = make_circle(machine, radius=0.12, x=0.48, duration=2.6, turns=-2)
     # Nearly as wide as the limits of speed allow: over 2.8 rad, a ripple of three a turn looked
@@ -75,12 +75,14 @@ def _arm_train(machine: Machine) -> Reference:
     )
 
 
-def _arm_heldout(machine: Machine) -> Reference:
+def arm_heldout(machine: Machine) -> Reference:
+    """What the arm is judged on: another circle and another multisine."""
     circle = make_circle(machine, radius=0.1, x=0.47, y=0.08, duration=2.5, phase=2.0, turns=-1)
     return join(machine, [circle, _multisine(machine, [-0.1, 0.6], [1.3, 1.2], 5.0, 1.0)])
 
 
-def _arm_work(machine: Machine) -> Reference:
+def arm_work(machine: Machine) -> Reference:
+    """One lap of the arm's work: circles."""
     lap = make_circle(
         machine, radius=0.12, x=0.48, duration=12.0, turns=6, law="trapezoid", blend=0.06
     )
@@ -88,24 +90,28 @@ def _arm_work(machine: Machine) -> Reference:
     return lap
 
 
-def _arm_mechanism(machine: Machine) -> dict[str, Any]:
+def arm_mechanism(machine: Machine) -> dict[str, Any]:
+    """The ``[mechanism]`` of the arm's nominal model."""
     numbers = machine.parameters
     parameters: dict[str, Any] = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
     parameters |= {key: {"value": numbers[key], "free": False} for key in ("l1", "l2")}
     return {"kind": "planar2r", "parameters": parameters}
 
 
-def _pendulum_train(machine: Machine) -> Reference:
+def pendulum_train(machine: Machine) -> Reference:
+    """What the pendulum is recorded on: two multisines, small and wide."""
     return join(
         machine, [_multisine(machine, 0.0, 0.5, 5.0, 0.8), _multisine(machine, 0.2, 2.6, 6.0, 1.2)]
     )
 
 
-def _pendulum_heldout(machine: Machine) -> Reference:
+def pendulum_heldout(machine: Machine) -> Reference:
+    """What the pendulum is judged on: another multisine."""
     return join(machine, [_multisine(machine, 0.1, 2.4, 5.0, 1.2)])
 
 
-def _pendulum_work(machine: Machine) -> Reference:
+def pendulum_work(machine: Machine) -> Reference:
+    """One lap of the pendulum's work."""
     dt = machine.sample_time
     t = np.arange(round(12.0 / dt) + 1) * dt
     rise = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
@@ -115,7 +121,8 @@ def _pendulum_work(machine: Machine) -> Reference:
     return lap
 
 
-def _pendulum_mechanism(machine: Machine) -> dict[str, Any]:
+def pendulum_mechanism(machine: Machine) -> dict[str, Any]:
+    """The ``[mechanism]`` of the pendulum's nominal model."""
     numbers = machine.parameters
     return {
         "kind": "rotary",
@@ -155,24 +162,3 @@ PENDULUM_POOL = (
     "stiffness",
     "torque_offset",
 )
-
-STAGES = {
-    "imi_planar": Stage(
-        machine="imi_planar",
-        gains={"Kp": [2000.0, 300.0], "Kd": [120.0, 12.0], "cutoff": 40.0},
-        train=_arm_train,
-        heldout=_arm_heldout,
-        work=_arm_work,
-        mechanism=_arm_mechanism,
-        pool=ARM_POOL,
-    ),
-    "pendulum": Stage(
-        machine="pendulum",
-        gains={"Kp": [4.0], "Kd": [0.06], "cutoff": 30.0},
-        train=_pendulum_train,
-        heldout=_pendulum_heldout,
-        work=_pendulum_work,
-        mechanism=_pendulum_mechanism,
-        pool=PENDULUM_POOL,
-    ),
-}

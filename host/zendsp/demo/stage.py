@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.demo import motions
 from zendsp.errors import Refused
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model
@@ -101,6 +102,28 @@ def _friction(plan: Machine) -> list[tuple[float, float]]:
     return list(zip(np.ravel(numbers["viscous"]).tolist(), np.ravel(levels).tolist(), strict=True))
 
 
+STAGES = {
+    "imi_planar": Stage(
+        machine="imi_planar",
+        gains={"Kp": [2000.0, 300.0], "Kd": [120.0, 12.0], "cutoff": 40.0},
+        train=motions.arm_train,
+        heldout=motions.arm_heldout,
+        work=motions.arm_work,
+        mechanism=motions.arm_mechanism,
+        pool=motions.ARM_POOL,
+    ),
+    "pendulum": Stage(
+        machine="pendulum",
+        gains={"Kp": [4.0], "Kd": [0.06], "cutoff": 30.0},
+        train=motions.pendulum_train,
+        heldout=motions.pendulum_heldout,
+        work=motions.pendulum_work,
+        mechanism=motions.pendulum_mechanism,
+        pool=motions.PENDULUM_POOL,
+    ),
+}
+
+
 def get_stage(machine: str) -> Stage:
     """The stage of a machine.
 
@@ -118,8 +141,6 @@ def get_stage(machine: str) -> Stage:
     Refused
         The story is not told with this machine.
     """
-    from zendsp.demo.motions import STAGES
-
     if machine not in STAGES:
         raise Refused(
             f"the demo has no story for the machine {machine!r}; choose one of {', '.join(STAGES)}"

@@ -10,7 +10,7 @@ import msgspec
 
 from zendsp.errors import AcquisitionError, Incomplete, Refused, RunnerDied, TooLarge, ZendspError
 from zendsp.link.parameters import ParameterSets
-from zendsp.link.requests import PATIENCE_S
+from zendsp.link.requests import PATIENCE_S, Requests
 from zendsp.link.transfer import Transfers
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -31,8 +31,19 @@ END_S = 2.0  # for the loop to see that a ring was stopped
 SHORTEST_RING_S = 0.25  # a shorter one could not be followed on a busy machine
 
 
-class Acquisition(ParameterSets, Transfers):
-    """Methods of a target that concern acquisition."""
+class Recorder(Transfers):
+    """Methods of a target that concern acquisition.
+
+    Parameters
+    ----------
+    requests : Requests
+    parameters : ParameterSets
+        Of the same target: every recording carries them.
+    """
+
+    def __init__(self, requests: Requests, parameters: ParameterSets) -> None:
+        super().__init__(requests)
+        self._parameters = parameters
 
     def acquire(
         self,
@@ -188,7 +199,7 @@ class Acquisition(ParameterSets, Transfers):
         status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
         from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
 
-        return describe(self, status, 0, data, note, patience)
+        return describe(self._parameters, status, 0, data, note, patience)
 
     def acquire_configure(
         self,
@@ -288,7 +299,7 @@ class Acquisition(ParameterSets, Transfers):
         )
         from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
 
-        return describe(self, status, status.first, data, note, patience)
+        return describe(self._parameters, status, status.first, data, note, patience)
 
     def acquire_finish(
         self,

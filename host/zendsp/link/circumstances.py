@@ -21,7 +21,7 @@ from zendsp_protocol.version import PROTOCOL
 
 
 def describe(
-    target: ParameterSets,
+    parameters: ParameterSets,
     status: m.AcquireStatus,
     first: int,
     data: FloatArray,
@@ -32,8 +32,8 @@ def describe(
 
     Parameters
     ----------
-    target : ParameterSets
-        Asked for its log, program, parameters and timing.
+    parameters : ParameterSets
+        Of the target, which is asked for its log, program, parameters and timing.
     status : AcquireStatus
         Of the recorder.
     first : int
@@ -43,19 +43,19 @@ def describe(
     patience : float, s
         For a broken link to come back.
     """
-    overall: m.Status = target.insist("status", patience)
-    program: m.Program = target.insist("program", patience)
-    info: m.Info = target.insist("info", patience)
+    overall: m.Status = parameters.insist("status", patience)
+    program: m.Program = parameters.insist("program", patience)
+    info: m.Info = parameters.insist("info", patience)
     start_tick = status.start_tick + first * status.decimation
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
     try:
-        names = target.parameter_names()
-        read = target.read(names) if names else Reading(last, {})
+        names = parameters.parameter_names()
+        read = parameters.variables.read(names) if names else Reading(last, {})
     except (Refused, RunnerDied, LinkError):
         read = Reading(last, {})  # the program is gone; its log still tells
     # After the reading, so that it holds all changes that the reading shows.
-    changes: Sequence[m.Change] = target.insist("log", patience, since=program.log_start)
+    changes: Sequence[m.Change] = parameters.insist("log", patience, since=program.log_start)
     return Recording(
         t=ticks / overall.rate_hz,
         data=data,
@@ -74,7 +74,7 @@ def describe(
         compiler=program.compiler,
         flags=tuple(program.flags),
         machine=overall.machine,
-        target=target.link.target,
+        target=parameters.link.target,
         versions={**info.versions, "protocol": str(PROTOCOL), "host": host_version()},
         created=time.time(),
         note=note,

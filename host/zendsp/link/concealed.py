@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from zendsp.errors import LinkError
-from zendsp.link.requests import Requests
+from zendsp.link.requests import Room
 from zendsp_protocol import messages as m
 
 
@@ -38,7 +38,7 @@ class Truth:
     tick: int
 
 
-class Concealment(Requests):
+class Concealment(Room):
     """Methods of a target whose simulated machine may carry physics that no model has."""
 
     def seal(self) -> str:

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from zendsp.errors import LinkError
-from zendsp.link.find import CONNECT, local_entries, reach, remote_endpoints
+from zendsp.link.find import CONNECT, reach, remote_endpoints
 from zendsp.link.link import Link
+from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials
 from zendsp.link.target import Target
 from zendsp_protocol.lazily import Lazily

@@ -10,12 +10,10 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from pathlib import Path
-
-import msgspec
 
 from zendsp.errors import LinkError, VersionMismatch
 from zendsp.link.link import open_session
+from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m
@@ -52,24 +50,6 @@ def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
         if isinstance(connect, str)
         else list(connect)
     )
-
-
-def local_entries() -> list[registry.Entry]:
-    """Targets of this user on this machine whose process lives."""
-    entries = []
-    try:
-        if os.stat(registry.folder()).st_uid != os.getuid():
-            return []  # somebody else's: what stands there may lead anywhere
-    except OSError:
-        return []
-    for path in sorted(Path(registry.folder()).glob("*.json")):
-        try:
-            entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
-        except (OSError, msgspec.MsgspecError):
-            continue
-        if entry.born and registry.born(entry.pid) == entry.born:
-            entries.append(entry)
-    return entries
 
 
 def discover(

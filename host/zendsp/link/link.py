@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 import zenoh
 
 from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
+from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
@@ -351,8 +352,6 @@ class Link:
         """Wait until the target is reachable; False also as soon as it is known that its process
         has ended.
         """
-        from zendsp.link.find import local_entries
-
         deadline = time.monotonic() + timeout
         while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
             if time.monotonic() >= deadline:

@@ -16,7 +16,7 @@ import zenoh
 
 from zendsp.errors import LinkError, ZendspError
 from zendsp.link.link import Listener
-from zendsp.link.requests import Requests
+from zendsp.link.requests import Requests, Room
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
@@ -212,7 +212,7 @@ class LiveView:
         self.close()
 
 
-class LiveViews(Requests):
+class LiveViews(Room):
     """Methods of a target that concern live views."""
 
     def live(
@@ -242,4 +242,4 @@ class LiveViews(Requests):
         """
         names = [channels] if isinstance(channels, str) else list(channels)
         arguments = {"channels": names, "decimation": decimation, "interval": interval}
-        return LiveView(self, arguments, history, callback)
+        return LiveView(self._requests, arguments, history, callback)

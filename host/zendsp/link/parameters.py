@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import VariableError
+from zendsp.link.requests import Requests, Room
 from zendsp.link.variables import Variables, plain
 from zendsp_protocol.lazily import Lazily
 
@@ -95,17 +96,25 @@ class ParameterSet:
             ) from error
 
 
-class ParameterSets(Variables):
-    """Methods of a target that concern sets of parameters."""
+class ParameterSets(Room):
+    """Methods of a target that concern sets of parameters.
+
+    Parameters
+    ----------
+    requests : Requests
+    variables : Variables
+        Of the same target.
+    """
+
+    def __init__(self, requests: Requests, variables: Variables) -> None:
+        super().__init__(requests)
+        self.variables = variables
 
     def parameters(self) -> ParameterSet:
         """Read all parameters of the running code, from one sample."""
         names = self.parameter_names()
-        values = (
-            {name: np.asarray(value).tolist() for name, value in self.read(names).values.items()}
-            if names
-            else {}
-        )
+        read = self.variables.read(names).values if names else {}
+        values = {name: np.asarray(value).tolist() for name, value in read.items()}
         return ParameterSet(values, self.request("status").program, self.link.target)
 
     def restore(self, parameters: ParameterSet | Mapping[str, Any] | str | Path) -> int:
@@ -123,19 +132,14 @@ class ParameterSets(Variables):
         if isinstance(parameters, str | Path):
             parameters = ParameterSet.load(parameters)
         values = parameters.values if isinstance(parameters, ParameterSet) else parameters
-        return self._apply(values)
+        return self.variables.update_alone(values)
 
     def reset(self) -> int:
         """Put every parameter back to its initial value, in one sample."""
         infos = self.variables()
-        return self._apply({name: plain(infos[name].initial) for name in self.parameter_names()})
-
-    def _apply(self, values: Mapping[str, Any]) -> int:
-        staged, self._staged = self._staged, {}
-        try:
-            return self.update(None, **values)
-        finally:
-            self._staged = staged
+        return self.variables.update_alone(
+            {name: plain(infos[name].initial) for name in self.parameter_names()}
+        )
 
     def parameter_names(self) -> list[str]:
         """Names of all parameters of the running code; large arrays are data, not parameters."""

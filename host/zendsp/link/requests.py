@@ -11,12 +11,12 @@ PATIENCE_S = 30.0  # for a broken link to come back
 
 
 class Requests:
-    """Holds the link; the rooms of :class:`zendsp.link.target.Target` build upon it."""
+    """The link of today, which a reconnection exchanges, and what is asked through it."""
 
     def __init__(self, link: Link) -> None:
         self.link = link
 
-    def request(self, verb: str, timeout: float | None = None, **arguments: Any) -> Any:
+    def request(self, /, verb: str, timeout: float | None = None, **arguments: Any) -> Any:
         """Send any verb of the protocol with its arguments, and return its result.
 
         Parameters
@@ -37,7 +37,7 @@ class Requests:
         """
         return self.link.request(verb, arguments, timeout)
 
-    def insist(self, verb: str, patience: float = PATIENCE_S, **arguments: Any) -> Any:
+    def insist(self, /, verb: str, patience: float = PATIENCE_S, **arguments: Any) -> Any:
         """Send a request that does no harm when repeated, again after each outage of up to
         ``patience`` s.
         """
@@ -47,3 +47,21 @@ class Requests:
             except LinkError:
                 if self.link.closed or not self.link.wait_alive(patience):
                     raise
+
+
+class Room:
+    """Base of the parts of a target: each asks through the same :class:`Requests`.
+
+    Parameters
+    ----------
+    requests : Requests
+    """
+
+    def __init__(self, requests: Requests) -> None:
+        self._requests = requests
+        self.request, self.insist = requests.request, requests.insist
+
+    @property
+    def link(self) -> Link:
+        """The link of today."""
+        return self._requests.link

@@ -9,7 +9,8 @@ import os
 import struct
 import time
 
-from zendsp.link.find import local_entries, remote_endpoints
+from zendsp.link.find import remote_endpoints
+from zendsp.link.registered import local_entries
 from zendsp_protocol import stop_page as page
 
 POLL_S = 0.0005

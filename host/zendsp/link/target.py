@@ -3,35 +3,87 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Concatenate, Generic, NoReturn, ParamSpec, TypeVar, overload
 
 from zendsp.errors import LinkError
-from zendsp.link.acquire import Acquisition
+from zendsp.link.acquire import Recorder
 from zendsp.link.concealed import Concealment
 from zendsp.link.drives import Drives
 from zendsp.link.link import Link
 from zendsp.link.live import LiveViews
+from zendsp.link.parameters import ParameterSets
 from zendsp.link.programs import Programs
-from zendsp.link.sequence import Sequence
+from zendsp.link.requests import Requests
 from zendsp.link.tables import Tables
+from zendsp.link.variables import Variables
 from zendsp_protocol import messages as m
 
-_ATTRIBUTES = ("link", "info")
+_ROOMS = (
+    "variables",
+    "parameter_sets",
+    "programs",
+    "recorder",
+    "views",
+    "tables",
+    "drives",
+    "concealment",
+)
+_ATTRIBUTES = ("info", "requests", *_ROOMS)
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+class _of(Generic[Given, Result]):
+    """A method of a room, as a method of the target, without a call between them."""
+
+    def __init__(self, room: str, method: Callable[Concatenate[Any, Given], Result]) -> None:
+        self._room, self._method = room, method
+
+    @overload
+    def __get__(self, target: None, kind: type) -> Callable[Concatenate[Any, Given], Result]: ...
+    @overload
+    def __get__(self, target: object, kind: type) -> Callable[Given, Result]: ...
+    def __get__(self, target: object | None, kind: type) -> Callable[..., Result]:
+        if target is None:
+            return self._method
+        bound: Callable[..., Result] = getattr(getattr(target, self._room), self._method.__name__)
+        return bound
 
 
 def _quoted(name: str) -> str:
     return f'"{name}"'
 
 
-class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Concealment):
+class Target:
     """A target that runs somewhere: load programs, tune variables, record, watch.
 
-    Made by :func:`zendsp.connect` and :func:`zendsp.local`. Safe to use from several threads.
+    Made by :func:`zendsp.connect` and :func:`zendsp.local`. Safe to use from several threads. Its
+    rooms hold the methods; each of them is a method of the target too, so that ``target.start()``
+    is ``target.programs.start()``.
 
     Attributes
     ----------
     info : Info
         Name, machine, joints, rate, clock, versions.
+    variables : Variables
+        Read, write, stage, update, the log; called, it gives the dictionary of the running code.
+    parameter_sets : ParameterSets
+        All parameters at once: read, restore, reset.
+    programs : Programs
+        Compile, load, start, pause, STOP, status.
+    recorder : Recorder
+        Acquisition: configure, start, bring home.
+    views : LiveViews
+        Follow channels live.
+    tables : Tables
+        Large arrays.
+    drives : Drives
+        The machine, its limits, the safe sequence, who commands.
+    concealment : Concealment
+        What a simulated machine hides.
+    requests : Requests
+        Any verb of the protocol.
 
     Examples
     --------
@@ -50,8 +102,15 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         on_close: Callable[[], None] | None = None,
         reopen: Callable[[], Link] | None = None,
     ) -> None:
-        super().__init__(link)
-        self._staged = {}
+        self.requests = requests = Requests(link)
+        self.variables = Variables(requests)
+        self.parameter_sets = ParameterSets(requests, self.variables)
+        self.programs = Programs(requests)
+        self.recorder = Recorder(requests, self.parameter_sets)
+        self.views = LiveViews(requests)
+        self.tables = Tables(requests)
+        self.drives = Drives(requests)
+        self.concealment = Concealment(requests)
         self._on_close = on_close
         self._reopen = reopen
         try:
@@ -75,6 +134,84 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
         def __getattr__(self, name: str) -> NoReturn:
             hint = "" if name.startswith("_") else f"; to read a variable: target[{_quoted(name)}]"
             raise AttributeError(f"a target has no attribute {name!r}{hint}")
+
+    request = _of("requests", Requests.request)
+    insist = _of("requests", Requests.insist)
+
+    __getitem__ = _of("variables", Variables.__getitem__)
+    __setitem__ = _of("variables", Variables.__setitem__)
+    read = _of("variables", Variables.read)
+    write = _of("variables", Variables.write)
+    stage = _of("variables", Variables.stage)
+    discard = _of("variables", Variables.discard)
+    update = _of("variables", Variables.update)
+    builtins = _of("variables", Variables.builtins)
+    log = _of("variables", Variables.log)
+
+    parameters = _of("parameter_sets", ParameterSets.parameters)
+    restore = _of("parameter_sets", ParameterSets.restore)
+    reset = _of("parameter_sets", ParameterSets.reset)
+    parameter_names = _of("parameter_sets", ParameterSets.parameter_names)
+
+    compile = _of("programs", Programs.compile)
+    load = _of("programs", Programs.load)
+    download = _of("programs", Programs.download)
+    start = _of("programs", Programs.start)
+    pause = _of("programs", Programs.pause)
+    stop = _of("programs", Programs.stop)
+    stop_page = _of("programs", Programs.stop_page)
+    acknowledge = _of("programs", Programs.acknowledge)
+    unload = _of("programs", Programs.unload)
+    status = _of("programs", Programs.status)
+    program = _of("programs", Programs.program)
+    run_for = _of("programs", Programs.run_for)
+    watch_start = _of("programs", Programs.watch_start)
+    wait = _of("programs", Programs.wait)
+
+    acquire = _of("recorder", Recorder.acquire)
+    acquire_configure = _of("recorder", Recorder.acquire_configure)
+    acquire_start = _of("recorder", Recorder.acquire_start)
+    acquire_stop = _of("recorder", Recorder.acquire_stop)
+    acquire_status = _of("recorder", Recorder.acquire_status)
+    acquire_load = _of("recorder", Recorder.acquire_load)
+    acquire_finish = _of("recorder", Recorder.acquire_finish)
+    load_rows = _of("recorder", Recorder.load_rows)
+
+    live = _of("views", LiveViews.live)
+
+    upload = _of("tables", Tables.upload)
+
+    machine = _of("drives", Drives.machine)
+    limits = _of("drives", Drives.limits)
+    set_limits = _of("drives", Drives.set_limits)
+    set_drive = _of("drives", Drives.set_drive)
+    home = _of("drives", Drives.home)
+    set_ramp = _of("drives", Drives.set_ramp)
+    set_overrun = _of("drives", Drives.set_overrun)
+    set_inputs = _of("drives", Drives.set_inputs)
+    drive_status = _of("drives", Drives.drive_status)
+    power_on = _of("drives", Drives.power_on)
+    power_off = _of("drives", Drives.power_off)
+    home_and_wait = _of("drives", Drives.home_and_wait)
+    enable = _of("drives", Drives.enable)
+    disable = _of("drives", Drives.disable)
+    drive_auto = _of("drives", Drives.drive_auto)
+    take_command = _of("drives", Drives.take_command)
+    release_command = _of("drives", Drives.release_command)
+    set_host_lost = _of("drives", Drives.set_host_lost)
+
+    seal = _of("concealment", Concealment.seal)
+    reveal = _of("concealment", Concealment.reveal)
+
+    @property
+    def staged(self) -> dict[str, Any]:
+        """What is staged for the next :meth:`update`."""
+        return self.variables.staged
+
+    @property
+    def link(self) -> Link:
+        """The link of today."""
+        return self.requests.link
 
     @property
     def name(self) -> str:
@@ -105,10 +242,10 @@ class Target(Programs, Acquisition, LiveViews, Tables, Drives, Sequence, Conceal
             )
         old = self.link
         old.close()
-        self.link = self._reopen()
+        self.requests.link = link = self._reopen()
         self.info = self.request("info")
-        self.link.instance = bytes.fromhex(self.info.instance) or self.link.instance
-        self.link.take_over(old)
+        link.instance = bytes.fromhex(self.info.instance) or link.instance
+        link.take_over(old)
 
     def close(self) -> None:
         """End the connection; a target started by :func:`zendsp.local` ends with it, others go on.

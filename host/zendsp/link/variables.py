@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from zendsp.errors import EndedWarning, VariableError
-from zendsp.link.requests import Requests
+from zendsp.link.requests import Requests, Room
 from zendsp_protocol import messages as m
 from zendsp_protocol.values import Packed, Value, from_wire, to_wire
 
@@ -33,10 +33,12 @@ class Reading(msgspec.Struct, frozen=True):
         return self.values[name]
 
 
-class Variables(Requests):
-    """Methods of a target that concern its variables."""
+class Variables(Room):
+    """Methods of a target that concern its variables; called, it gives their dictionary."""
 
-    _staged: dict[str, Any]
+    def __init__(self, requests: Requests) -> None:
+        super().__init__(requests)
+        self._staged: dict[str, Any] = {}
 
     def __getitem__(self, name: str) -> Value:
         """Read one variable, or one element ``"q[1]"`` of an array, now.
@@ -87,14 +89,14 @@ class Variables(Requests):
             values = {name: from_wire(value) for name, value in values.items()}
         return Reading(found.tick, values, found.ended)
 
-    def write(self, **values: Any) -> int:
+    def write(self, /, **values: Any) -> int:
         """Write variables asynchronously; the reply does not wait for the sample. Returns the
         sequence number.
         """
         written: m.Written = self.link.request("write", {"values": _wire(values)})
         return written.sequence
 
-    def stage(self, **values: Any) -> dict[str, Any]:
+    def stage(self, /, **values: Any) -> dict[str, Any]:
         """Note values for the next :meth:`update`, which the target has checked; returns all that
         is staged.
 
@@ -119,7 +121,7 @@ class Variables(Requests):
         staged, self._staged = self._staged, {}
         return staged
 
-    def update(self, at_tick: int | None = None, **values: Any) -> int:
+    def update(self, /, at_tick: int | None = None, **values: Any) -> int:
         """Apply everything staged, and ``values``, at the start of one sample: all or nothing.
 
         Parameters
@@ -161,7 +163,15 @@ class Variables(Requests):
         self._staged = {}
         return tick
 
-    def variables(self) -> dict[str, m.VariableInfo]:
+    def update_alone(self, values: Mapping[str, Any]) -> int:
+        """As :meth:`update`, of these values only: what is staged stays staged."""
+        staged, self._staged = self._staged, {}
+        try:
+            return self.update(None, **values)
+        finally:
+            self._staged = staged
+
+    def __call__(self) -> dict[str, m.VariableInfo]:
         """The dictionary of the running code: name to type, length, kind, unit, limits, initial
         value, description.
         """

@@ -9,17 +9,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from zendsp.errors import RecordingError
 from zendsp.recording.formats import Raw
 from zendsp.recording.names import FloatArray, element_names, gather_vectors, listing
-from zendsp.recording.recording import Channel, ParameterChange, Recording
 from zendsp.recording.roles import Role, role_of
+from zendsp.recording.samples import Channel, ParameterChange, Samples
 from zendsp.recording.table import READERS, _upright, read_raw
 from zendsp.recording.units import in_si
+
+Kind = TypeVar("Kind", bound=Samples)
 
 WRITERS = (".mat", ".npz", ".parquet", ".csv", ".mcap", ".mf4")
 CHECK = "checksum"
@@ -45,7 +47,7 @@ FIELDS = (
 TIMES = ("t", "time", "Time", "T")
 
 
-def save(recording: Recording, path: Path) -> Path:
+def save(recording: Samples, path: Path) -> Path:
     """See :meth:`Recording.save`."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     writer = _writer(path)
@@ -75,20 +77,20 @@ def check_suffix(path: str | Path) -> None:
     _writer(Path(path))
 
 
-def _writer(path: Path) -> Callable[[Recording, str, Path], None]:
+def _writer(path: Path) -> Callable[[Samples, str, Path], None]:
     suffix = path.suffix.lower()
     if suffix not in WRITERS:
         raise RecordingError(
             f"{path}: unknown kind of file {suffix or path.name!r}; choose"
             f" {', '.join(WRITERS[:-1])} or {WRITERS[-1]}"
         )
-    write: Callable[[Recording, str, Path], None] = import_module(
+    write: Callable[[Samples, str, Path], None] = import_module(
         f"zendsp.recording.formats.{READERS[suffix]}"
     ).write
     return write
 
 
-def circumstances(recording: Recording) -> str:
+def circumstances(recording: Samples) -> str:
     """Write all but the samples as JSON, in ASCII on one line."""
     body: dict[str, Any] = {"form": FORM, "channels": [asdict(c) for c in recording.channels]}
     body |= {name: getattr(recording, name) for name in FIELDS}
@@ -122,13 +124,13 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a recording cannot keep a {type(value).__name__}")
 
 
-def load(path: Path) -> Recording:
+def load(path: Path, kind: type[Kind]) -> Kind:
     """See :meth:`Recording.load`."""
     raw = read_raw(path)
-    return _own(path, raw) if raw.circumstances else _foreign(path, raw)
+    return _own(path, raw, kind) if raw.circumstances else _foreign(path, raw, kind)
 
 
-def _own(path: Path, raw: Raw) -> Recording:
+def _own(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
     try:
         body = json.loads(raw.circumstances)
         expected = body.pop(CHECK, None)
@@ -151,7 +153,7 @@ def _own(path: Path, raw: Raw) -> Recording:
                 f"{path}: is damaged, or was changed after it was saved: its numbers do not match"
                 " its checksum. Take another copy"
             )
-        return Recording(t, data, channels, log=log, **fields)
+        return kind(t, data, channels, log=log, **fields)
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise
@@ -182,7 +184,7 @@ def _matrix(
     return np.hstack(blocks) if blocks else np.empty((rows, 0))
 
 
-def _foreign(path: Path, raw: Raw) -> Recording:
+def _foreign(path: Path, raw: Raw, kind: type[Kind]) -> Kind:
     columns, units, notes = in_si({n: _upright(v) for n, v in raw.columns.items()}, raw.units)
     columns, units = gather_vectors(columns, units)
     time = next(
@@ -201,6 +203,6 @@ def _foreign(path: Path, raw: Raw) -> Recording:
         )
     t = columns.pop(time)
     units.pop(time, None)
-    return Recording.from_columns(
+    return kind.from_columns(
         columns, t=t, units=units, extra={"constants": raw.constants, "notes": [*raw.notes, *notes]}
     )

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from zendsp.recording.recording import Recording
+    from zendsp.recording.samples import Samples
 
 
-def to_pandas(recording: Recording) -> pandas.DataFrame:
+def to_pandas(recording: Samples) -> pandas.DataFrame:
     """See :meth:`Recording.to_pandas`."""
     pd = need("pandas", "frames", "to_pandas()", RecordingError)
     index = pd.Index(recording.t, name="t")
@@ -25,7 +25,7 @@ def to_pandas(recording: Recording) -> pandas.DataFrame:
     return frame
 
 
-def to_xarray(recording: Recording) -> xarray.Dataset:
+def to_xarray(recording: Samples) -> xarray.Dataset:
     """See :meth:`Recording.to_xarray`."""
     xr = need("xarray", "frames", "to_xarray()", RecordingError)
     variables = {}

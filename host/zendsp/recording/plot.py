@@ -12,13 +12,13 @@ from zendsp.recording.names import element_names
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from zendsp.recording.recording import Recording
+    from zendsp.recording.samples import Samples
 
 # Okabe and Ito 2008: told apart by readers with any kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 
 
-def plot(recording: Recording, names: Sequence[str] | None, path: str | Path | None) -> Figure:
+def plot(recording: Samples, names: Sequence[str] | None, path: str | Path | None) -> Figure:
     """See :meth:`Recording.plot`."""
     from matplotlib.figure import Figure
 
@@ -52,6 +52,6 @@ def plot(recording: Recording, names: Sequence[str] | None, path: str | Path | N
     return figure
 
 
-def _unit(recording: Recording, name: str) -> str:
+def _unit(recording: Samples, name: str) -> str:
     units = dict(zip(recording.columns, recording.column_units, strict=True)) | recording.units
     return units.get(name, "s" if name == "t" else "")

@@ -75,6 +75,11 @@ class Parts:
     test: Data
 
     @property
+    def each(self) -> tuple[Data, ...]:
+        """The different parts."""
+        return tuple({id(part): part for part in (self.fit, self.choose, self.test)}.values())
+
+    @property
     def held(self) -> Data:
         """Everything that no model is fitted to."""
         if self.choose is self.test:
@@ -153,6 +158,12 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     resolution = np.array(
         [_resolution(name, columns, j, position, command, model, notes) for j in range(joints)]
     )
+    position, held = _read_anew(position, resolution)
+    if held:
+        notes.append(
+            f"{name}: {held} positions repeat the one before in the midst of a motion, so the"
+            " sensor was not read; the line between their neighbours stands there"
+        )
     if grid is not None:
         position = _lattice(_resample(grid, time, position), position[0], resolution)
         command = _resample_held(grid, time, command)
@@ -289,6 +300,24 @@ def _without_repeats(get: Any, columns: Any) -> tuple[Any, int]:
         return get, 0
     keep = ~again
     return lambda column: np.asarray(get(column))[keep], int(again.sum())
+
+
+def _read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
+    """Positions (n, joints) without those that a logger only repeated, and how many there were.
+
+    A joint does not stand still for one sample and make up for it in the next: the value before
+    stands there again, the step before it is several counts, and the step after it is two.
+    """
+    out, count = position.copy(), 0
+    step = np.diff(position, axis=0)
+    for j in range(position.shape[1]):
+        before, none, after = step[:-2, j], step[1:-1, j], step[2:, j]
+        several = np.abs(before) > 4.0 * resolution[j]
+        double = np.abs(after - 2.0 * before) < 0.5 * np.abs(before)
+        rows = 2 + np.flatnonzero((none == 0) & several & double)
+        out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
+        count += len(rows)
+    return out, count
 
 
 def _has(get: Any, column: Any) -> bool:

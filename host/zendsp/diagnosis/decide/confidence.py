@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from zendsp.diagnosis.decide.decide import Claim, Decision
 
 MOST = 0.97
+UNNAMED = 0.85  # of a mechanism without a law
 
 
 def confidence(claim: Claim, decision: Decision) -> float:
@@ -30,13 +31,13 @@ def confidence(claim: Claim, decision: Decision) -> float:
     float
         Between 0.05 and ``MOST``.
     """
-    largest = max((c.size for c in decision.claims), default=claim.size)
-    rest = math.hypot(decision.after.value, decision.state.size, 0.02 * largest)
-    ratio = claim.size / max(rest, 1e-9)
-    mechanism = ratio**1.5 / (0.5 + ratio**1.5)
     law = claim.laws.get(claim.effect, 0.5)
-    if claim.effect == "unknown":
-        law = 1.0
+    if claim.effect == "unknown":  # no law is stated; what is left is the mechanism itself
+        return UNNAMED
     if claim.same:
         law = min(law, 0.5 + 0.5 / (1 + len(claim.same)))
+    largest = max((c.size for c in decision.claims), default=claim.size)
+    rest = math.hypot(decision.after.low, decision.state.size, 0.02 * largest)
+    ratio = (claim.size / max(rest, 1e-9)) ** 1.5
+    mechanism = ratio / (0.2 + ratio)
     return float(min(MOST, max(0.05, mechanism * (0.3 + 0.7 * law))))

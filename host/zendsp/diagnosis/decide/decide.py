@@ -63,6 +63,8 @@ SURE = 3.0  # standard deviations over blocks of time
 PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
+# of the energy that laws of several mechanisms explain: one that predicts so much takes their place
+ALONE = 0.9
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 
 
@@ -162,7 +164,11 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             ]
             # what makes an untouched recording worse is no finding, ever
             if decision.claims and errors[1] <= errors[0]:
-                return decision
+                if not _one_instead(parts, base.model, decision):
+                    return decision
+                # which mechanism, if any, is for the lacking torque itself to say
+                plain = _nothing_named(parts, search, before)
+                return decision if plain.kind == "complete" else plain
     return _nothing_named(parts, search, before)
 
 
@@ -286,16 +292,13 @@ def _claimed(
     than the laws of the larger ones of its kind, found or given, may be wrong by.
     """
     needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
-    learn = together(parts.fit, parts.choose)
     after = discrepancy(parts.test, final.model, joint).value
     claimed: list[Piece] = []
     rest: list[Piece] = []
     for piece in pieces:
         left = after
         if piece.mechanism in STRUCTURED:
-            left = min(
-                after, structure(learn, parts.test, final.model, joint, [piece.mechanism]).size
-            )
+            left = min(after, structure(parts.each, final.model, joint, [piece.mechanism]).size)
         larger = max((p.size for p in claimed), default=0.0)
         kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
         if kept_laws:
@@ -346,9 +349,8 @@ def _named(
 ) -> Decision:
     joint = search.joint
     searcher = Searcher(parts.fit, joint, lambda *_: True, jobs, tell)
-    learn = together(parts.fit, parts.choose)
     after = discrepancy(parts.test, final.model, joint)
-    state = structure(learn, parts.test, final.model, joint, STRUCTURED)
+    state = structure(parts.each, final.model, joint, STRUCTURED)
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
@@ -356,7 +358,7 @@ def _named(
         first = ranked[0]
         law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
         left = (
-            structure(learn, parts.test, final.model, joint, [piece.mechanism])
+            structure(parts.each, final.model, joint, [piece.mechanism])
             if piece.mechanism in STRUCTURED
             else None
         )
@@ -374,9 +376,13 @@ def _named(
         # what the law by itself leaves to itself
         again = [p.size for p in ranked[1:] if _repeats(p, first)]
         poor = math.hypot(*again) > allowed or (
-            left is not None and left.z > SURE and left.size > max(allowed, NUMERIC)
+            left is not None and _surely_more(left, max(allowed, NUMERIC))
         )
-        if poor or len(own) >= CURVE:
+        # a constant beside several laws of the position is a part of the curve that they draw
+        level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed) * (
+            len(own) > 1 and piece.mechanism == "position_torque"
+        )
+        if poor or len(own) + level >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
             claims.append(
                 replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0})
@@ -386,6 +392,8 @@ def _named(
         claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
     refinements += [_plain(p) for p in rest]
     claims.sort(key=lambda c: -c.evidence.gain)
+    claims, more = _beside_unknown(claims)
+    refinements += more
     best = claims[0].size
     # more is left that depends on the state than anything claimed explains
     if state.size > best and state.z > SURE:
@@ -402,6 +410,34 @@ def _named(
         state,
         rms_torque(parts.test, joint),
     )
+
+
+def _one_instead(parts: Parts, base: Model, decision: Decision) -> bool:
+    """Whether the claims are better dropped: none has a law, or laws of several mechanisms stand
+    for what one other mechanism's variables explain by themselves.
+    """
+    if all(c.effect == "unknown" for c in decision.claims):
+        return True
+    named = {m for c in decision.claims for m in _kind(c.mechanism)}
+    if len({c.mechanism for c in decision.claims}) < 2:
+        return False
+    explained = decision.before.value**2 - decision.after.value**2
+    alone = (structure(parts.each, base, decision.joint, [m]) for m in STRUCTURED if m not in named)
+    return any(s.z > SURE and s.size**2 > ALONE * explained for s in alone)
+
+
+def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
+    """Claims, and those that become refinements: beside a mechanism without a law, what is not
+    larger than half of it may be a part of it.
+    """
+    unknown = max((c.size for c in claims if c.effect == "unknown"), default=0.0)
+    keep = [c for c in claims if c.effect == "unknown" or c.size > RIVAL * unknown]
+    return keep, [c for c in claims if not any(c is k for k in keep)]
+
+
+def _surely_more(left: Structure, allowed: float) -> bool:
+    """Whether what is left has more than the energy that is allowed, by two standard deviations."""
+    return left.size > allowed and left.z * (1.0 - (allowed / left.size) ** 2) > PLAIN
 
 
 def _repeats(other: Piece, first: Piece) -> bool:
@@ -601,8 +637,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     model's discrepancy alone.
     """
     joint, base = search.joint, search.base
-    learn = together(parts.fit, parts.choose)
-    state = structure(learn, parts.test, base.model, joint, STRUCTURED)
+    state = structure(parts.each, base.model, joint, STRUCTURED)
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(
         joint,
@@ -623,7 +658,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)
     if of_state:
-        claim = _without_law(parts, learn, search, state)
+        claim = _without_law(parts, search, state)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
     if of_state or before.value > MACHINE:
@@ -646,12 +681,12 @@ def rms_torque(data: Data, joint: int) -> float:
     return float(np.sqrt(mean_square(data, joint)))
 
 
-def _without_law(parts: Parts, learn: Data, search: JointSearch, state: Structure) -> Claim | None:
+def _without_law(parts: Parts, search: JointSearch, state: Structure) -> Claim | None:
     """The one mechanism whose own variables predict most of what any function of state does; None
     where several do, or none.
     """
     joint, base = search.joint, search.base
-    alone = {m: structure(learn, parts.test, base.model, joint, [m]) for m in STRUCTURED}
+    alone = {m: structure(parts.each, base.model, joint, [m]) for m in STRUCTURED}
     order = sorted(alone, key=lambda m: -alone[m].size)
     best = alone[order[0]]
     if best.z < SURE or best.size**2 < MOST * state.size**2 or best.share < MOST:

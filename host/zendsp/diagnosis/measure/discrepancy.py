@@ -9,7 +9,8 @@ that variance the same way. What is larger is the discrepancy (Kennedy and O'Hag
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +32,8 @@ BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
 ROWS = 8000  # rows of a regression
+# pieces of a function of state, as multiples: broad shapes, and narrow ones
+DETAILS = (1, 3)
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 # of the energy outside of that time, against what a random torque that is normally distributed has
 # there
@@ -242,9 +245,11 @@ def _unit(x: Array, limits: tuple[float, float]) -> Array:
     return np.asarray((x - limits[0]) / max(limits[1] - limits[0], 1e-300))
 
 
-def shapes(rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Ranges) -> Array:
+def shapes(
+    rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Ranges, detail: int = 1
+) -> Array:
     """Torques over time, (columns, n), whose sums are all that a mechanism may do, whatever its
-    law: functions of its own variables.
+    law: functions of its own variables, with ``detail`` times as many pieces along each.
     """
     record = rec[joint - 1]
     q, v, _ = record.motion.states
@@ -252,19 +257,19 @@ def shapes(rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Range
     sign = np.tanh(v / (0.02 * ranges.speed))
     fast = np.sqrt(np.clip(np.abs(v) / ranges.speed, 0.0, 1.0))
     if mechanism == "position_torque":
-        columns = [_splines(place, 14)]
+        columns = [_splines(place, 14 * detail)]
         for other, limits in ranges.others.items():
             there = _unit(rec[other - 1].motion.states[0], limits)
             columns.append(_products(_splines(place, 5), _splines(there, 5)))
         return np.concatenate(columns)
     if mechanism == "dry_friction":
-        return np.concatenate(
-            [sign * _splines(fast, 6), _products(sign * _splines(place, 8), _splines(fast, 3))]
-        )
+        level = sign * _splines(fast, 6 * detail)
+        return np.concatenate([level, _products(sign * _splines(place, 8), _splines(fast, 3))])
     if mechanism == "fluid_friction":
-        return np.concatenate([_splines(0.5 + 0.5 * np.clip(v / ranges.speed, -1, 1), 8)])
+        return _splines(0.5 + 0.5 * np.clip(v / ranges.speed, -1, 1), 8 * detail)
     if mechanism == "actuator":
-        return _splines(_unit(record.command, ranges.command), 10)
+        command = _unit(record.command, ranges.command)
+        return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
     return np.zeros((0, record.n))
 
 
@@ -286,16 +291,14 @@ class Structure:
 
 
 def structure(
-    learn: Data, test: Data, model: Model, joint: int, mechanisms: Sequence[str]
+    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str]
 ) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
     Parameters
     ----------
-    learn : Data
-        The function is fitted to these recordings …
-    test : Data
-        … and judged on these.
+    parts : sequence of Data
+        Each part is predicted by a function that was fitted to all the others (cross-fitting).
     model : Model
     joint : int
         1-based.
@@ -307,27 +310,70 @@ def structure(
     Structure
     """
     best = Structure(0.0, 0.0, 0.0)
-    scale = mean_square(test, joint)
-    ranges = ranges_of(learn, joint)
-    for band in BANDS[:3]:
-        a, d = _regression(learn, model, joint, mechanisms, ranges, band)
-        if not a.shape[1]:
+    whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
+    scale = mean_square(whole, joint)
+    ranges = ranges_of(whole, joint)
+    stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
+    for band, detail in product(BANDS[:3], DETAILS):
+        made = [_seen(part, model, joint, mechanisms, ranges, band, detail) for part in parts]
+        if not made[0][0][0].shape[0]:
             return best
-        level = float(np.mean(np.einsum("ij,ij->j", a, a)))
-        theta = np.linalg.solve(a.T @ a + 1e-3 * level * np.eye(a.shape[1]), a.T @ d)
-        gains, excess = [], 0.0
-        for rec, lack in zip(test.records, lacking(test, model, joint, band), strict=True):
-            guess = theta @ _columns(rec, model, joint, mechanisms, ranges, band)
-            gains.append(lack**2 - (lack - guess) ** 2)
-            use = kept(rec[joint - 1], band)
-            excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
-        sums, counts = energy_blocks(test, gains, joint, band)
-        total, error = float(sums.sum()), deviation(sums)
+        normals = [
+            _normal(part, seen, joint, band, stride) for part, seen in zip(parts, made, strict=True)
+        ]
+        sums, counts, excess = [], [], 0.0
+        for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
+            others = [n for i, n in enumerate(normals) if i != k]
+            square = np.sum([n[0] for n in others], axis=0)
+            level = float(np.trace(square)) / len(square)
+            theta = np.linalg.solve(
+                square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
+            )
+            gains = [lack**2 - (lack - theta @ columns) ** 2 for columns, lack in seen]
+            for (_, lack), rec in zip(seen, part.records, strict=True):
+                use = kept(rec[joint - 1], band)
+                excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
+            found = energy_blocks(part, gains, joint, band)
+            sums.append(found[0])
+            counts.append(found[1])
+        gained = np.concatenate(sums)
+        total, error = float(gained.sum()), deviation(gained)
         z = total / error if error > 0 else 0.0
-        size = float(np.sqrt(max(0.0, total) / counts.sum() / scale))
+        size = float(np.sqrt(max(0.0, total) / np.concatenate(counts).sum() / scale))
         if size > best.size and z > 1.0:
             best = Structure(size, min(1.0, total / excess) if excess > 0 else 1.0, z)
     return best
+
+
+def _seen(
+    data: Data,
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    ranges: Ranges,
+    band: float,
+    detail: int,
+) -> list[tuple[Array, Array]]:
+    """Columns (m, n) and lacking torque (n,), one pair a recording."""
+    lacks = lacking(data, model, joint, band)
+    return [
+        (_columns(rec, model, joint, mechanisms, ranges, band, detail), lack)
+        for rec, lack in zip(data.records, lacks, strict=True)
+    ]
+
+
+def _normal(
+    data: Data, seen: Sequence[tuple[Array, Array]], joint: int, band: float, stride: int
+) -> tuple[Array, Array]:
+    """Normal equations of a part, thinned: squares (m, m), products (m,)."""
+    m = seen[0][0].shape[0]
+    square, product = np.zeros((m, m)), np.zeros(m)
+    for (columns, lack), rec in zip(seen, data.records, strict=True):
+        use = kept(rec[joint - 1], band)
+        a, d = columns[:, use][:, ::stride], lack[use][::stride]
+        square += a @ a.T
+        product += a @ d
+    return square, product
 
 
 def _columns(
@@ -337,25 +383,13 @@ def _columns(
     mechanisms: Sequence[str],
     ranges: Ranges,
     band: float,
+    detail: int,
 ) -> Array:
     record = rec[joint - 1]
     here = band_of(record, band)
-    raw = np.concatenate([shapes(rec, joint, m, ranges) for m in mechanisms])
+    raw = np.concatenate([shapes(rec, joint, m, ranges, detail) for m in mechanisms])
     r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
     return as_torque(record, model, r, here)
-
-
-def _regression(
-    data: Data, model: Model, joint: int, mechanisms: Sequence[str], ranges: Ranges, band: float
-) -> tuple[Array, Array]:
-    """Columns (rows, m) and lacking torque (rows,) of all recordings, thinned."""
-    stride = max(1, sum(rec[0].n for rec in data.records) // ROWS)
-    columns, targets = [], []
-    for rec, lack in zip(data.records, lacking(data, model, joint, band), strict=True):
-        use = kept(rec[joint - 1], band)
-        columns.append(_columns(rec, model, joint, mechanisms, ranges, band)[:, use][:, ::stride])
-        targets.append(lack[use][::stride])
-    return np.concatenate(columns, axis=1).T, np.concatenate(targets)
 
 
 # --- what comes and goes with time

@@ -359,6 +359,11 @@ class Effect:
     inverse: str = ""
     why_not: str = ""
 
+    @property
+    def constant(self) -> bool:
+        """Whether its torque never changes: a part of any function of state."""
+        return self.site == "torque" and "s->" not in self.c
+
     def __post_init__(self) -> None:
         if self.mechanism and self.mechanism not in MECHANISMS:
             expected = " | ".join(MECHANISMS)

@@ -31,6 +31,6 @@ EFFECT = Effect(
     hidden=True,
     family="timing",
     aliases=("column_shift",),  # a column that is early
-    rivals=("lag", "column_shift"),
+    rivals=("lag", "column_shift", "position_filter"),
     why_not="a torque cannot come sooner: lower the bandwidth, or predict the reference",
 )

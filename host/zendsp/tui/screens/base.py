@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -14,11 +14,11 @@ from textual.screen import Screen
 from textual.widgets import Footer
 
 from zendsp.tui.actions import actions
+from zendsp.tui.lab import Lab
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar
 
 if TYPE_CHECKING:
-    from zendsp.tui.app import ZendspApp
     from zendsp.tui.port import Port
 
 T = TypeVar("T")
@@ -37,12 +37,9 @@ class LabScreen(Screen[None]):
         self._pulled: Snapshot | None = None
 
     @property
-    def lab(self) -> ZendspApp:
-        """The application, by its own type."""
-        from zendsp.tui.app import ZendspApp
-
-        assert isinstance(self.app, ZendspApp)
-        return self.app
+    def lab(self) -> Lab:
+        """The application, as its screens see it."""
+        return cast(Lab, self.app)
 
     def compose(self) -> ComposeResult:
         yield self.bar

@@ -1,0 +1,28 @@
+"""Targets of this user on this machine, as they have registered themselves."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+
+from zendsp_protocol import registry
+
+
+def local_entries() -> list[registry.Entry]:
+    """Targets of this user on this machine whose process lives."""
+    entries = []
+    try:
+        if os.stat(registry.folder()).st_uid != os.getuid():
+            return []  # somebody else's: what stands there may lead anywhere
+    except OSError:
+        return []
+    for path in sorted(Path(registry.folder()).glob("*.json")):
+        try:
+            entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
+        except (OSError, msgspec.MsgspecError):
+            continue
+        if entry.born and registry.born(entry.pid) == entry.born:
+            entries.append(entry)
+    return entries

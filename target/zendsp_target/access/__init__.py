@@ -1,0 +1,1 @@
+"""Where a target listens, who may come in, and what for."""

@@ -1,0 +1,453 @@
+"""Who may come in, and what for: users, roles, the token of this computer's own user, and Zenoh's
+access control.
+
+A link that moves a machine, and that brings code to run, is not for everyone: neither on the
+network nor on this computer. Beyond this computer it needs TLS and a way to tell who connects
+(`endpoints`). Here it is a socket that only the target's own user can open, or a port on the
+loopback with a token that only this user can read. Hosts can ask, listen and show that they are
+there, and nothing else: only the target answers and publishes under its name.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from zendsp_isr.confine import landlock_version
+from zendsp_protocol import keys, registry
+from zendsp_protocol.errors import Refused, did_you_mean
+from zendsp_protocol.verbs import ROLES, Verb
+from zendsp_target.access.endpoints import Security, check, check_connect, is_local
+
+log = logging.getLogger(__name__)
+
+_USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
+# need no role: without the others, nobody could connect to stop it, and see that it stopped
+OPEN = ("stop", "stopped", "status", "info")
+ENCRYPTED = ("tls", "quic")
+OWNER = "owner"  # name that goes with the token of a loopback port
+
+
+def read_users(path: str) -> dict[str, str]:
+    """Users and passwords of a file of lines ``user:password``.
+
+    Raises
+    ------
+    Refused
+        The file cannot be read, is empty or cut, names a user twice, or one that cannot stand in a
+        key. Zenoh would let everybody in on an empty file.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise Refused(
+            f"--users {path}: cannot be read ({error}); nobody is let in without it"
+        ) from error
+    users: dict[str, str] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        user, colon, password = line.partition(":")
+        if not colon or not password or not _USER.fullmatch(user):
+            raise Refused(
+                f"--users {path}, line {number}: expected user:password, the user of letters,"
+                " digits, '_', '-' or '.'"
+            )
+        if user == OWNER:
+            raise Refused(
+                f"--users {path}, line {number}: the user {OWNER!r} is the target's own; choose"
+                " another name"
+            )
+        if user in users:
+            raise Refused(f"--users {path}, line {number}: the user {user!r} stands there twice")
+        users[user] = password
+    if not users:
+        raise Refused(f"--users {path}: names no user; an empty file would let everybody in")
+    if not text.endswith("\n"):
+        raise Refused(
+            f"--users {path}: the last line does not end: was the file cut off? End it with a new"
+            " line"
+        )
+    return users
+
+
+def read_roles(path: str) -> dict[str, str]:
+    """Roles by name of user or certificate, from a TOML file with a table ``[roles]``.
+
+    Raises
+    ------
+    Refused
+        The file cannot be read, others may write it, or a role is none of `ROLES`.
+    """
+    try:
+        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        writable = Path(path).stat().st_mode & 0o022
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise Refused(
+            f"--roles {path}: cannot be read ({error}); nobody is let in without it"
+        ) from error
+    if writable:
+        raise Refused(
+            f"--roles {path}: others may write it, and so give themselves any role: chmod go-w"
+            f" {path}"
+        )
+    roles = data.get("roles")
+    if not isinstance(roles, dict) or not roles:
+        raise Refused(
+            f'--roles {path}: expected a table [roles] with lines like anna = "tune"'
+            f' ({", ".join(ROLES)})'
+        )
+    for name, role in roles.items():
+        if not _USER.fullmatch(name) or name == OWNER:
+            raise Refused(
+                f"--roles {path}: {name!r}: use letters, digits, '_', '-' or '.', and not {OWNER!r}"
+            )
+        if role not in ROLES:
+            raise Refused(
+                f"--roles {path}: {name} = {role!r} is no role; {did_you_mean(str(role), ROLES)}"
+            )
+    return dict(roles)
+
+
+class RolesFile(Mapping[str, str]):
+    """The roles of a file as it is now: one that is taken away is gone with the next request.
+
+    A file that is damaged later gives nobody a role. The names that the target lets in are those of
+    its start.
+
+    Parameters
+    ----------
+    path : str
+
+    Raises
+    ------
+    Refused
+        As `read_roles`.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._seen = self._stamp()
+        self._roles = read_roles(path)
+
+    def _stamp(self) -> tuple[int, ...]:
+        try:
+            found = os.stat(self._path)
+        except OSError:
+            return ()
+        return found.st_mtime_ns, found.st_ctime_ns, found.st_size, found.st_ino
+
+    def _now(self) -> dict[str, str]:
+        stamp = self._stamp()
+        if stamp != self._seen:
+            try:
+                self._roles = read_roles(self._path)
+            except Refused as error:
+                log.error("nobody has a role from now on: %s", error)
+                self._roles = {}
+            self._seen = stamp
+        return self._roles
+
+    def __getitem__(self, name: str) -> str:
+        return self._now()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._now())
+
+    def __len__(self) -> int:
+        return len(self._now())
+
+
+@dataclass(frozen=True)
+class Doors:
+    """Where a target listens and who may come in, settled before the machine is touched.
+
+    Attributes
+    ----------
+    endpoints : tuple of str
+    security : Security
+    users : mapping of str to str
+        Passwords of those who must show one; with the token's where there is one.
+    roles : mapping of str to str, or None
+        None: everyone who is let in may do everything.
+    token : tuple of str
+        User and password that only this user can read; empty where no port needs one.
+    routed : bool
+        Hosts come through a router as well.
+    """
+
+    endpoints: tuple[str, ...]
+    security: Security = field(default_factory=Security)
+    users: Mapping[str, str] = field(default_factory=dict)
+    roles: Mapping[str, str] | None = None
+    token: tuple[str, str] = ("", "")
+    routed: bool = False
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Users or certificates that are let in by name."""
+        return (
+            tuple(self.roles)
+            if self.roles is not None
+            else tuple(user for user in self.users if user != OWNER)
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Who is let in by name, and what for; empty where nobody is."""
+        who = ", ".join(f"{name} ({self.role_of(name)})" for name in self.named)
+        return f"lets in: {who}" if who else ""
+
+    def role_of(self, user: str) -> str:
+        """The role of a user whom the access control let in, empty where there is none."""
+        if not user or user == OWNER or self.roles is None:
+            return ROLES[-1]
+        return self.roles.get(user, "")
+
+    def check_upload(self, user: str) -> None:
+        """Refuse to compile the code of others where the kernel cannot keep the compiler from files
+        of the target's user.
+
+        Parameters
+        ----------
+        user : str
+            Whom the access control let in; empty for the target's own user, and for all where
+            nobody is known by name.
+
+        Raises
+        ------
+        Refused
+            There is no Landlock, and this may be somebody else. The target's own user may read
+            these files anyway.
+        """
+        nameless = self.roles is None and not set(self.users) - {OWNER}
+        beyond = self.routed or any(e.startswith(("tls/", "quic/")) for e in self.endpoints)
+        own = user == OWNER or (not user and not (nameless and beyond))
+        if not own and landlock_version() < 1:
+            raise Refused(
+                f"this target does not compile for {user or 'others'}: its kernel has no Landlock"
+                " (Linux 5.13), so .incbin could take in files of the target's user. Compile on"
+                " the target's own computer with --listen here alone, or use a newer kernel"
+            )
+
+
+def may(role: str, verb: Verb) -> bool:
+    """Whether a role includes a verb; an empty one includes what is open to everyone who was let
+    in.
+    """
+    return verb.name in OPEN or (role in ROLES and ROLES.index(role) >= ROLES.index(verb.role))
+
+
+def check_role(user: str, role: str, verb: Verb) -> None:
+    """Refuse what a user's role does not include; STOP, and seeing that it stopped, is open to
+    everyone who was let in.
+
+    Raises
+    ------
+    Refused
+        Naming the role that is needed, the one there is, and who can change it.
+    """
+    if not may(role, verb):
+        has = f"has the role {role!r}" if role else "has none"
+        raise Refused(
+            f"{verb.name!r} needs the role {verb.role!r}; {user} {has}. Roles are in the file given"
+            " to the target with --roles"
+        )
+
+
+def own_socket(name: str) -> str:
+    """The endpoint that only this user can open, a loopback port where its path would be too long.
+    """
+    path = Path(registry.folder()).absolute() / registry.socket_name(name)
+    return (
+        f"unixsock-stream/{path}" if len(os.fsencode(path)) <= LONGEST_SOCKET else "tcp/127.0.0.1:0"
+    )
+
+
+def _protocol(endpoint: str) -> str:
+    return endpoint.partition("/")[0]
+
+
+def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: Security) -> Doors:
+    """Check everything that decides who may come in.
+
+    Parameters
+    ----------
+    name : str
+        Of the target.
+    listen, connect : sequence of str
+        Endpoints; ``here``, and an empty ``listen``: the socket that only this user can open.
+    security : Security
+
+    Returns
+    -------
+    Doors
+
+    Raises
+    ------
+    Refused
+        What is missing, unreadable or would let in everybody.
+    """
+    endpoints = tuple(own_socket(name) if e == "here" else e for e in listen or ("here",))
+    check(endpoints, security)
+    check_connect(connect, security)
+    for option, file in (
+        ("cert", security.certificate),
+        ("key", security.key),
+        ("ca", security.authority),
+    ):
+        if file and not (os.path.isfile(file) and os.access(file, os.R_OK)):
+            raise Refused(
+                f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
+                " them)"
+            )
+    users = read_users(security.users) if security.users else {}
+    roles = RolesFile(security.roles) if security.roles else None
+    both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
+    if both and users:
+        raise Refused(
+            f"--connect {', '.join(connect)} and --listen over {', '.join(sorted(both))}: a host"
+            " could not be told from the router, for which --users does not hold. Listen there or"
+            " connect to the router, not both; the router has rules of its own"
+        )
+    if connect and roles is not None:
+        raise Refused(
+            f"--roles with --connect {', '.join(connect)}: roles do not hold behind a router, since"
+            " the target cannot see who asks there. Leave out --roles and let the router decide"
+            " who comes in, or have hosts connect to the target itself"
+        )
+    if (
+        roles is None
+        and not users
+        and security.authority
+        and any(_protocol(e) in ENCRYPTED for e in endpoints)
+    ):
+        raise Refused(
+            "--tls-ca without --roles: whoever has a certificate of that authority could do"
+            " everything, under any name. Name those who may come in, and what for, in a file:"
+            " --roles FILE with lines like anna = \"download\" ('zendsp keys' makes it)"
+        )
+    sockets = [e for e in endpoints if e.startswith("unixsock-stream/")]
+    certified = [e for e in endpoints if e.startswith(("tls/", "quic/")) and security.authority]
+    exposed = [e for e in endpoints if is_local(e) and e not in (*sockets, *certified)]
+    beside = [e for e in endpoints if e not in (*sockets, *exposed)]
+    if exposed and beside and not users:
+        raise Refused(
+            f"--listen {exposed[0]} can be reached by every user of this computer: beside"
+            f" {beside[0]} it needs --users; or leave it out, and listen with --listen here on the"
+            " socket that only you can open"
+        )
+    token = (OWNER, os.urandom(24).hex()) if users or exposed else ("", "")
+    return Doors(
+        endpoints,
+        security,
+        {**users, token[0]: token[1]} if token[0] else {},
+        roles,
+        token,
+        bool(connect),
+    )
+
+
+def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict[str, object]:
+    """Zenoh's access control for the session of a target.
+
+    Hosts may ask, listen, and show that they are there; whatever else comes from them is dropped. A
+    host that is known by name may ask, be there, and hear live rows under that name only. Without
+    this, a client could answer for the target, publish false rows to the other hosts, and go on
+    reading when its role is taken away.
+
+    Parameters
+    ----------
+    name : str
+        Of the target.
+    doors : Doors
+    connect : sequence of str
+        Routers to which it connects: whom they let in is theirs to decide.
+
+    Returns
+    -------
+    dict
+        The value of ``access_control``.
+    """
+    rules: list[dict[str, object]] = []
+    subjects: list[dict[str, object]] = []
+    policies: list[dict[str, object]] = []
+
+    def rule(number: str, flow: str, messages: Sequence[str], wanted: Sequence[str]) -> str:
+        rules.append(
+            {
+                "id": number,
+                "permission": "allow",
+                "flows": [flow],
+                "messages": list(messages),
+                "key_exprs": list(wanted),
+            }
+        )
+        return number
+
+    everywhere = f"{keys.ROOT}/**"
+    common = [
+        rule(
+            "say",
+            "egress",
+            (
+                "reply",
+                "liveliness_token",
+                "declare_queryable",
+                "declare_subscriber",
+                "declare_liveliness_subscriber",
+                "liveliness_query",
+            ),
+            (everywhere,),
+        ),
+        rule(
+            "listen",
+            "ingress",
+            ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
+            (everywhere,),
+        ),
+    ]
+
+    def admit(
+        number: str,
+        who: Mapping[str, object],
+        asked: Sequence[str],
+        there: str,
+        told: Sequence[str],
+    ) -> None:
+        rights = [
+            rule(f"ask {number}", "ingress", ("query",), (keys.info(), *asked)),
+            rule(f"show {number}", "ingress", ("liveliness_token",), (there,)),
+            rule(f"tell {number}", "egress", ("put", "delete"), told),
+        ]
+        subjects.append({"id": number, **who})
+        policies.append({"rules": [*common, *rights], "subjects": [number]})
+
+    everything = (keys.rpc(name, "*"), keys.rpc(name, "*", "*"), keys.variable("*", "**"))
+    own = {"link_protocols": ["unixsock-stream"]} if not doors.users else {"usernames": [OWNER]}
+    admit(OWNER, own, everything, keys.host(name), (everywhere,))
+    for user in doors.named:
+        asked = (keys.rpc(name, "*", user), keys.variable(name, "**", user))
+        told = (keys.event(name), keys.live(name, user=user))
+        for field_name in ("usernames", "cert_common_names"):
+            admit(
+                f"{field_name} {user}",
+                {field_name: [user]},
+                asked,
+                keys.host(name, f"{user}@$*"),
+                told,
+            )
+    if connect:
+        protocols = sorted({endpoint.partition("/")[0] for endpoint in connect})
+        admit("routers", {"link_protocols": protocols}, everything, keys.host(name), (everywhere,))
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }

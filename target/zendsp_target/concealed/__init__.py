@@ -1,0 +1,1 @@
+"""What a simulated machine conceals, sealed until it is revealed."""

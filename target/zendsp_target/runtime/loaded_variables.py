@@ -1,0 +1,137 @@
+"""The variables of the program that is loaded now: read, write, and the log of changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from zendsp_protocol.errors import RunnerDied
+from zendsp_protocol.messages import Change, VariableInfo
+from zendsp_protocol.values import Value
+from zendsp_target.api import Blank
+from zendsp_target.runtime.programs import Programs
+
+
+class LoadedVariables:
+    """Variables by name.
+
+    Parameters
+    ----------
+    programs : Programs
+        Whose loaded program declares them.
+    """
+
+    def __init__(self, programs: Programs) -> None:
+        self._programs = programs
+
+    def declared(self) -> tuple[VariableInfo, ...]:
+        """Variables that the loaded program declares."""
+        return self._programs.loaded().dictionary.infos("parameter", "signal", "table")
+
+    def builtins(self) -> tuple[VariableInfo, ...]:
+        """Signals that exist without being declared."""
+        return self._programs.loaded().dictionary.infos("builtin")
+
+    def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
+        """Values of variables, elements and built-ins, all from one sample, and its tick.
+
+        Raises
+        ------
+        VariableError
+            One line for each unknown name.
+        """
+        return self._programs.loaded().read(names)
+
+    def ended(self) -> str:
+        """Why the loaded program no longer runs although nobody paused it, in a sentence; empty
+        where it does or none is loaded.
+        """
+        session = self._programs.session
+        return "" if session is None else session.ended()
+
+    def check(self, values: Mapping[str, Value]) -> None:
+        """Raise what :meth:`write` would raise for these values; nothing is written."""
+        self._programs.loaded().updates.check(values)
+
+    def write(self, values: Mapping[str, Value], author: str, at_tick: int | None = None) -> int:
+        """Commit a synchronous update: all values at the start of one sample, or none.
+
+        Parameters
+        ----------
+        values : mapping
+            A table takes an array of shape (rows, columns).
+        author : str
+        at_tick : int, optional
+            Not before this sample.
+
+        Returns
+        -------
+        int
+            Sequence number for `wait_applied`.
+
+        Raises
+        ------
+        VariableError
+            One line for each variable that is wrong; nothing was applied.
+        """
+        session = self._programs.session
+        if session is None:
+            session = self._programs.loaded()
+        try:
+            return session.updates.write(values, author, at_tick)
+        except RunnerDied:
+            session.require_alive()  # tells how it died
+            raise
+
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
+        """What reads the same doubles again, straight into a reply; None where there is no such
+        way.
+
+        Parameters
+        ----------
+        names : sequence of str
+            As they were read before.
+        reply : Blank
+
+        Returns
+        -------
+        callable or None
+            Takes the least tick that may be told. 0: nothing was read, `read` says why.
+        """
+        session = self._programs.session
+        return None if session is None else session.repeat_read(names, reply)
+
+    def repeat_write(
+        self, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None:
+        """What writes the same double again, straight out of a request; None where there is no such
+        way.
+
+        Parameters
+        ----------
+        name : str
+            As it was written before.
+        author : str
+        value_at : int
+            Where the value stands in the request, bytes.
+        reply : Blank
+
+        Returns
+        -------
+        callable or None
+            Takes the request; returns the sequence number. 0: nothing was written, `write` says
+            why.
+        """
+        session = self._programs.session
+        return None if session is None else session.repeat_write(name, author, value_at, reply)
+
+    def wait_applied(self, sequence: int, timeout: float) -> int:
+        """Sleep until an update has taken effect; returns its sample. See `Updates.wait_applied`.
+        """
+        return self._programs.loaded().updates.wait_applied(sequence, timeout)
+
+    def log(self, since: int = 0) -> tuple[Change, ...]:
+        """Changes from line number `since` on."""
+        session = self._programs.session
+        if session is not None:
+            session.updates.harvest()
+        return self._programs.log.since(since)

@@ -1,0 +1,234 @@
+"""What moves: start, pause, STOP, drives, homing, limits. Words in shared memory that the loop
+obeys at its next sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from zendsp_protocol.errors import Refused
+from zendsp_protocol.messages import Limits, MachineInfo
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.process.runner import ffi_address
+from zendsp_target.runtime.programs import Programs, require_no_trip
+
+MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
+
+
+class Motion:
+    """Everything that makes the machine move or stand still.
+
+    Parameters
+    ----------
+    programs : Programs
+        Whose loaded program runs.
+    """
+
+    def __init__(self, programs: Programs) -> None:
+        self._programs = programs
+
+    def start(self, ticks: int | None = None) -> None:
+        """Let the samples run.
+
+        Parameters
+        ----------
+        ticks : int, optional
+            Pause after exactly so many.
+
+        Raises
+        ------
+        Refused
+            No program, a STOP or trip that is not acknowledged, or running already.
+        """
+        _, lib = layout()
+        with self._programs.lock:
+            session = self._programs.living()
+            require_no_trip(session)
+            if session.running != lib.RUN_PAUSED:
+                raise Refused("the program runs already: pause it first")
+            if ticks is not None and not 1 <= ticks <= MOST_TICKS:
+                raise Refused(
+                    f"ticks = {ticks}: give 1 to {MOST_TICKS}, or none to run until a pause"
+                )
+            if self._programs.drive_wish == "auto":
+                session.control.drive = lib.MACHINE_TORQUE
+            before = session.tick
+            lib.monitor_store64(
+                ffi_address(session.control, "run_until"),
+                before + ticks if ticks is not None else 0,
+            )
+            session.started = True
+            session.request_run(lib.RUN_ISR)
+            requested = ffi_address(session.control, "run")
+            session.until(
+                lambda: session.running == lib.RUN_ISR
+                or session.tick > before
+                or lib.monitor_load32(requested) == lib.RUN_PAUSED,
+                "start",
+            )
+
+    def pause(self) -> None:
+        """Stop sampling after the present sample: a simulated machine stands still in time,
+        hardware is made safe.
+        """
+        _, lib = layout()
+        with self._programs.lock:
+            session = self._programs.living()
+            session.request_run(lib.RUN_PAUSED)
+            session.until(lambda: session.running == lib.RUN_PAUSED, "pause")
+
+    def wait_paused(self, timeout: float = 60.0) -> None:
+        """Sleep until the loop pauses (the end of ``start(ticks=n)``).
+
+        Raises
+        ------
+        Refused
+            It still runs after `timeout` s.
+        RunnerDied
+            The runner ended before.
+        """
+        _, lib = layout()
+        session = self._programs.living()
+        requested = ffi_address(session.control, "run")
+        session.until(
+            lambda: lib.monitor_load32(requested) == lib.RUN_PAUSED
+            and session.running == lib.RUN_PAUSED,
+            "the end of the run",
+            timeout,
+        )
+
+    def stop(self) -> None:
+        """STOP: from the next sample on the drives stand still in velocity mode; latched until
+        acknowledged. Never waits.
+        """
+        self.trip("stop")
+
+    def trip(self, reason: str) -> None:
+        """As `stop`, with another reason.
+
+        Parameters
+        ----------
+        reason : str
+            ``"stop"`` or ``"host lost"``.
+        """
+        _, lib = layout()
+        if reason not in safety.REQUESTS:
+            raise Refused(f"trip reason {reason!r}: give one of {', '.join(safety.REQUESTS)}")
+        session = self._programs.session  # no lock: STOP never waits behind a load
+        if session is not None:
+            lib.monitor_store32(ffi_address(session.control, "stop"), safety.REQUESTS[reason])
+
+    def acknowledge(self) -> None:
+        """End a STOP or a trip. The program is paused; nothing moves before the next start.
+
+        Where the cause still stands (the STOP input is pressed), the next sample trips again. A
+        joint beyond its position limit may be moved back inside, and no further out.
+        """
+        _, lib = layout()
+        with self._programs.lock:
+            session = self._programs.living()
+            session.request_run(lib.RUN_PAUSED)
+            session.until(lambda: session.running == lib.RUN_PAUSED, "acknowledge")
+            control = session.control
+            wanted = (int(control.acknowledge) + 1) & 0xFFFFFFFF
+            lib.monitor_store32(ffi_address(control, "acknowledge"), wanted)
+            answered = ffi_address(control, "acknowledged")
+            session.until(lambda: lib.monitor_load32(answered) == wanted, "acknowledge")
+
+    def set_drive(self, mode: str) -> None:
+        """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque
+        at each start, the default).
+        """
+        if mode != "auto" and mode not in safety.DRIVE_MODES:
+            raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
+        with self._programs.lock:
+            if mode in ("torque", "velocity"):
+                self._programs.living()  # switching on needs somebody who obeys
+            self._programs.drive_wish = mode
+            session = self._programs.session
+            if session is not None:
+                control = session.control
+                if mode == "off":
+                    control.off = (int(control.off) + 1) & 0xFFFFFFFF
+                control.drive = safety.DRIVE_MODES.get(mode, int(control.drive))
+
+    def home(self) -> None:
+        """Start the machine's homing; ``status().homed`` tells when it is done, a trip when it
+        fails.
+
+        Raises
+        ------
+        Refused
+            A trip stands, or the program runs.
+        """
+        _, lib = layout()
+        with self._programs.lock:
+            session = self._programs.living()
+            require_no_trip(session)
+            if session.running != lib.RUN_PAUSED:
+                raise Refused("the program runs: pause it before homing")
+            lib.monitor_store64(ffi_address(session.control, "run_until"), 0)
+            session.request_run(lib.RUN_HOME)
+
+    def machine(self) -> MachineInfo:
+        """What the loaded machine says of itself."""
+        return self._programs.loaded().machine
+
+    def limits(self) -> Limits:
+        """Limits in force."""
+        _, values = self._programs.loaded().read(safety.limit_names())
+        return safety.limits_of(values)
+
+    def set_limits(self, author: str, **changes: Any) -> int:
+        """Tighten or restore limits, as one synchronous update.
+
+        Parameters
+        ----------
+        author : str
+        **changes
+            Fields of Limits; one number per joint, or one for all.
+
+        Returns
+        -------
+        int
+            Sequence number for `wait_applied`.
+
+        Raises
+        ------
+        Refused
+            Beyond what the machine bears, or not a limit.
+        """
+        session = self._programs.living()
+        return session.set_settings(safety.check_limits(session.machine, changes), author)
+
+    def set_ramp(self, seconds: float) -> None:
+        """Duration of soft start and soft stop, s; 0: at once."""
+        if not 0.0 <= seconds <= 60.0:
+            raise Refused(f"ramp of {seconds!r} s: give 0 … 60 s")
+        self._apply({"drive.ramp": seconds})
+
+    def set_overrun(self, policy: str, limit: int = 10) -> None:
+        """What happens when samples take longer than the period: ``"count"``, ``"skip"``, or
+        ``"trip"`` after `limit` in a row.
+        """
+        if policy not in safety.OVERRUN_POLICIES or limit < 1:
+            raise Refused(
+                f"overrun policy {policy!r}, limit {limit}: give count, skip or trip, and a limit"
+                " of 1 or more"
+            )
+        self._apply({"overrun.policy": safety.OVERRUN_POLICIES[policy], "overrun.limit": limit})
+
+    def _apply(self, values: Mapping[str, object]) -> None:
+        session = self._programs.living()
+        session.updates.wait_applied(session.set_settings(values, "runtime"), 5.0)
+
+    def set_inputs(self, bits: int) -> None:
+        """Digital inputs of a simulated machine, one bit each: what a person at its panel would
+        press.
+        """
+        session = self._programs.living()
+        if not session.machine.simulated:
+            raise Refused("digital inputs of real hardware cannot be set")
+        session.control.simulated_din = bits & 0xFFFFFFFF

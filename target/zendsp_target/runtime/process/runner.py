@@ -1,0 +1,364 @@
+"""The native runner as a process: start it, wait until it is ready, end it, and say how it died."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import shutil
+import signal
+import subprocess
+import time
+import uuid
+import weakref
+from pathlib import Path
+from typing import Any
+
+from zendsp_isr.build import build_machine, build_runner, is_model
+from zendsp_protocol import stop_page
+from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_target.runtime.memory.layout import layout, set_text, text_of
+from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.process.settings import Settings
+from zendsp_target.runtime.process.strays import MARK, Strays
+
+_WITHIN = {
+    1: "while the program was being loaded",
+    2: "in UserInit",
+    3: "in UserISR_INT2",
+    4: "in UserBackground",
+    5: "in the machine",
+}
+
+
+def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
+    ffi, lib = layout()
+    control.magic, control.version, control.bytes = (
+        lib.LAYOUT_MAGIC,
+        lib.LAYOUT_VERSION,
+        ffi.sizeof("control"),
+    )
+    control.rate_hz = settings.rate_hz
+    control.period_ns = round(1e9 / settings.rate_hz)
+    control.clock = lib.CLOCK_REAL if settings.clock == "real" else lib.CLOCK_FAST
+    control.realtime = settings.realtime
+    control.priority, control.cpu = settings.priority, settings.cpu
+    control.monitor = os.getpid()
+    control.spin_us, control.speed = settings.spin_us, settings.speed
+    control.memory = round(settings.memory_mb * 1e6)
+    given = dict(settings.machine_config)
+    if is_model(settings.machine):
+        given |= {"model": os.path.abspath(settings.machine), "clock": settings.clock}
+    config = "".join(f"{key} = {value}\n" for key, value in given.items())
+    for name, text in (
+        ("data_path", str(data)),
+        ("stop_path", str(data.with_name(stop_page.NAME))),
+        ("program_path", str(program)),
+        ("machine_path", str(build_machine(settings.machine))),
+        ("machine_config", config),
+    ):
+        try:
+            set_text(getattr(control, name), text)
+        except ValueError as error:
+            raise Refused(f"{name.replace('_', ' ')}: {error}") from None
+
+
+def look_at(settings: Settings, folder: Path) -> str:
+    """Open a machine in a process of its own and close it again: what is wrong with it is said
+    before a program is loaded.
+
+    Parameters
+    ----------
+    settings : Settings
+    folder : Path
+        In shared memory.
+
+    Returns
+    -------
+    str
+        What the machine says of itself, one sentence.
+
+    Raises
+    ------
+    Refused
+        It does not open.
+    """
+    ffi, _ = layout()
+    file = SharedFile(folder / "control-look", ffi.sizeof("control"))
+    try:
+        control: Any = file.pointer("control")[0]
+        _fill(control, settings, Path("/dev/null"), file.path)
+        command = [str(build_runner()), "--look", str(file.path)]
+        status = subprocess.run(command, timeout=settings.load_s, check=False).returncode
+        if status != 0:
+            raise Refused(
+                text_of(control.error)
+                or f"the machine {settings.machine} ended the runner with status {status}"
+            )
+        return text_of(control.info.text)
+    except subprocess.TimeoutExpired:
+        raise Refused(
+            f"the machine {settings.machine} did not open within {settings.load_s:g} s"
+        ) from None
+    finally:
+        file.unlink()
+
+
+class RunnerProcess:
+    """One runner with its control and data files; ready, its UserInit done, when the constructor
+    returns.
+
+    Parameters
+    ----------
+    settings : Settings
+    program : Path
+        Shared object of the user's program.
+    folder : Path
+        In shared memory.
+    number : int
+        Tells the files of one load from those of the next.
+
+    Raises
+    ------
+    RunnerDied
+        User code crashed or did not return while it was loaded.
+    Refused
+        The runner declined: another ABI, a wrong declaration, a machine that does not open.
+    """
+
+    def __init__(self, settings: Settings, program: Path, folder: Path, number: int) -> None:
+        ffi, lib = layout()
+        self._ended = lib.monitor_ended
+        self.settings = settings
+        self.control_file = SharedFile(folder / f"control-{number}", ffi.sizeof("control"))
+        self.control: Any = self.control_file.pointer("control")[0]
+        data_path = folder / f"data-{number}"
+        self._program = program
+        self._contained = False  # not known yet
+        # not known yet: a crash while loading makes even a simulated machine safe, which does no
+        # harm
+        self.simulated = False
+        try:
+            _fill(self.control, settings, program, data_path)
+            mark = uuid.uuid4().hex
+            self._process = subprocess.Popen(
+                [str(build_runner()), str(self.control_file.path)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                cwd="/",
+                env={**os.environ, MARK: mark},
+            )
+        except BaseException:
+            self.control_file.unlink()
+            raise
+        self._strays = Strays(self.pid, mark)
+        self.handle = os.pidfd_open(self.pid) if hasattr(os, "pidfd_open") else -1
+        if self.handle >= 0:
+            # not before the last that may ask: a number that is given anew would stand for another
+            # file
+            weakref.finalize(self, os.close, self.handle)
+        try:
+            self._wait_ready()
+            self.data_file = SharedFile(data_path)
+            # kept here: a wild pointer may change it
+            self._contained = bool(self.control.contained)
+            self.look()
+            self.simulated = bool(self.control.info.simulated)
+        except BaseException:
+            self.kill()
+            self.make_safe()
+            data_path.unlink(missing_ok=True)
+            self.control_file.unlink()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def _wait_ready(self) -> None:
+        _, lib = layout()
+        deadline = time.monotonic() + self.settings.load_s
+        phase = ffi_address(self.control, "phase")
+        while lib.monitor_load32(phase) not in (lib.PHASE_READY, lib.PHASE_FAILED):
+            if self._process.poll() is not None:
+                break
+            if time.monotonic() > deadline:
+                where = _WITHIN.get(int(self.control.within), "while it was being loaded")
+                self.kill()
+                raise RunnerDied(
+                    f"the program did not return within {self.settings.load_s:g} s {where}; it was"
+                    " ended"
+                )
+            time.sleep(0.0005)
+        if lib.monitor_load32(phase) == lib.PHASE_READY:
+            return
+        self._process.wait(5)
+        if lib.monitor_load32(phase) == lib.PHASE_FAILED:
+            raise Refused(f"the program cannot run: {text_of(self.control.error)}")
+        raise RunnerDied(self.death())
+
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        if self.handle < 0:
+            return self._process.poll() is None
+        return not self._ended(self.handle)
+
+    def wait_death(self, timeout_s: float) -> bool:
+        """Sleep until the process ends.
+
+        Parameters
+        ----------
+        timeout_s : float
+
+        Returns
+        -------
+        bool
+            True when it has ended.
+        """
+        if self.handle < 0:
+            try:
+                self._process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                return False
+            return True
+        poll = select.poll()
+        poll.register(self.handle, select.POLLIN)
+        ended = bool(poll.poll(timeout_s * 1000.0))
+        return ended and self._process.poll() is not None
+
+    def death(self, hung: bool = False) -> str:
+        """A sentence on how the runner ended: what, where, and the last sample.
+
+        Parameters
+        ----------
+        hung : bool
+            The watchdog ended it.
+        """
+        code = self._status()
+        tick = int(self.control.tick)
+        crashed = int(self.control.crash_signal)
+        within = int(self.control.crash_within) if crashed else int(self.control.within)
+        where = _WITHIN.get(within, "in the runtime") + self._line()
+        last = f"last sample {tick - 1}" if tick > 0 else "before the first sample"
+        if (
+            hung and within not in _WITHIN
+        ):  # not in anybody's code: it waited for its next sample and was not woken
+            return (
+                f"the loop got no CPU for {self.settings.hang_s:g} s (another real-time program on"
+                f" the same CPU?): ended by the watchdog; {last}"
+            )
+        if hung:
+            return (
+                f"no return within {self.settings.hang_s:g} s {where}: ended by the watchdog;"
+                f" {last}"
+            )
+        if code is not None and code < 0:
+            name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+            return f"{name} {where}; {last}"
+        return f"the process ended with status {code} {where} (user code called exit?); {last}"
+
+    def _status(self) -> int | None:
+        """Exit status of a process that has ended; `poll` alone answers None while another thread
+        is asking.
+        """
+        try:
+            return self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def _line(self) -> str:
+        """ " at pd.c:42" for a crash within the program, "" where that cannot be told."""
+        address = int(self.control.crash_address)
+        tool = shutil.which("addr2line")
+        if not address or tool is None:
+            return ""
+        command = [tool, "-e", str(self._program), hex(address)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
+        except (OSError, subprocess.TimeoutExpired):
+            return ""
+        place = os.path.basename(done.stdout.split("(")[0].strip())
+        return f" at {place}" if place and "?" not in place else ""
+
+    def quit(self, timeout_s: float = 2.0) -> None:
+        """Ask it to end: machine safe, then gone; killed if it does not answer in time."""
+        _, lib = layout()
+        if self.alive():
+            lib.monitor_run(ffi_pointer(self.control), lib.RUN_QUIT)
+            try:
+                self._process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                self.kill()
+                self.make_safe()
+        self.end_group()
+
+    def kill(self) -> None:
+        """End it at once."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGSTOP)  # it starts nothing more
+        self.end_group()
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+
+    def look(self) -> None:
+        """Note what it started, where the system could not refuse that."""
+        if not self._contained:
+            self._strays.look()
+
+    def end_group(self) -> None:
+        """End what it started, where the system could not refuse that: its process group, and what
+        left it.
+        """
+        if not self._contained:
+            self._strays.end()
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
+
+    def make_safe(self) -> None:
+        """Bring real hardware into its safe state from a fresh process; a simulated machine ended
+        with its runner.
+
+        The control file is made anew: the old one may be full of what a wild pointer wrote.
+        """
+        if self.simulated:
+            return
+        ffi, _ = layout()
+        path = self.control_file.path.with_name(self.control_file.path.name + "-safe")
+        fresh = SharedFile(path, ffi.sizeof("control"))
+        try:
+            _fill(fresh.pointer("control")[0], self.settings, self._program, path)
+            subprocess.run([str(build_runner()), "--safe", str(path)], timeout=10.0, check=False)
+        finally:
+            fresh.unlink()
+
+    def unlink(self) -> None:
+        """Remove the names of the files; what was mapped stays readable."""
+        self.control_file.unlink()
+        if hasattr(self, "data_file"):
+            self.data_file.unlink()
+
+
+def ffi_pointer(struct: Any) -> Any:
+    """Pointer to a cffi struct.
+
+    Parameters
+    ----------
+    struct : cffi struct
+    """
+    ffi, _ = layout()
+    return ffi.addressof(struct)
+
+
+def ffi_address(struct: Any, field: str) -> Any:
+    """Pointer to a field of a cffi struct.
+
+    Parameters
+    ----------
+    struct : cffi struct
+    field : str
+    """
+    ffi, _ = layout()
+    return ffi.addressof(struct, field)

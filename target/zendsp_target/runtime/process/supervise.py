@@ -1,0 +1,82 @@
+"""Watch one runner: see it die at once, end it when it hangs, and bring the machine into its safe
+state.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address
+
+_ROUND_S = 0.05
+
+
+class Supervisor:
+    """A thread that lives as long as its runner.
+
+    Parameters
+    ----------
+    process : RunnerProcess
+    each_round : callable
+        Called about twenty times a second while the runner lives, and once after.
+    on_death : callable
+        Called once, with a sentence, when the runner ended without being asked to.
+    """
+
+    def __init__(
+        self,
+        process: RunnerProcess,
+        each_round: Callable[[], None],
+        on_death: Callable[[str], None],
+    ) -> None:
+        self._process, self._each_round, self._on_death = process, each_round, on_death
+        self._expected = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="zendsp-supervisor", daemon=True)
+        self._thread.start()
+
+    def expect_end(self) -> None:
+        """The runner is about to be ended on purpose."""
+        self._expected.set()
+
+    def join(self, timeout_s: float = 5.0) -> None:
+        """Wait until the thread has ended."""
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        _, lib = layout()
+        heartbeat = ffi_address(self._process.control, "heartbeat")
+        seen, stalled, last = -1, 0.0, time.monotonic()
+        while not self._process.wait_death(_ROUND_S):
+            self._process.look()
+            self._each_round()
+            beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
+            # a computer that stood still (or starved this thread) must not look like a program that
+            # did
+            passed, last = min(now - last, 2.0 * _ROUND_S), now
+            # odd: within a sample. Even: the loop waits for its deadline, which a slow rate may set
+            # far ahead
+            allowed = self._process.settings.hang_s + (
+                0.0 if beat % 2 else 2.0 / self._process.settings.rate_hz
+            )
+            stalled = stalled + passed if beat == seen else 0.0
+            seen = beat
+            if stalled > allowed:
+                self._end_hung()
+                return
+        self._process.end_group()
+        self._each_round()
+        if not self._expected.is_set():
+            self._process.make_safe()
+            self._on_death(self._process.death())
+
+    def _end_hung(self) -> None:
+        sentence = self._process.death(hung=True)
+        self._process.kill()
+        self._process.make_safe()
+        self._each_round()
+        if not self._expected.is_set():
+            self._on_death(sentence)

@@ -1,0 +1,200 @@
+"""How programs come and go: compile, load, unload; and what stays between them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from zendsp_isr.build import build_machine, build_runner, is_model
+from zendsp_protocol import stop_page
+from zendsp_protocol.errors import Refused
+from zendsp_protocol.messages import CompileResult
+from zendsp_target.concealed.load import load_concealed
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.compile_service import compile_program, program_path
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFile, SharedFolder
+from zendsp_target.runtime.process.runner import look_at
+from zendsp_target.runtime.process.settings import Settings, split_options
+from zendsp_target.runtime.session import Session
+from zendsp_target.runtime.variables.change_log import ChangeLog
+
+
+def require_no_trip(session: Session) -> None:
+    """Refuse what must wait until a STOP or trip is acknowledged."""
+    trip = safety.trip_of(session.control, session.machine)
+    if trip is not None:
+        raise Refused(f"{trip.text}: acknowledge it first")
+
+
+def make_stop_page(folder: Path) -> SharedFile:
+    """Make the file by which programs of this user stop the loop."""
+    ffi, lib = layout()
+    file = SharedFile(folder / stop_page.NAME, ffi.sizeof("stop_page"))
+    head = file.pointer("stop_page")
+    head.magic, head.version = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION
+    return file
+
+
+class Programs:
+    """How programs come and go on one machine. The parameters are described at `Runtime`.
+
+    Attributes
+    ----------
+    session : Session or None
+        The load of today.
+    lock : RLock
+        Held by whoever loads, starts or pauses; never by STOP.
+    folder : SharedFolder
+    log : ChangeLog
+        Of all loads.
+    settings : Settings
+        Of the next load.
+    drive_wish : str
+        ``"auto"`` (on at start), or what was asked for: ``"off"``, ``"torque"``, ``"velocity"``.
+    """
+
+    def __init__(
+        self,
+        machine: str,
+        rate_hz: float = 1000.0,
+        clock: str = "real",
+        machine_config: Mapping[str, str | float] | None = None,
+        concealed: str | None = None,
+        **options: Any,
+    ) -> None:
+        config = dict(machine_config or {})
+        own, for_machine = split_options(options)
+        config |= for_machine
+        self._concealed = load_concealed(concealed, machine, config)
+        config |= self._concealed.config()
+        self.settings = Settings(machine, config, rate_hz, clock, **own)
+        layout()
+        build_runner()
+        build_machine(machine)  # what does not compile shall say so now, not at the first load
+        self.folder = SharedFolder()
+        self._page = make_stop_page(self.folder.path)
+        try:
+            self.title = look_at(self.settings, self.folder.path) if is_model(machine) else ""
+        except BaseException:
+            self.folder.close()
+            raise
+        self.lock = threading.RLock()
+        self.session: Session | None = None
+        self.log = ChangeLog()
+        self._loads = 0
+        self.drive_wish = "auto"
+        self._closed = False
+
+    def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult:
+        """Compile a program; errors in the code are part of the result. See `compile_program`."""
+        return compile_program(sources, flags)
+
+    def load(self, key: str) -> None:
+        """Start a fresh runner with a compiled program and run its UserInit. An earlier one is
+        ended first.
+
+        Raises
+        ------
+        Refused
+            No such program, or it cannot run; or a STOP or trip that is not acknowledged: a fresh
+            runner would forget it.
+        RunnerDied
+            Its UserInit crashed or did not return.
+        """
+        path = program_path(key)
+        with self.lock:
+            self._require_open()
+            if self.session is not None and self.session.alive():
+                require_no_trip(self.session)
+            self.unload()
+            if self.drive_wish != "auto":
+                # a fresh runner begins with its drives off, and is switched on deliberately
+                self.drive_wish = "off"
+            self._loads += 1
+            self.session = Session(
+                key, self.settings, path, self.folder.path, self._loads, self.log
+            )
+
+    def unload(self) -> None:
+        """End the runner; acquired data and the log stay."""
+        with self.lock:
+            if self.session is not None:
+                self.session.close()
+                self.session = None
+
+    def stop_page(self) -> str:
+        """Path of the file by which programs of this user stop the loop, past this process: see
+        `zendsp_protocol.stop_page`.
+        """
+        return str(self._page.path)
+
+    def runner_pid(self) -> int:
+        """Process id of the native runner, 0 where none runs."""
+        session = self.session
+        return session.process.pid if session is not None and session.alive() else 0
+
+    def configure(self, **changes: Any) -> None:
+        """Change fields of `Settings` (rate_hz, clock, machine, …) for the next load.
+
+        Raises
+        ------
+        Refused
+            A value out of range.
+        """
+        with self.lock:
+            self.settings = Settings(**{**self.settings.__dict__, **changes})
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise Refused("this runtime was closed")
+
+    def loaded(self) -> Session:
+        """The session, running or not.
+
+        Raises
+        ------
+        Refused
+            No program is loaded.
+        """
+        session = self.session
+        if session is None:
+            raise Refused("no program is loaded: compile and load one first")
+        return session
+
+    def living(self) -> Session:
+        """The session, whose runner lives.
+
+        Raises
+        ------
+        Refused
+            No program is loaded.
+        RunnerDied
+            Its runner ended.
+        """
+        session = self.loaded()
+        session.require_alive()
+        return session
+
+    def seal(self) -> str:
+        """SHA-256 of what the machine conceals: tells nothing, and proves afterwards that nothing
+        was changed.
+        """
+        return self._concealed.seal()
+
+    def reveal(self) -> str:
+        """The sealed record itself, as JSON text: the truth, to be asked for when the diagnosis is
+        made.
+        """
+        return self._concealed.record_text()
+
+    def close(self) -> None:
+        """End everything and remove the shared memory."""
+        with self.lock:
+            if not self._closed:
+                self.unload()
+                self._closed = True
+                self.folder.close()

@@ -1,0 +1,148 @@
+"""The eight streams of a target, by number; each stays readable after the program that filled it is
+gone.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol import kept
+from zendsp_protocol.errors import AcquisitionError
+from zendsp_protocol.kept import About
+from zendsp_protocol.messages import AcquireStatus, Held
+from zendsp_protocol.states import RecorderState
+from zendsp_target.api import RECORDER, AcquireConfig
+from zendsp_target.runtime import acquisition
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFolder
+from zendsp_target.runtime.session import Session
+
+
+class Recorder:
+    """Streams by number: 0 the recorder, 1 … 7 live.
+
+    Parameters
+    ----------
+    folder : SharedFolder
+    current : callable
+        The session that runs now, None where there is none.
+    """
+
+    def __init__(self, folder: SharedFolder, current: Callable[[], Session | None]) -> None:
+        self._folder, self._current = folder, current
+        self._streams: dict[int, tuple[acquisition.Stream, Session]] = {}
+        self._files = 0
+        self._lock = threading.Lock()
+
+    def configure(self, stream: int, config: AcquireConfig) -> AcquireStatus:
+        """Set up a stream (0: recorder; 1 … 7: live); what it held before is dropped.
+
+        Raises
+        ------
+        AcquisitionError
+            No program, an unknown channel, or more than fits into memory.
+        """
+        _, lib = layout()
+        if not 0 <= stream < lib.LAYOUT_STREAMS:
+            raise AcquisitionError(f"stream {stream}: there are 0 … {lib.LAYOUT_STREAMS - 1}")
+        with self._lock:
+            session = self._current()
+            if session is None or not session.alive():
+                raise AcquisitionError(
+                    "no program is loaded: load one before configuring an acquisition"
+                )
+            self._files += 1
+            path = self._folder.path / f"stream-{stream}-{self._files}"
+            fresh = acquisition.create(
+                path,
+                session.dictionary,
+                config,
+                session.settings.rate_hz,
+                self._folder.free_bytes(),
+            )
+            try:
+                acquisition.attach(fresh, session.control, stream, session.alive)
+            except BaseException:
+                fresh.file.unlink()
+                raise
+            # both sides have it mapped: only what may be salvaged keeps its name
+            (self._forget if stream == RECORDER else fresh.file.unlink)()
+            self._streams[stream] = (fresh, session)
+            return acquisition.status(fresh, True)
+
+    def start(self, stream: int, force: bool = False) -> None:
+        """Begin to acquire, or wait for the trigger; `force` fires the trigger of a stream that is
+        armed already.
+
+        Raises
+        ------
+        AcquisitionError
+            Not configured, or its program is no longer loaded.
+        """
+        found, session = self._stream(stream)
+        if not self._fed(session):
+            raise AcquisitionError(
+                f"stream {stream} belongs to a program that is no longer loaded: configure it again"
+            )
+        if not (force and acquisition.status(found, True).state == RecorderState.ARMED):
+            acquisition.request(found, "arm", session.alive)
+        if force:
+            acquisition.request(found, "force", session.alive)
+
+    def keep(self, about: About) -> None:
+        """Have the rows of the recorder outlive this process if it is killed; see
+        `zendsp_protocol.kept`.
+        """
+        found, session = self._stream(RECORDER)
+        if self._fed(session):
+            kept.write(self._folder.path, acquisition.note_of(found, about))
+
+    def _forget(self) -> None:
+        """What the recorder held before is not to be salvaged."""
+        (self._folder.path / kept.NOTE).unlink(missing_ok=True)
+        if RECORDER in self._streams:
+            self._streams[RECORDER][0].file.unlink()
+
+    def stop(self, stream: int) -> None:
+        """End an acquisition at the next sample; its rows stay."""
+        found, session = self._stream(stream)
+        if self._fed(session):
+            acquisition.request(found, "disarm", session.alive)
+
+    def status(self, stream: int) -> AcquireStatus:
+        """Where a stream stands."""
+        if stream not in self._streams:
+            return AcquireStatus(RecorderState.IDLE, (), (), 1, 0, 0, 0, 0, 0, -1)
+        found, session = self._streams[stream]
+        return acquisition.status(found, self._fed(session))
+
+    def held(self, stream: int) -> Held:
+        """Where the rows of a stream stand; an empty path where it is not configured."""
+        if stream not in self._streams:
+            return Held()
+        found, session = self._streams[stream]
+        return acquisition.held(found, self._fed(session))
+
+    def read(
+        self,
+        stream: int,
+        first: int,
+        count: int,
+        into: npt.NDArray[np.float64] | None = None,
+        fold: bytearray | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """Rows of a stream, shape (rows, channels). See `acquisition.read`."""
+        return acquisition.read(self._stream(stream)[0], first, count, into, fold)
+
+    def _stream(self, stream: int) -> tuple[acquisition.Stream, Session]:
+        found = self._streams.get(stream)
+        if found is None:
+            raise AcquisitionError(f"stream {stream} is not configured: configure it first")
+        return found
+
+    def _fed(self, session: Session) -> bool:
+        return session is self._current() and session.alive()

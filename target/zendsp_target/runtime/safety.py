@@ -1,0 +1,221 @@
+"""Words for what the loop decided: trips, limits, drive modes, timing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol.errors import Refused
+from zendsp_protocol.messages import JointInfo, Limits, MachineInfo, Timing, Trip
+from zendsp_protocol.values import Value
+from zendsp_target.runtime.memory.layout import layout, text_of
+
+DRIVE_MODES = {"off": 0, "torque": 1, "velocity": 2}
+OVERRUN_POLICIES = {"count": 0, "skip": 1, "trip": 2}
+_REASONS = {
+    1: "stop",
+    2: "stop input",
+    3: "host lost",
+    4: "torque",
+    5: "speed",
+    6: "position",
+    7: "command",
+    8: "nan",
+    9: "overrun",
+    10: "sensor",
+    11: "homing",
+}
+REQUESTS = {"stop": 1, "host lost": 3}
+STOPS = ("stop", "stop input", "host lost")
+_ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_max")
+
+
+def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
+    """The latched trip, None while there is none.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    machine : MachineInfo
+        For the names and units in its sentence.
+    """
+    ffi, lib = layout()
+    reason = _REASONS.get(lib.monitor_load32(ffi.addressof(control.trip, "reason")))
+    if reason is None:
+        return None
+    raw = control.trip
+    joint, tick, value, limit = int(raw.joint), int(raw.tick), float(raw.value), float(raw.limit)
+    return Trip(
+        reason, joint, tick, value, limit, _sentence(machine, reason, joint, tick, value, limit)
+    )
+
+
+def _sentence(
+    machine: MachineInfo, reason: str, joint: int, tick: int, value: float, limit: float
+) -> str:
+    which = machine.joints[joint - 1] if 1 <= joint <= len(machine.joints) else machine.joints[0]
+    unit, who = which.unit, which.name
+    torque = "N" if unit == "m" else "N m"
+    what = {
+        "stop": "STOP was requested",
+        "stop input": "the STOP input of the machine is active",
+        "host lost": "the host that commanded the motion is gone",
+        "torque": (
+            f"{who}: command of {value:.4g} {torque} exceeds the limit of {limit:.4g} {torque}"
+        ),
+        "speed": f"{who}: speed of {value:.4g} {unit}/s exceeds the limit of {limit:.4g} {unit}/s",
+        "position": f"{who}: position {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
+        "command": f"{who}: command of {value:.5g} mV exceeds the limit of {limit:.5g} mV",
+        "nan": f"{who}: the code computed {value} as its output",
+        "overrun": f"{value:.0f} samples in a row took longer than the period",
+        "sensor": f"{who}: the position sensor reports a fault",
+        "homing": "homing failed",
+    }[reason]
+    return f"{what} (sample {tick}); outputs are safe until acknowledged"
+
+
+def machine_of(control: Any) -> MachineInfo:
+    """What the machine said of itself.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    """
+    info = control.info
+    joints = tuple(
+        JointInfo(
+            text_of(j.name),
+            text_of(j.unit),
+            text_of(j.command),
+            j.counts_per_unit,
+            j.zero_counts,
+            j.mv_per_torque,
+            j.mv_per_speed,
+            j.command_max,
+            j.position_min,
+            j.position_max,
+            j.speed_max,
+            j.torque_max,
+            j.home,
+            j.length,
+        )
+        for j in (info.joint[i] for i in range(info.joints))
+    )
+    return MachineInfo(
+        text_of(info.name),
+        text_of(info.text),
+        bool(info.simulated),
+        joints,
+        tuple(text_of(info.adc_name[i]) for i in range(info.adcs)),
+        tuple(text_of(info.adc_unit[i]) for i in range(info.adcs)),
+        info.dins,
+        info.douts,
+        info.stop_input,
+        bool(info.needs_homing),
+    )
+
+
+def limits_of(values: dict[str, Value]) -> Limits:
+    """Limits from the values of the settings ``limit.…``."""
+    arrays = {
+        name: tuple(float(x) for x in np.atleast_1d(np.asarray(values[f"limit.{name}"])))
+        for name in _ARRAYS
+    }
+    return Limits(**arrays, torque_clamp=bool(values["limit.torque_clamp"]))
+
+
+def limit_names() -> tuple[str, ...]:
+    """Settings that make up the limits."""
+    return tuple(f"limit.{name}" for name in (*_ARRAYS, "torque_clamp"))
+
+
+def check_limits(machine: MachineInfo, changes: dict[str, Any]) -> dict[str, Any]:
+    """Settings for changed limits, checked against the machine: a limit may be tightened, never
+    beyond what the machine bears.
+
+    Parameters
+    ----------
+    machine : MachineInfo
+    changes : dict
+        Fields of Limits; arrays have one entry per joint, or one number for all.
+
+    Returns
+    -------
+    dict
+        Setting name to value.
+
+    Raises
+    ------
+    Refused
+        Unknown field, wrong length, NaN, or beyond the machine.
+    """
+    settings: dict[str, Any] = {}
+    joints = len(machine.joints)
+    for name, value in changes.items():
+        if name == "torque_clamp":
+            settings["limit.torque_clamp"] = int(bool(value))
+            continue
+        if name not in _ARRAYS:
+            raise Refused(f"no limit {name!r}: there are {', '.join((*_ARRAYS, 'torque_clamp'))}")
+        array = np.asarray(value, dtype=np.float64)
+        array = np.full(joints, float(array)) if array.ndim == 0 else array
+        if array.shape != (joints,) or not np.all(np.isfinite(array)):
+            raise Refused(f"limit {name}: give {joints} finite numbers, got {value!r}")
+        for joint, (wanted, own) in enumerate(
+            zip(array, (getattr(j, name) for j in machine.joints), strict=True), 1
+        ):
+            beyond = wanted < own if name == "position_min" else wanted > own
+            if beyond or (name not in ("position_min", "position_max") and wanted < 0.0):
+                raise Refused(
+                    f"limit {name} of joint {joint}: {wanted:g} is outside what the machine bears"
+                    f" ({own:g})"
+                )
+        settings[f"limit.{name}"] = float(array[0]) if joints == 1 else array
+    return settings
+
+
+def histogram_edges(bins: int) -> npt.NDArray[np.float64]:
+    """Edges of the timing histograms: four bins an octave, the last one open.
+
+    Parameters
+    ----------
+    bins : int
+
+    Returns
+    -------
+    ndarray, shape (bins + 1,)
+        ns; bin b counts durations in [edge b, edge b + 1).
+    """
+    edges = [float(b) if b < 4 else float((4 + b % 4) * 2 ** (b // 4 - 1)) for b in range(bins + 1)]
+    return np.array(edges)
+
+
+def timing_of(control: Any) -> Timing:
+    """Timing counts.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    """
+    ffi, lib = layout()
+    raw = control.timing
+    samples = max(1, int(raw.samples))
+    bins = int(lib.LAYOUT_BINS)
+    return Timing(
+        ticks=int(raw.samples), overruns=int(raw.overruns), missed=int(raw.missed),
+        exec_mean_ns=int(raw.exec_sum) / samples, exec_max_ns=int(raw.exec_max),
+        late_mean_ns=int(raw.late_sum) / samples, late_max_ns=int(raw.late_max),
+        exec_histogram=np.frombuffer(ffi.buffer(raw.exec_bins), dtype=np.int64).copy(),
+        late_histogram=np.frombuffer(ffi.buffer(raw.late_bins), dtype=np.int64).copy(),
+        histogram_edges_ns=histogram_edges(bins),
+    )  # fmt: skip
+
+
+def no_timing() -> Timing:
+    """Timing of a loop that never ran."""
+    _, lib = layout()
+    bins = int(lib.LAYOUT_BINS)
+    zeros = np.zeros(bins, dtype=np.int64)
+    return Timing(0, 0, 0, 0.0, 0, 0.0, 0, zeros, zeros, histogram_edges(bins))

@@ -1,0 +1,239 @@
+"""One load of a program: its runner, its dictionary, its updates. Readable after its runner has
+died.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from zendsp_protocol.errors import Refused, RunnerDied, VariableError
+from zendsp_protocol.values import Value
+from zendsp_target.api import Blank
+from zendsp_target.bounded import keep
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address, ffi_pointer
+from zendsp_target.runtime.process.settings import Settings
+from zendsp_target.runtime.process.supervise import Supervisor
+from zendsp_target.runtime.safety import machine_of
+from zendsp_target.runtime.variables.change_log import ChangeLog
+from zendsp_target.runtime.variables.dictionary import Dictionary, Place, decode
+from zendsp_target.runtime.variables.plans import ReadPlan
+from zendsp_target.runtime.variables.updates import Updates
+
+_ANSWER_S = 5.0  # the paused loop answers within a millisecond; a loaded machine may take longer
+
+
+class Session:
+    """One load.
+
+    Parameters
+    ----------
+    key : str
+        Of the program.
+    settings : Settings
+    program : Path
+    folder : Path
+        In shared memory.
+    number : int
+    log : ChangeLog
+
+    Raises
+    ------
+    RunnerDied, Refused
+        As `RunnerProcess`.
+    """
+
+    def __init__(
+        self, key: str, settings: Settings, program: Path, folder: Path, number: int, log: ChangeLog
+    ) -> None:
+        self.key, self.settings = key, settings
+        self.crash = ""
+        self.started = False
+        self.process = RunnerProcess(settings, program, folder, number)
+        self.control = self.process.control
+        self._pointer = ffi_pointer(self.control)
+        data = self.process.data_file
+        memory = np.frombuffer(data.map, dtype=np.uint8)
+        start = int(self.control.initial_offset)
+        self.dictionary = Dictionary(
+            self.control, memory[start : start + int(self.control.snapshot_bytes)].copy()
+        )
+        self.updates = Updates(
+            self.control, data, self.dictionary, log, self.process.alive, self.process.handle
+        )
+        self._memory = memory
+        # kept here, since user code with a wild pointer may overwrite what is shared: nothing there
+        # shall steer a copy
+        self.machine = machine_of(self.control)
+        self._newest = ffi_address(self.control, "newest")
+        self._slots_at = int(self.control.snapshot_offset)
+        self._slots = data.pointer("unsigned char", self._slots_at)
+        self._stride, self._bytes = int(self.control.snapshot_stride), int(
+            self.control.snapshot_bytes
+        )
+        ffi, _ = layout()
+        self._ended = ffi.new("uint32_t *")  # for what was made ready, and is kept by others
+        self._read_plans: dict[tuple[str, ...], ReadPlan] = {}
+        self._supervisor = Supervisor(self.process, self.updates.harvest, self._died)
+
+    def _died(self, sentence: str) -> None:
+        self.crash = sentence
+        # what was made ready would not say that the values are old
+        layout()[1].monitor_store32(self._ended, 1)
+
+    def ended(self) -> str:
+        """Why the program no longer runs, in a sentence: it crashed, or a STOP or trip is latched;
+        else empty.
+        """
+        if not self.alive():
+            return f"the program crashed: {self.crash or 'the runner ended'}"
+        trip = safety.trip_of(self.control, self.machine)
+        return "" if trip is None else trip.text
+
+    def alive(self) -> bool:
+        """Whether the runner still runs."""
+        return self.process.alive()
+
+    def require_alive(self) -> None:
+        """Raise RunnerDied, with how it died, when the runner is gone."""
+        if not self.alive():
+            self._supervisor.join()
+            raise RunnerDied(
+                f"the runner is gone ({self.crash or 'ended'}): load the program again"
+            )
+
+    @property
+    def tick(self) -> int:
+        """Samples done."""
+        _, lib = layout()
+        return int(lib.monitor_load64(ffi_address(self.control, "tick")))
+
+    @property
+    def running(self) -> int:
+        """RUN_… as the loop sees it."""
+        _, lib = layout()
+        return int(lib.monitor_load32(ffi_address(self.control, "running")))
+
+    def request_run(self, run: int) -> None:
+        """Ask the loop for RUN_PAUSED, RUN_ISR or RUN_HOME, without waiting."""
+        _, lib = layout()
+        lib.monitor_run(self._pointer, run)
+
+    def until(self, done: Callable[[], bool], what: str, timeout_s: float = _ANSWER_S) -> None:
+        """Sleep until the loop has answered.
+
+        Raises
+        ------
+        RunnerDied
+            The runner ended before.
+        Refused
+            It did not answer in time.
+        """
+        end = time.monotonic() + timeout_s
+        while not done():
+            if not self.alive():
+                if done():
+                    return
+                self.require_alive()
+            if time.monotonic() > end:
+                raise Refused(
+                    f"the loop does not answer to {what} within {timeout_s:g} s: see status"
+                )
+            time.sleep(0.0002)
+
+    def snapshot(self) -> tuple[int, np.ndarray[tuple[int], np.dtype[np.uint8]]]:
+        """The newest sample: its tick, and all small values as bytes."""
+        ffi, lib = layout()
+        values = np.empty(self._bytes, dtype=np.uint8)
+        tick = ffi.new("uint64_t *")
+        target = ffi.cast("unsigned char *", ffi.from_buffer(values))
+        self.until(
+            lambda: bool(
+                lib.monitor_snapshot(
+                    self._newest, self._slots, self._stride, 0, self._bytes, target, tick
+                )
+            ),
+            "reading",
+        )
+        return int(tick[0]), values
+
+    def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
+        """Values of one sample; tables as they stand.
+
+        Raises
+        ------
+        VariableError
+            One line for each unknown name.
+        """
+        key = tuple(names)
+        plan = self._read_plans.get(key)
+        if (
+            plan is not None
+            and (read := plan.read(self._newest, self._slots, self._stride)) is not None
+        ):
+            return read
+        places: dict[str, Place] = {}
+        problems: list[str] = []
+        for name in names:
+            try:
+                places[name] = self.dictionary.place(name)
+            except VariableError as error:
+                problems.append(str(error))
+        if problems:
+            raise VariableError("\n".join(problems))
+        tick, values = self.snapshot()
+        small = {name: place for name, place in places.items() if place.entry.info.kind != "table"}
+        if plan is None and small and len(small) == len(places):
+            keep(self._read_plans, key, ReadPlan(places.items()))
+        found = decode(small, values)
+        for name, place in places.items():
+            if name not in small:
+                found[name] = self._table(place)
+        return tick, {name: found[name] for name in names}
+
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
+        """Make what fills a reply with the newest values of the same names; see
+        `RuntimeApi.repeat_read`.
+        """
+        plan = self._read_plans.get(tuple(names))
+        if plan is None:
+            return None
+        ffi, _ = layout()
+        control = ffi.from_buffer("control *", self.process.control_file.map)
+        data = ffi.from_buffer("unsigned char[]", self.process.data_file.map)
+        return plan.again(self._ended, control, data, self._slots_at, self._stride, reply)
+
+    def repeat_write(
+        self, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None:
+        """Make what writes one value again; see `RuntimeApi.repeat_write`."""
+        return self.updates.repeat(self._ended, name, author, value_at, reply)
+
+    def _table(self, place: Place) -> Value:
+        entry = place.entry
+        word = int(self.control.variable[entry.index].table)
+        rows, columns = min(word & 0xFFFFFFFF, entry.rows), entry.info.columns
+        start = entry.banks[word >> 32 & 1]
+        return (
+            self._memory[start : start + rows * columns * 8]
+            .view("<f8")
+            .reshape(rows, columns)
+            .copy()
+        )
+
+    def set_settings(self, values: Mapping[str, object], author: str) -> int:
+        """Write the runtime's own settings as one update."""
+        return self.updates.write(values, author, None, settings=True)
+
+    def close(self) -> None:
+        """End the runner, machine safe; what was recorded stays readable."""
+        layout()[1].monitor_store32(self._ended, 1)
+        self._supervisor.expect_end()
+        self.process.quit()
+        self._supervisor.join()
+        self.process.unlink()

@@ -1,0 +1,106 @@
+"""The state of a target at a glance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_protocol.messages import Status
+from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_protocol.values import WireValue
+from zendsp_target.runtime import safety
+from zendsp_target.runtime.memory.layout import layout, text_of
+from zendsp_target.runtime.process.settings import Settings
+from zendsp_target.runtime.session import Session
+
+_IO = ("enc", "aout", "adc", "din", "dout")
+_MODES = {number: name for name, number in safety.DRIVE_MODES.items()}
+
+
+def empty_status(settings: Settings) -> Status:
+    """Status while no program is loaded.
+
+    Parameters
+    ----------
+    settings : Settings
+        Of the next load.
+    """
+    return Status(
+        state=ProgramState.EMPTY,
+        tick=0,
+        t=0.0,
+        rate_hz=settings.rate_hz,
+        clock=settings.clock,
+        scheduling="",
+        machine=settings.machine,
+        joints=0,
+        program="",
+        timing=safety.no_timing(),
+        drive=DriveState.OFF,
+        trip=None,
+        crash="",
+    )
+
+
+def status_of(session: Session) -> Status:
+    """Status of a loaded program, dead or alive.
+
+    Parameters
+    ----------
+    session : Session
+    """
+    control = session.control
+    trip = safety.trip_of(control, session.machine)
+    state = _state(session, trip is not None)
+    tick = session.tick
+    mode, homed = _MODES.get(int(control.drive_mode), "off"), bool(control.homed)
+    return Status(
+        state=state,
+        tick=tick,
+        t=tick / session.settings.rate_hz,
+        rate_hz=session.settings.rate_hz,
+        clock=session.settings.clock,
+        scheduling=text_of(control.scheduling),
+        machine=session.machine.name,
+        joints=len(session.machine.joints),
+        program=session.key,
+        timing=safety.timing_of(control),
+        drive=_drive(state, trip.reason if trip else "", mode, homed),
+        trip=trip,
+        crash=session.crash,
+        io=_io(session),
+        homed=homed,
+        drive_mode=mode,
+    )
+
+
+def _state(session: Session, tripped: bool) -> ProgramState:
+    _, lib = layout()
+    if not session.alive():
+        return ProgramState.CRASHED
+    if tripped:
+        return ProgramState.STOPPED
+    if session.running != lib.RUN_PAUSED:
+        return ProgramState.RUNNING
+    return ProgramState.PAUSED if session.started else ProgramState.LOADED
+
+
+def _drive(state: ProgramState, reason: str, mode: str, homed: bool) -> DriveState:
+    if state == ProgramState.CRASHED:
+        return DriveState.OFF
+    if reason:
+        return DriveState.STOPPED if reason in safety.STOPS else DriveState.TRIPPED
+    if mode == "off":
+        return DriveState.HOMED if homed else DriveState.READY
+    return DriveState.RUNNING if state == ProgramState.RUNNING else DriveState.ENABLED
+
+
+def _io(session: Session) -> dict[str, WireValue]:
+    names = [name for name in _IO if name in session.dictionary.entries]
+    try:
+        _, values = session.read(names)
+    except (RunnerDied, Refused):
+        return {}
+    return {
+        name: np.atleast_1d(np.asarray(value, dtype=np.float64)) for name, value in values.items()
+    }

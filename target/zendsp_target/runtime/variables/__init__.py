@@ -1,0 +1,1 @@
+"""The variables of a loaded program: dictionary, values, synchronous updates, the log."""

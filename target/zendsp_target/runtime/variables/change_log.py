@@ -1,0 +1,97 @@
+"""The log of what was changed: every change of a parameter, with its sample, old and new value, and
+who made it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from itertools import islice
+
+import msgspec
+
+from zendsp_protocol.messages import Change
+from zendsp_protocol.values import Value
+from zendsp_target.runtime.variables.dictionary import SCALARS, Place, value_of
+from zendsp_target.runtime.variables.plans import ENTRY
+
+_MAX_LOG = 100_000  # lines kept; older ones are dropped
+
+
+class Flight(msgspec.Struct, frozen=True):
+    """A batch that was committed and not yet harvested; a struct of msgspec, which is made in C at
+    each write.
+    """
+
+    slot: int
+    places: tuple[tuple[str, Place], ...]  # one for each entry
+    size: int  # of the entries, bytes
+    entries: Callable[[], bytes]  # as they were written
+    author: str
+    host_time: float
+
+
+class ChangeLog:
+    """Every change of a parameter, in the order in which it was harvested; shared by all loads of a
+    target.
+
+    A batch is kept as bytes when it comes back. It is put into words a few at a time, the rest when
+    somebody asks: hundreds of updates a second of many variables each would otherwise keep the
+    interpreter from its requests.
+    """
+
+    def __init__(self) -> None:
+        self._lines: deque[Change] = deque(maxlen=_MAX_LOG)
+        self._raw: deque[tuple[Flight, int, bytes]] = deque()
+        self._came = self._worded = 0  # lines, in all
+        self._lock = threading.Lock()
+
+    def append(self, flight: Flight, tick: int, old: bytes) -> None:
+        """Add a batch that took effect at a sample, with the old values in the form of a batch. One
+        caller at a time.
+        """
+        self._raw.append((flight, tick, old))
+        self._came += len(flight.places)
+
+    def settle(self, most: int = _MAX_LOG) -> None:
+        """Put what has come in into words: about ``most`` lines."""
+        with self._lock:
+            done = 0
+            while self._raw and done < most:
+                flight, tick, old = self._raw.popleft()
+                count = len(flight.places)
+                self._worded += count
+                if self._came - self._worded >= _MAX_LOG:  # newer ones fill the log without it
+                    self._lines.clear()
+                    continue
+                self._lines.extend(_changes(flight, tick, old))
+                done += count
+
+    def since(self, number: int) -> tuple[Change, ...]:
+        """Lines from number `number` on (0: all that are kept)."""
+        self.settle(2 * _MAX_LOG)
+        with self._lock:
+            dropped = self._worded - len(self._lines)
+            return tuple(islice(self._lines, min(max(0, number - dropped), len(self._lines)), None))
+
+
+def _changes(flight: Flight, tick: int, old: bytes) -> list[Change]:
+    found: list[Change] = []
+    at = 0
+    new = flight.entries()
+    for name, place in flight.places:
+        size = ENTRY.unpack_from(new, at)[2]
+        at += ENTRY.size
+        before, after = _shown(place, old, at), _shown(place, new, at)
+        found.append(Change(tick, flight.host_time, name, before, after, flight.author))
+        at += size + -size % 8
+    return found
+
+
+def _shown(place: Place, data: bytes, offset: int) -> Value:
+    """A value for the log; a table is logged by its number of rows."""
+    if place.entry.info.kind == "table":
+        rows: int = SCALARS["int32"].unpack_from(data, offset + 4)[0]
+        return rows
+    return value_of(place.entry, place.scalar, data, offset)

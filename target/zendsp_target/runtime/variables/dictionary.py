@@ -1,0 +1,208 @@
+"""The dictionary that the running code declares: names, types, limits, and where each value stands
+in a snapshot.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp_protocol.errors import VariableError
+from zendsp_protocol.messages import VariableInfo
+from zendsp_protocol.values import Value
+from zendsp_target.runtime.memory.layout import text_of
+
+SCALARS = {
+    "double": struct.Struct("<d"),
+    "float": struct.Struct("<f"),
+    "int32": struct.Struct("<i"),
+    "bool": struct.Struct("?"),
+}
+_TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
+    1: ("double", np.dtype("<f8")),
+    2: ("float", np.dtype("<f4")),
+    3: ("int32", np.dtype("<i4")),
+    4: ("bool", np.dtype("?")),
+}
+_KINDS = {1: "parameter", 2: "signal", 3: "table", 4: "builtin", 5: "setting"}
+_ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>\d+)\]$")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One variable: what the host may know (`info`), and where it is."""
+
+    info: VariableInfo
+    index: int  # in the runner's dictionary
+    dtype: np.dtype[Any]
+    offset: int  # within a snapshot, bytes; -1 for a table
+    size: int  # bytes; 0 for a table
+    banks: tuple[int, int]  # of a table: offsets in the data file
+
+    @property
+    def rows(self) -> int:
+        """Capacity of a table."""
+        return self.info.length // self.info.columns
+
+
+@dataclass(frozen=True)
+class Place:
+    """A variable, or one element of it."""
+
+    entry: Entry
+    element: int | None = None
+    offset: int = 0  # bytes into the variable
+    scalar: bool = field(init=False)  # one number, rather than an array or a table
+    # a double that the host may write: what is written a hundred times a second
+    plain: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        info = self.entry.info
+        scalar = self.element is not None or (info.length == 1 and info.kind != "table")
+        object.__setattr__(self, "scalar", scalar)
+        object.__setattr__(
+            self, "plain", scalar and info.type == "double" and info.kind == "parameter"
+        )
+
+
+def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes | bytearray, offset: int) -> Value:
+    """Decode a value at an offset: a Python number, or a copy of an array.
+
+    Parameters
+    ----------
+    entry : Entry
+    scalar : bool
+        One element rather than the whole array.
+    raw : bytes-like
+    offset : int
+        Bytes.
+    """
+    if scalar:
+        number: Value = SCALARS[entry.info.type].unpack_from(raw, offset)[0]
+        return number
+    return np.frombuffer(raw, dtype=entry.dtype, count=entry.info.length, offset=offset).copy()
+
+
+class Dictionary:
+    """All variables of one load, by name.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    initial : ndarray of uint8
+        Values as UserInit left them, laid out as a snapshot.
+    """
+
+    def __init__(self, control: Any, initial: npt.NDArray[np.uint8]) -> None:
+        self.entries: dict[str, Entry] = {}
+        for index in range(control.variables):
+            entry = self._entry(control.variable[index], index, initial)
+            self.entries[entry.info.name] = entry
+        self._places: dict[str, Place] = {
+            name: Place(entry) for name, entry in self.entries.items()
+        }
+
+    @staticmethod
+    def _entry(raw: Any, index: int, initial: npt.NDArray[np.uint8]) -> Entry:
+        type_name, dtype = _TYPES[raw.type]
+        kind = _KINDS[raw.kind]
+        start: Value
+        if kind == "table":
+            start = np.zeros((0, raw.columns))
+        else:
+            array = initial[raw.snapshot : raw.snapshot + raw.size].view(dtype)
+            start = array.copy() if raw.length > 1 else array[0].item()
+        info = VariableInfo(
+            name=text_of(raw.name),
+            type=type_name,
+            length=raw.length * raw.columns,
+            kind=kind,
+            unit=text_of(raw.unit),
+            minimum=raw.minimum,
+            maximum=raw.maximum,
+            initial=start,
+            description=text_of(raw.text),
+            address=raw.address,
+            columns=raw.columns,
+        )
+        return Entry(info, index, dtype, raw.snapshot, raw.size, (raw.bank[0], raw.bank[1]))
+
+    def infos(self, *kinds: str) -> tuple[VariableInfo, ...]:
+        """Variables of the given kinds, in the order of declaration."""
+        return tuple(entry.info for entry in self.entries.values() if entry.info.kind in kinds)
+
+    def place(self, name: str) -> Place:
+        """Find a variable (``"Kp"``) or an element (``"q[0]"``).
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        Place
+
+        Raises
+        ------
+        VariableError
+            No such name, or no such element.
+        """
+        found = self._places.get(name)
+        if found is not None:
+            return found
+        match = _ELEMENT.match(name)
+        entry = self.entries.get(match["name"]) if match else None
+        if match is None or entry is None:
+            raise VariableError(f"{name}: no such variable; {self._nearest(name)}")
+        index = int(match["index"])
+        if entry.info.kind == "table" or index >= entry.info.length:
+            what = (
+                "is a table, which is read and written whole"
+                if entry.info.kind == "table"
+                else f"has {entry.info.length} elements"
+            )
+            raise VariableError(f"{name}: {entry.info.name} {what}")
+        self._places[name] = Place(entry, index, index * entry.dtype.itemsize)
+        return self._places[name]
+
+    def _nearest(self, name: str) -> str:
+        import difflib
+
+        names = [n for n, e in self.entries.items() if e.info.kind != "setting"]
+        close = difflib.get_close_matches(name, names, 3, 0.5)
+        meant = f"did you mean {' or '.join(close)}? The" if close else "the"
+        counts = [
+            (kind, sum(e.info.kind == kind for e in self.entries.values()))
+            for kind in ("parameter", "signal", "table")
+        ]
+        declared = (
+            ", ".join(f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in counts if n) or "none"
+        )
+        return f"{meant} program declares {declared}: 'zendsp info' or variables() lists them"
+
+
+def decode(places: Mapping[str, Place], values: npt.NDArray[np.uint8]) -> dict[str, Value]:
+    """Values of variables from one snapshot.
+
+    Parameters
+    ----------
+    places : mapping of name to Place
+        No tables.
+    values : ndarray of uint8, shape (snapshot bytes,)
+
+    Returns
+    -------
+    dict of name to value
+        Scalars as Python numbers, arrays as copies.
+    """
+    raw = values.tobytes()
+    return {
+        name: value_of(place.entry, place.scalar, raw, place.entry.offset + place.offset)
+        for name, place in places.items()
+    }

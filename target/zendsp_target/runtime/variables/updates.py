@@ -1,0 +1,361 @@
+"""Synchronous updates: any number of variables, applied whole at the start of one sample, and the
+log of what changed.
+
+A batch is filled in shared memory and then published by one release store: a monitor that dies
+while filling it has published nothing. The loop exchanges values when it applies a batch, so the
+old ones come back exactly as they were at that sample.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from zendsp_protocol.errors import NotYet, Refused, RunnerDied, VariableError
+from zendsp_target.api import Blank
+from zendsp_target.bounded import keep
+from zendsp_target.runtime.memory.layout import layout
+from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.variables.change_log import ChangeLog, Flight
+from zendsp_target.runtime.variables.dictionary import Dictionary, Place
+from zendsp_target.runtime.variables.plans import WritePlan
+from zendsp_target.runtime.variables.values import FloatArray, check_kind, numbers_of
+
+_SLICE_NS = 20_000_000  # waits come up for air so often, to see a runner that died
+# periods up to this one are waited for awake: falling asleep and waking take as long
+_SHORT_NS = 100_000
+_TOGETHER = 16  # so many updates are taken back together; fewer, when the supervisor comes by
+_MAX_ACKS = 4096
+_LAST_TICK = 2**64 - 1
+_GONE = "the runner is gone, so nothing can be written: load the program again"
+_NUMBERS = frozenset((float, int))
+_WORDED_AT_ONCE = 128  # lines of the log at each harvest: a fraction of a millisecond
+
+
+class Updates:
+    """The writing side of one load.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    data : SharedFile
+    dictionary : Dictionary
+    log : ChangeLog
+    alive : callable
+        Whether the runner still runs.
+    handle : int
+        The runner's pidfd, which tells the same within the commit; -1 where the kernel has none.
+    """
+
+    def __init__(
+        self,
+        control: Any,
+        data: SharedFile,
+        dictionary: Dictionary,
+        log: ChangeLog,
+        alive: Callable[[], bool],
+        handle: int = -1,
+    ) -> None:
+        ffi, lib = layout()
+        self._lib, self._control, self._data = lib, control, data
+        self._pointer = ffi.addressof(control)
+        self._memory = np.frombuffer(data.map, dtype=np.uint8)
+        # kept here: user code with a wild pointer may overwrite what is shared
+        offset, stride = int(control.batch_offset), int(control.batch_stride)
+        self._starts = [offset + slot * stride for slot in range(lib.LAYOUT_BATCHES)]
+        self._batches = [data.pointer("batch", start) for start in self._starts]
+        self._states = [ffi.addressof(batch[0], "state") for batch in self._batches]
+        self._entries_at: int = ffi.sizeof("batch")
+        self._room = stride - self._entries_at
+        period = int(control.period_ns)
+        self._awake = 2 * period if period <= _SHORT_NS else 0
+        self._view = memoryview(data.map)
+        self._dictionary, self._log, self._alive, self._handle = dictionary, log, alive, handle
+        self._lock = threading.RLock()
+        # by names: of the program's variables, and of the runtime's settings
+        self._plans: tuple[dict[tuple[str, ...], WritePlan], ...] = ({}, {})
+        self._free = list(range(lib.LAYOUT_BATCHES))[::-1]
+        self._flights: dict[int, Flight] = {}
+        self._applied: dict[int, int] = {}
+        self._sequence = 0
+        self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
+
+    # ---- write ------------------------------------------------------------------------------------------------------------  # noqa: E501
+
+    def write(
+        self, values: Mapping[str, object], author: str, at_tick: int | None, settings: bool = False
+    ) -> int:
+        """Check everything, then commit it as one batch.
+
+        Parameters
+        ----------
+        values : mapping of name to value
+        author : str
+        at_tick : int or None
+            First sample at which it may act; None: the next one.
+        settings : bool
+            The names are the runtime's own settings rather than the program's variables.
+
+        Returns
+        -------
+        int
+            Sequence number for `wait_applied`.
+
+        Raises
+        ------
+        VariableError
+            One line for each variable that is wrong; nothing was applied.
+        Refused
+            Nothing to write, or too many updates wait.
+        """
+        if at_tick is not None and not 0 <= at_tick <= _LAST_TICK:
+            raise Refused(
+                f"at_tick {at_tick} is no sample: give one from 0 on, or leave it out for the next"
+            )
+        if not values:
+            raise Refused("an update needs at least one variable")
+        plan = self._plan(values, settings)
+        given = tuple(values.values())
+        # What has to be looked at one by one is so before others are kept waiting; single numbers
+        # are judged as they are committed.
+        numbers = (
+            None
+            if plan.scalar and _NUMBERS.issuperset(map(type, given))
+            else self._numbers(values, settings)
+        )
+        with self._lock:
+            slot = self._take_slot(plan.tables)
+            try:
+                if numbers is None:
+                    plan.fill(*given)
+                else:
+                    plan.put(self._banked(plan, numbers) if plan.tables else numbers)
+                done = plan.commit(self._batches[slot], slot, self._sequence + 1, at_tick or 0)
+                if done < 0:
+                    raise VariableError(
+                        "; ".join(
+                            f"{name}: {value!r} does not fit" for name, value in values.items()
+                        )
+                    )
+            except BaseException as error:
+                self._free.append(slot)
+                if isinstance(error, VariableError | OverflowError):
+                    self._numbers(values, settings)  # has the words
+                raise
+            flight = Flight(slot, plan.places, plan.size, plan.given(), author, time.time())
+            return self._committed(flight, done == 1)
+
+    def _plan(self, values: Mapping[str, object], settings: bool) -> WritePlan:
+        """What is ready for these names, or is made so."""
+        names = tuple(values)
+        plan = self._plans[settings].get(names)
+        if plan is None:
+            self._numbers(values, settings)  # says all that is wrong, not only with the names
+            plan = WritePlan(
+                [(name, self._dictionary.place(name)) for name in names],
+                self._pointer,
+                self._handle,
+            )
+            if plan.size > self._room:
+                raise Refused(
+                    f"the update takes {plan.size} bytes, {self._room} fit: write whole arrays in"
+                    " place of their elements"
+                )
+            keep(self._plans[settings], names, plan)
+        return plan
+
+    def _numbers(self, values: Mapping[str, object], settings: bool) -> list[FloatArray]:
+        """The numbers of every variable, or one line for each that is wrong."""
+        found: list[FloatArray] = []
+        problems: list[str] = []
+        for name, value in values.items():
+            try:
+                place = self._dictionary.place(name)
+                check_kind(name, place, settings)
+                found.append(numbers_of(name, place, value))
+            except VariableError as error:
+                problems.append(str(error))
+        if problems:
+            raise VariableError("\n".join(problems))
+        return found
+
+    def check(self, values: Mapping[str, object]) -> None:
+        """Raise what `write` would raise for these values; nothing is written."""
+        self._numbers(values, False)
+
+    def repeat(
+        self, ended: Any, name: str, author: str, value_at: int, reply: Blank
+    ) -> Callable[[bytes], int] | None:
+        """Make what commits one value again, out of the bytes of a request; see
+        `RuntimeApi.repeat_write`.
+        """
+        plan = self._plans[False].get((name,))
+        commit = None if plan is None or self._handle < 0 else plan.again(ended, value_at, reply)
+        if plan is None or commit is None:
+            return None
+        entries = partial(plan.entries_of, value_at)
+        lock, batches, free, flights, now = (
+            self._lock,
+            self._batches,
+            self._free,
+            self._flights,
+            time.time,
+        )
+
+        def write(request: bytes) -> int:
+            with lock:
+                if len(flights) >= _TOGETHER or not free:
+                    self._harvest()
+                if not free:
+                    return 0
+                slot, sequence = free.pop(), self._sequence + 1
+                if commit(request, batches[slot], slot, sequence) != 1:
+                    free.append(slot)
+                    return 0
+                flights[sequence] = Flight(
+                    slot, plan.places, plan.size, partial(entries, request), author, now()
+                )
+                self._sequence = sequence
+                return sequence
+
+        return write
+
+    def _take_slot(self, tables: bool) -> int:
+        if self._handle < 0 and not self._alive():
+            raise RunnerDied(_GONE)
+        # the last download of a table may be in effect by now
+        if tables or len(self._flights) >= _TOGETHER or not self._free:
+            self._harvest()
+        if not self._free:
+            raise Refused(
+                f"{self._lib.LAYOUT_BATCHES} updates wait already: wait until some of them are"
+                " applied"
+            )
+        return self._free.pop()
+
+    def _banked(self, plan: WritePlan, numbers: list[FloatArray]) -> list[FloatArray]:
+        """Put the rows of tables into their banks; what the batch holds is bank and number of rows.
+        """
+        waiting = {
+            place.entry.index for flight in self._flights.values() for _, place in flight.places
+        }
+        for name, place in plan.places:  # all of them before the first bank is touched
+            if place.entry.info.kind == "table" and place.entry.index in waiting:
+                raise Refused(
+                    f"{name}: its last download is not in effect yet; wait for it, then write again"
+                )
+        return [
+            (
+                np.array(self._fill_bank(place, rows), np.float64)
+                if place.entry.info.kind == "table"
+                else rows
+            )
+            for (_, place), rows in zip(plan.places, numbers, strict=True)
+        ]
+
+    def _fill_bank(self, place: Place, rows: FloatArray) -> tuple[int, int]:
+        """Write a table into the bank that the loop does not read; returns the bank and the rows.
+        """
+        index = place.entry.index
+        current = self._bank.get(index, int(self._control.variable[index].table) >> 32 & 1)
+        bank = 1 - current if int(self._control.variable[index].table) or index in self._bank else 0
+        start = place.entry.banks[bank]
+        self._memory[start : start + rows.nbytes] = rows.reshape(-1).view(np.uint8)
+        self._bank[index] = bank
+        return bank, rows.shape[0]
+
+    def _committed(self, flight: Flight, done: bool) -> int:
+        """Enter a batch that the loop has now; or that it cannot have, its runner being gone."""
+        if not done:
+            self._free.append(flight.slot)
+            raise RunnerDied(_GONE)
+        self._sequence += 1
+        self._flights[self._sequence] = flight
+        return self._sequence
+
+    # ---- acknowledge ------------------------------------------------------------------------------------------------------  # noqa: E501
+
+    def wait_applied(self, sequence: int, timeout: float) -> int:
+        """Sleep until a batch has taken effect.
+
+        Parameters
+        ----------
+        sequence : int
+            From `write`.
+        timeout : float
+            s.
+
+        Returns
+        -------
+        int
+            The sample at whose start it took effect.
+
+        Raises
+        ------
+        RunnerDied
+            The runner ended before.
+        NotYet
+            Its sample has not come within the timeout.
+        Refused
+            No such update.
+        """
+        end = time.monotonic() + timeout
+        left = max(0.0, timeout)
+        while True:
+            flight = self._flights.get(sequence)
+            if flight is not None:
+                slice_ns = min(_SLICE_NS, int(left * 1e9))
+                self._lib.monitor_wait_applied(self._batches[flight.slot], slice_ns, self._awake)
+            with self._lock:
+                tick = self._tick_of(sequence)
+                waits = sequence in self._flights
+            if tick is not None:
+                return tick
+            if not waits:
+                raise Refused(f"update {sequence}: unknown, or acknowledged too long ago")
+            if not self._alive():
+                raise RunnerDied(f"the runner ended before update {sequence} took effect")
+            left = end - time.monotonic()
+            if left <= 0.0:
+                raise NotYet(
+                    f"update {sequence} did not take effect within {timeout:g} s: it waits for its"
+                    " sample (is the loop running?)"
+                )
+
+    def _tick_of(self, sequence: int) -> int | None:
+        """The sample at which a batch took effect; it is left to be taken back by whoever has time.
+        """
+        flight = self._flights.get(sequence)
+        if flight is None:
+            return self._applied.get(sequence)
+        if self._lib.monitor_load32(self._states[flight.slot]) != self._lib.BATCH_APPLIED:
+            return None
+        return int(self._batches[flight.slot].applied)
+
+    def harvest(self) -> None:
+        """Take back the batches that were applied, and write the log."""
+        with self._lock:
+            self._harvest()
+        self._log.settle(_WORDED_AT_ONCE)
+
+    def _harvest(self) -> None:
+        load, applied = self._lib.monitor_load32, self._lib.BATCH_APPLIED
+        for sequence, flight in list(self._flights.items()):
+            slot = flight.slot
+            if load(self._states[slot]) != applied:
+                continue
+            batch = self._batches[slot]
+            tick = int(batch.applied)
+            body = self._starts[slot] + self._entries_at
+            self._log.append(flight, tick, bytes(self._view[body : body + flight.size]))
+            batch.state = self._lib.BATCH_FREE
+            del self._flights[sequence]
+            self._free.append(slot)
+            self._applied[sequence] = tick
+            if len(self._applied) > _MAX_ACKS:
+                del self._applied[next(iter(self._applied))]

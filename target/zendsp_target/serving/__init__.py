@@ -1,0 +1,1 @@
+"""The network side: requests come in here, and answers and streams leave."""

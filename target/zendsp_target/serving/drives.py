@@ -1,0 +1,422 @@
+"""The safe sequence of the drives, and who may command them.
+
+    off → ready → homed → enabled → running → stopped | tripped
+
+It stands above the C-level facilities of the runtime (drive mode, limits, latched trips) and below
+every host, so that the same rules hold for the API, the command line and the terminal. Two ways to
+use it:
+
+* **automatic** (the default): nobody has touched the sequence. ``start`` switches the drives on,
+  ``pause`` off, as a script wants it; limits, trips and STOP act all the same.
+* **explicit**: from the first power, home or enable on, or always with ``--managed``. Then nothing
+  moves unless the drives have been enabled, and enabling needs every condition; a refusal names
+  those that fail.
+
+The exclusive right to command is free until somebody takes it (or powers, homes, enables). While it
+is held, requests of others that could move or change something are refused; reading, recording and
+STOP never are. If its holder disappears, the host-lost policy decides.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from zendsp_protocol import messages as m
+from zendsp_protocol import verbs
+from zendsp_protocol.errors import Refused, ZendspError
+from zendsp_protocol.messages import Status
+from zendsp_protocol.states import DriveState, ProgramState
+from zendsp_target.api import RuntimeApi
+
+log = logging.getLogger(__name__)
+
+BEGIN_S = 1.0  # for the loop to take up homing
+# soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
+SOFT_S = 0.1
+POLICIES = ("stop", "hold", "finish")
+# What could move the machine or change what moves it; STOP is not among them.
+COMMANDING = (
+    "start",
+    "pause",
+    "load",
+    "unload",
+    "write",
+    "update",
+    "table_commit",
+    "set_limits",
+    "set_drive",
+    "set_ramp",
+    "set_overrun",
+    "set_inputs",
+    "home",
+    "acknowledge",
+)
+STOPS = ("stop", "stop input")  # reasons of a latched trip that mean that somebody pressed STOP
+HOLD_VARIABLE = "hold"  # a bool parameter of programs that can hold their reference
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One thing that enabling needs."""
+
+    name: str
+    met: bool
+    advice: str  # what to do where it is not met
+
+
+class Drives:
+    """The state machine of one target.
+
+    Parameters
+    ----------
+    runtime : RuntimeApi
+    managed : bool
+        True: always explicit; ``auto`` is refused.
+    policy : str
+        What happens when the holder of the right to command disappears while the program runs:
+        ``"stop"`` (zero velocity, latched), ``"hold"`` (the program's bool parameter ``hold`` is
+        set; without one, as stop), ``"finish"`` (goes on).
+    """
+
+    def __init__(self, runtime: RuntimeApi, managed: bool = False, policy: str = "stop") -> None:
+        self._runtime = runtime
+        self._managed = managed
+        self._policy = policy
+        self._explicit = managed
+        self._powered = False
+        self._enabled = False
+        self.commander = ""  # who holds the right to command
+        self._ramp_s = SOFT_S
+        self._lock = threading.RLock()
+        if managed:
+            self._off()
+
+    # -- what is
+    # ----------------------------------------------------------------------------------------------
+
+    def state(self, status: Status) -> DriveState:
+        """Return where in the sequence a status is."""
+        with self._lock:
+            if status.trip is not None:
+                self._enabled = False
+                return DriveState.STOPPED if status.trip.reason in STOPS else DriveState.TRIPPED
+            running = status.state == ProgramState.RUNNING
+            resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
+            if not self._explicit:
+                return DriveState.RUNNING if running else resting
+            if not self._powered:
+                return DriveState.OFF
+            if self._enabled:
+                return DriveState.RUNNING if running else DriveState.ENABLED
+            return resting
+
+    def conditions(self, status: Status) -> tuple[Condition, ...]:
+        """Return everything that enabling needs."""
+        loaded = _loaded(status)
+        alive = loaded and _finite(status.io.get("enc"))
+        trip = status.trip
+
+        def once_loaded(advice: str) -> str:
+            return advice if loaded else "known once a program is loaded"
+
+        return (
+            Condition("power", self._powered or not self._explicit, "switch the drives' power on"),
+            Condition(
+                "program",
+                loaded,
+                f"no code is loaded (the program is {status.state}): download a program",
+            ),
+            Condition(
+                "homed",
+                status.homed and loaded,
+                once_loaded("the position is unknown: home the machine"),
+            ),
+            Condition(
+                "limits",
+                self._limits_set(),
+                once_loaded("torque, speed and position limits must be finite: set them"),
+            ),
+            Condition(
+                "sensors",
+                alive,
+                once_loaded(
+                    "no position comes from the machine: check its sensors, load the program again"
+                ),
+            ),
+            Condition(
+                "no trip",
+                trip is None,
+                f"{trip.text or trip.reason}: acknowledge it" if trip is not None else "",
+            ),
+        )
+
+    def _limits_set(self) -> bool:
+        try:
+            limits = self._runtime.limits()
+        except ZendspError:
+            return False
+        rows = (limits.position_min, limits.position_max, limits.speed_max, limits.torque_max)
+        return all(len(row) > 0 and all(math.isfinite(x) for x in row) for row in rows)
+
+    def status(self) -> m.DriveStatus:
+        """Return state, conditions, commander and policy."""
+        status = self._runtime.status()
+        state = self.state(status)
+        with self._lock:
+            return m.DriveStatus(
+                state=state,
+                mode=status.drive_mode,
+                managed=self._managed,
+                explicit=self._explicit,
+                homed=status.homed,
+                commander=self.commander,
+                host_lost=self._policy,
+                conditions=tuple(
+                    m.Condition(name=c.name, met=c.met, advice="" if c.met else c.advice)
+                    for c in self.conditions(status)
+                ),
+            )
+
+    # -- who may
+    # ----------------------------------------------------------------------------------------------
+
+    def check_right(self, by: str) -> None:
+        """Refuse unless ``by`` may command."""
+        commander = self.commander
+        if commander and commander != by:
+            raise Refused(
+                f"{commander} has the exclusive right to command this target; take it over"
+                " deliberately (zendsp drive take --force), or use STOP, which always works"
+            )
+
+    def take(self, by: str, force: bool) -> str:
+        """Give the right to command to ``by``."""
+        with self._lock:
+            before = self.commander
+            if before and before != by and not force:
+                raise Refused(f"{before} has the right to command; take it over with force")
+            self.commander = by
+            return f"taken over from {before}" if before and before != by else "you command"
+
+    def release(self, by: str) -> str:
+        """Give the right back."""
+        with self._lock:
+            self.check_right(by)
+            self.commander = ""
+            return "the right to command is free"
+
+    def host_gone(self, host: str) -> None:
+        """Act on the disappearance of a host, by the policy."""
+        with self._lock:
+            if host != self.commander:
+                return
+            self.commander = ""
+            policy = self._policy
+            try:
+                if self._runtime.status().state != ProgramState.RUNNING or policy == "finish":
+                    return
+                if policy == "hold" and self._hold():
+                    return
+                self._runtime.trip("host lost")
+                self._enabled = False
+            except ZendspError as error:
+                # the runner died meanwhile: it is in the safe state already
+                log.warning("host %s lost: %s", host, error)
+
+    def _hold(self) -> bool:
+        infos = {info.name: info for info in self._runtime.variables()}
+        info = infos.get(HOLD_VARIABLE)
+        if info is None or info.type != "bool" or info.kind != "parameter":
+            return False
+        self._runtime.write({HOLD_VARIABLE: True}, "host lost")
+        return True
+
+    # -- the sequence
+    # ----------------------------------------------------------------------------------------------
+
+    def act(self, args: verbs.Drive, by: str) -> str:
+        """Do what a ``drive`` request asks; returns a sentence."""
+        actions: dict[str, Callable[[], str]] = {
+            "take": lambda: self.take(by, args.force),
+            "release": lambda: self.release(by),
+            "power_on": self.power_on,
+            "power_off": self.power_off,
+            "home": self.home,
+            "enable": lambda: self.enable(args.mode or "torque"),
+            "disable": self.disable,
+            "acknowledge": self.acknowledge,
+            "auto": self.auto,
+            "host_lost": lambda: self.set_policy(args.policy),
+        }
+        action = actions.get(args.action)
+        if action is None:
+            raise Refused(f"drive action {args.action!r}: expected one of {', '.join(actions)}")
+        with self._lock:
+            if args.action not in ("take", "release"):
+                self.check_right(by)
+            said = action()
+            if args.action in ("power_on", "home", "enable"):
+                self.commander = by
+            return said
+
+    def power_on(self) -> str:
+        """off → ready (and on to homed where positions are absolute)."""
+        if not self._explicit:
+            self._explicit = True
+            self._off()
+        self._powered = True
+        return f"power on: {self.state(self._runtime.status())}"
+
+    def power_off(self) -> str:
+        """Anything → off: soft stop, then no torque."""
+        self._explicit = True
+        self._off()
+        self._powered = False
+        return "power off"
+
+    def home(self) -> str:
+        """ready → homed."""
+        status = self._runtime.status()
+        failing = [
+            c
+            for c in self.conditions(status)
+            if not c.met and c.name in ("power", "program", "no trip")
+        ]
+        if failing:
+            raise Refused(_refusal("homing", failing))
+        if status.state == ProgramState.RUNNING:
+            raise Refused("homing is refused: the program runs; pause it first")
+        self._explicit = self._powered = True
+        self._off()  # what acts while homing is the machine's own routine
+        self._runtime.home()
+        end = time.monotonic() + BEGIN_S
+        # so that who asks next for the status sees it homing, not about to
+        while time.monotonic() < end:
+            now = self._runtime.status()
+            if now.state == ProgramState.RUNNING or now.tick != status.tick or now.trip is not None:
+                break
+            time.sleep(0.0005)
+        return "homing"
+
+    def enable(self, mode: str) -> str:
+        """homed → enabled, in torque or velocity mode."""
+        if mode not in ("torque", "velocity"):
+            raise Refused(f"drive mode {mode!r}: expected 'torque' or 'velocity'")
+        if not self._explicit:
+            self._explicit = True
+            self._off()
+        failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
+        if failing:
+            raise Refused(_refusal("enabling", failing))
+        self._runtime.set_ramp(self._ramp_s)
+        self._runtime.set_drive(mode)
+        self._enabled = True
+        return f"enabled, {mode} mode"
+
+    def disable(self) -> str:
+        """enabled → homed: soft stop, then no torque."""
+        self._explicit = True
+        self._off()
+        return "disabled"
+
+    def acknowledge(self) -> str:
+        """stopped | tripped → homed; nothing moves before somebody enables (or, automatically,
+        starts) again.
+        """
+        if self._explicit:
+            self._off()
+        self._enabled = False
+        self._runtime.acknowledge()
+        return "acknowledged; enable the drives before anything moves"
+
+    def auto(self) -> str:
+        """Leave the explicit sequence: drives on at start, off at pause."""
+        if self._managed:
+            raise Refused(
+                "this target was started with --managed: the sequence must be followed (power,"
+                " home, enable)"
+            )
+        self._explicit = self._enabled = self._powered = False
+        self._runtime.set_drive("auto")
+        return "automatic: on at start, off at pause"
+
+    def set_policy(self, policy: str) -> str:
+        """Choose what happens when the commanding host is lost."""
+        if policy not in POLICIES:
+            raise Refused(f"host-lost policy {policy!r}: expected one of {', '.join(POLICIES)}")
+        self._policy = policy
+        return f"if the commanding host is lost: {policy}"
+
+    def _off(self) -> None:
+        self._enabled = False
+        self._runtime.set_drive("off")
+
+    # -- before and after the other verbs
+    # -------------------------------------------------------------------------------
+
+    def guard(self, handlers: dict[str, Callable[[Any, str], Any]]) -> None:
+        """Put the rules before every handler that could move something, and add the verbs of the
+        sequence.
+        """
+        for name in COMMANDING:
+            handlers[name] = self._guarded(name, handlers[name])
+        handlers["drive"] = lambda args, by: m.Said(text=self.act(args, by))
+        handlers["drive_status"] = lambda args, by: self.status()
+
+    def _guarded(self, name: str, handler: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
+        def change(args: Any, by: str) -> Any:
+            if self.commander:
+                self.check_right(by)
+            return handler(args, by)
+
+        def run(args: Any, by: str) -> Any:
+            self.check_right(by)
+            if name == "start":
+                self._check_start()
+            elif name == "set_drive" and self._explicit:
+                raise Refused(
+                    "the safe sequence is in use: enable or disable the drives in place of setting"
+                    " their mode"
+                )
+            elif name == "home" and self._explicit:
+                return m.Said(text=self.home())
+            elif name == "acknowledge":
+                with self._lock:
+                    return m.Said(text=self.acknowledge())
+            result = handler(args, by)
+            if name == "set_ramp":
+                self._ramp_s = args.seconds
+            if name == "load" and self._explicit:
+                with self._lock:
+                    self._off()  # a fresh runner knows nothing of what was enabled before
+            return result
+
+        return change if name in ("write", "update", "table_commit") else run
+
+    def _check_start(self) -> None:
+        with self._lock:
+            if not self._explicit or self._enabled:
+                return
+            failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
+            failing = failing or [
+                Condition("enabled", False, "the drives are not enabled: enable them")
+            ]
+            raise Refused(_refusal("starting", failing))
+
+
+def _loaded(status: Status) -> bool:
+    return status.state not in (ProgramState.EMPTY, ProgramState.CRASHED)
+
+
+def _finite(values: Any) -> bool:
+    return values is not None and len(values) > 0 and all(math.isfinite(float(v)) for v in values)
+
+
+def _refusal(what: str, failing: list[Condition]) -> str:
+    return f"{what} is refused: " + "; ".join(f"{c.name}: {c.advice}" for c in failing)

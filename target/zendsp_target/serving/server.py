@@ -1,0 +1,310 @@
+"""The Zenoh side of the target: lanes of requests, publications, and the tokens that show it is
+alive.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import msgspec
+import zenoh
+
+from zendsp_protocol import codec, keys, verbs
+from zendsp_protocol.errors import LinkError, ZendspError
+from zendsp_protocol.version import PROTOCOL
+from zendsp_target.access.admission import Doors, check_role, may
+from zendsp_target.access.hosts import Hosts
+from zendsp_target.api import RECORDER, RuntimeApi
+from zendsp_target.serving.bulk_transfer import send_rows
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.live_streams import LiveStreams
+from zendsp_target.serving.repeated_requests import Repeats
+from zendsp_target.serving.request_log import Ticket
+from zendsp_target.serving.service import Identity, Service
+
+log = logging.getLogger(__name__)
+
+# Threads of each lane. A host waits for its answers, so its own requests stay in order; a compile,
+# a wait for a sample or a large transfer must neither hold these up nor each other.
+THREADS = {"quick": 3, "sync": 2, "stop": 1, "slow": 2, "bulk": 3}
+WRITE = verbs.VERBS["write"]
+WAITING = 1024  # requests that may wait in a lane
+JOIN_S = 1.0  # a thread that is busy with a compile is not waited for any longer
+PULSE_S = 0.5
+PULSE_POLL_S = 0.1
+
+
+class Server:
+    """Serves one runtime under one name on an open session, until closed."""
+
+    def __init__(
+        self,
+        runtime: RuntimeApi,
+        identity: Identity,
+        session: zenoh.Session,
+        managed: bool = False,
+        doors: Doors | None = None,
+    ) -> None:
+        self.name = identity.name
+        self._doors = doors or Doors(())
+        self._session = session
+        self._end = threading.Event()
+        self._publishers: dict[tuple[int, str], zenoh.Publisher] = {}
+        self.live = LiveStreams(runtime, self._send_live, self._live_watched)
+        self.service = Service(runtime, identity, self.live, managed)
+        self._hosts = Hosts(session, self.name, self.service.host_gone)
+        self.service.present = self._hosts.names
+        self._waiters = ThreadPoolExecutor(8, "waiter")
+        self._threads: list[threading.Thread] = []
+        self._queryables: list[Any] = []
+        for lane, count in THREADS.items():
+            self._serve(
+                keys.rpc(self.name, lane), [self._answerer(lane, False) for _ in range(count)]
+            )
+            # STOP of each waits in a queue of its own, behind nobody else's requests
+            for user in self._doors.named if lane == "stop" else ("*",):
+                self._serve(keys.rpc(self.name, lane, user), [self._answerer(lane, True)])
+        self._serve(keys.info(self.name), [self._info])
+        for user in ("", "*"):
+            self._serve(keys.variable(self.name, user=user), [self._variable])
+        self._thread("pulse", self._pulse)
+        # Last, so that whoever sees the token finds everything in place.
+        self._token = session.liveliness().declare_token(keys.alive(self.name))
+
+    def close(self) -> None:
+        """Withdraw everything; the session stays open for its owner to close."""
+        self._end.set()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self.live.close()
+        for queryable in self._queryables:
+            queryable.undeclare()
+        self._waiters.shutdown(wait=False, cancel_futures=True)
+        for thread in self._threads:
+            thread.join(JOIN_S)
+
+    # requests
+    # ----------------------------------------------------------------------------------------------
+
+    def _serve(self, key: str, answers: Sequence[Callable[[zenoh.Query], None]]) -> None:
+        """Answer what comes for a key, in as many threads.
+
+        A queue that is full lets go of its oldest request, whose sender asks again. One that held
+        back the sender would hold back others too: the few threads in which Zenoh receives would
+        all wait there, and STOP with them.
+        """
+        queryable = self._session.declare_queryable(
+            key, zenoh.handlers.RingChannel(WAITING), complete=True
+        )
+        self._queryables.append(queryable)
+        waiting = queryable.handler
+
+        def work(answer: Callable[[zenoh.Query], None]) -> None:
+            while not self._end.is_set():
+                try:
+                    query = waiting.recv()
+                except zenoh.ZError:  # closed
+                    return
+                answer(query)
+
+        for number, answer in enumerate(answers):
+            self._thread(f"{key}#{number}", partial(work, answer))
+
+    def _thread(self, name: str, work: Callable[[], None]) -> None:
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        thread.start()
+        self._threads.append(thread)
+
+    def _answerer(self, lane: str, named: bool) -> Callable[[zenoh.Query], None]:
+        """Make what answers the requests of a lane in one thread; of hosts that are known by name,
+        or of the target's own user.
+        """
+        made: dict[str, Repeats] = {}
+
+        def of(user: str) -> Repeats:
+            return made.get(user) or made.setdefault(user, self.service.repeats(lane))
+
+        return partial(self._request, lane, named, of if lane == "quick" else None)
+
+    def _request(
+        self,
+        lane: str,
+        named: bool,
+        repeats_of: Callable[[str], Repeats] | None,
+        query: zenoh.Query,
+    ) -> None:
+        """Answer one request, whatever happens: silence would look like a dead target."""
+        reply: bytes | bytearray
+        ticket: Ticket | None = None
+        user = keys.user_of(str(query.key_expr)) if named else ""
+        attachment = query.attachment
+        if attachment is not None:
+            ticket, known = self.service.once.begin(attachment.to_bytes(), query, user)
+            if ticket is None:
+                if known is not None:
+                    self._reply(query, known)
+                return
+        try:
+            payload = query.payload
+            if payload is None:
+                raise LinkError("a request needs a MessagePack payload; see docs/protocol.md")
+            request = payload.to_bytes()
+            # a role that may write may read as well; who has less goes the whole way, where each
+            # verb asks for its own
+            repeats = (
+                repeats_of(user)
+                if repeats_of and (not user or may(self._doors.role_of(user), WRITE))
+                else None
+            )
+            short = None if repeats is None else repeats.answer(request)
+            if short is not None:
+                reply = short
+            else:
+                verb, args, said = codec.decode_request(request, lane)
+                by = said
+                if user:  # known by name: its role decides, and its name is what the log says
+                    check_role(user, self._doors.role_of(user), verb)
+                    by = by if by.startswith(f"{user}@") else user
+                if verb.name == "compile":
+                    self._doors.check_upload(user)
+                handler = self.service.handlers.get(verb.name)
+                result = (
+                    self._special(verb, args, by, user, query)
+                    if handler is None
+                    else handler(args, by)
+                )
+                reply = codec.encode_result(result)
+                if repeats is not None:
+                    repeats.learn(request, verb, args, said, by)
+        except Later as later:
+            self._waiters.submit(self._finish, query, ticket, later.rest)
+            return
+        except ZendspError as error:
+            reply = codec.encode_error(error)
+        except Exception as error:
+            log.exception("request on lane %s failed", lane)
+            reply = codec.encode_error(error)
+        self._answered(query, ticket, reply)
+
+    def _special(self, verb: verbs.Verb, args: Any, by: str, user: str, query: zenoh.Query) -> Any:
+        if verb.name == "acquire_read":
+            return send_rows(self.service.runtime, RECORDER, args, query)
+        if verb.name == "live_open":
+            return self.service.open_live(args, by, user)
+        raise LinkError(f"this target does not know the verb {verb.name!r}")
+
+    def _finish(self, query: zenoh.Query, ticket: Ticket | None, rest: Callable[[], Any]) -> None:
+        try:
+            reply = codec.encode_result(rest())
+        except Exception as error:
+            reply = codec.encode_error(error)
+        self._answered(query, ticket, reply)
+
+    def _answered(
+        self, query: zenoh.Query, ticket: Ticket | None, reply: bytes | bytearray
+    ) -> None:
+        """Reply, also to those who sent the same request again while it was carried out."""
+        # first: who waits is spared the rest, and who asks again until then is answered below
+        self._reply(query, reply)
+        if ticket is not None:
+            for again in self.service.once.finish(ticket, reply):
+                self._reply(again, reply)
+
+    def _reply(self, query: zenoh.Query, reply: bytes | bytearray) -> None:
+        try:
+            query.reply(query.key_expr, reply)
+        except zenoh.ZError as error:  # the host is gone: nobody is left to tell
+            log.debug("reply was not delivered: %s", error)
+        finally:
+            query.drop()  # type: ignore[no-untyped-call]
+
+    # for any Zenoh client
+    # --------------------------------------------------------------------------------------------
+
+    def _info(self, query: zenoh.Query) -> None:
+        self._answer(
+            query, lambda: {keys.info(self.name): self.service.do_info(verbs.Nothing(), "")}
+        )
+
+    def _variable(self, query: zenoh.Query) -> None:
+        self._answer(query, lambda: self._values(query.key_expr))
+
+    def _values(self, wanted: zenoh.KeyExpr) -> dict[str, Any]:
+        user = keys.user_of(str(wanted))
+        if user:
+            check_role(user, self._doors.role_of(user), verbs.VERBS["read"])
+        runtime = self.service.runtime
+        infos = {info.name: info for info in runtime.variables()}
+        found = [
+            n for n in infos if wanted.intersects(zenoh.KeyExpr(keys.variable(self.name, n, user)))
+        ]
+        if not found:
+            raise LinkError(
+                f"no variable matches {wanted}; there are:"
+                f" {', '.join(infos) or 'none (no program loaded)'}"
+            )
+        tick, read = runtime.read(found)
+        return {
+            keys.variable(self.name, name, user): {
+                "v": PROTOCOL, "name": name, "value": value, "unit": infos[name].unit, "tick": tick,
+            }
+            for name, value in read.items()
+        }  # fmt: skip
+
+    def _answer(self, query: zenoh.Query, find: Callable[[], dict[str, Any]]) -> None:
+        try:
+            with query:
+                try:
+                    for key, message in find().items():
+                        query.reply(key, codec.encode(message))
+                except Exception as error:
+                    query.reply_err(codec.encode_error(error))
+        except zenoh.ZError as error:
+            log.debug("reply was not delivered: %s", error)
+
+    def _send_live(self, stream: int, users: frozenset[str], payload: bytes, header: bytes) -> None:
+        for user in users:
+            self._publisher(stream, user).put(payload, attachment=header)
+
+    def _live_watched(self, stream: int, users: frozenset[str]) -> bool:
+        found: list[Any] = [self._publisher(stream, user).matching_status for user in users]
+        return any(status.matching for status in found)  # declared a bool, is a MatchingStatus
+
+    def _publisher(self, stream: int, user: str) -> zenoh.Publisher:
+        if (stream, user) not in self._publishers:
+            self._publishers[stream, user] = self._session.declare_publisher(
+                keys.live(self.name, stream, user),
+                # a viewer that hangs must not hold up the others
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=True,
+            )
+        return self._publishers[stream, user]
+
+    def _may_look(self, user: str) -> bool:
+        return not user or may(self._doors.role_of(user), verbs.VERBS["live_open"])
+
+    def _pulse(self) -> None:
+        """Publish the status at every change of state and twice a second; end live views whose role
+        was taken away.
+        """
+        publisher = self._session.declare_publisher(keys.event(self.name))
+        last, due = None, 0.0
+        while not self._end.wait(PULSE_POLL_S):
+            self.live.keep(self._may_look)
+            try:
+                status = self.service.do_status(verbs.Nothing(), "")
+            except Later:
+                continue  # it just crashed; the next round knows how
+            except Exception:
+                log.exception("the status cannot be read")
+                continue
+            now = time.monotonic()
+            shown = (status.state, status.drive, status.crash, status.hosts, status.trip)
+            if shown != last or now >= due:
+                last, due = shown, now + PULSE_S
+                publisher.put(codec.encode({"v": PROTOCOL, **msgspec.structs.asdict(status)}))

@@ -1,0 +1,153 @@
+"""Verbs of variables and large arrays, in terms of a runtime."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from zendsp_protocol import messages as m
+from zendsp_protocol import values, verbs
+from zendsp_protocol.errors import NotYet, VariableError
+from zendsp_target.api import RuntimeApi
+from zendsp_target.serving.deferred import Later
+from zendsp_target.serving.uploads import Uploads
+
+PLAIN = frozenset((float, int, bool))
+APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
+APPLY_LIMIT_S = 5.0
+CATCH_UP_S = 0.05  # for the sample that an update was acknowledged at to be finished
+
+
+class VariableVerbs:
+    """Handlers: ``do_<verb>(arguments, author) -> result``."""
+
+    def __init__(self, runtime: RuntimeApi) -> None:
+        self.runtime = runtime
+        self.uploads = Uploads()
+        self.acknowledged = 0  # newest sample that a host was told of
+
+    def forget(self) -> None:
+        """A new program counts its samples from 0."""
+        self.acknowledged = 0
+
+    def do_variables(self, args: verbs.Nothing, by: str) -> tuple[m.VariableInfo, ...]:
+        return tuple(_light(info) for info in self.runtime.variables())
+
+    def do_builtins(self, args: verbs.Nothing, by: str) -> tuple[m.VariableInfo, ...]:
+        return self.runtime.builtins()
+
+    def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
+        tick, found = self.runtime.read(args.names)
+        deadline = 0.0
+        # Whoever was told that an update took effect at a sample must not read the sample before
+        # it.
+        while tick < self.acknowledged:
+            now = time.monotonic()
+            deadline = deadline or now + CATCH_UP_S
+            if now > deadline:
+                break  # the loop has stopped in the middle of a sample
+            time.sleep(0.0001)
+            tick, found = self.runtime.read(args.names)
+        ended = self.runtime.ended()
+        return (
+            {"tick": tick, "values": found, "ended": ended}
+            if ended
+            else {"tick": tick, "values": found}
+        )
+
+    def do_check(self, args: verbs.Write, by: str) -> m.Empty:
+        self.runtime.check(self._given(args))
+        return m.Empty()
+
+    def do_write(self, args: verbs.Write, by: str) -> m.Written:
+        return m.Written(sequence=self.runtime.write(self._given(args), by, args.at_tick))
+
+    def _given(self, args: verbs.Write) -> dict[str, Any]:
+        given: Any = args.values
+        return given if PLAIN.issuperset(map(type, given.values())) else self._unpacked(given)
+
+    def do_update(self, args: verbs.Write, by: str) -> m.Applied:
+        sequence = self.do_write(args, by).sequence
+        try:
+            return self._applied(sequence, APPLY_INLINE_S)
+        except NotYet:
+            raise Later(lambda: self._applied(sequence, APPLY_LIMIT_S)) from None
+
+    def do_wait_applied(self, args: verbs.Wait, by: str) -> m.Applied:
+        return self._applied(args.sequence, min(args.timeout, 60.0))
+
+    def do_log(self, args: verbs.Log, by: str) -> tuple[m.Change, ...]:
+        return self.runtime.log(args.since)
+
+    def _unpacked(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Turn what came over the wire into numbers and arrays."""
+        odd = [name for name, value in given.items() if type(value) not in PLAIN]
+        try:
+            given = {**given, **{name: values.from_wire(given[name]) for name in odd}}
+        except ValueError as error:
+            raise VariableError(str(error)) from error
+        return self._shaped(given)
+
+    def _shaped(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Give the values of a table that came flat their rows and columns back."""
+        flat = [
+            name
+            for name, value in given.items()
+            if isinstance(value, np.ndarray) and value.ndim == 1
+        ]
+        columns = {
+            i.name: i.columns
+            for i in self.runtime.variables()
+            if i.name in flat and i.kind == "table"
+        }
+        fits = [name for name in columns if given[name].size % columns[name] == 0]
+        return {**given, **{name: given[name].reshape(-1, columns[name]) for name in fits}}
+
+    def _applied(self, sequence: int, timeout: float) -> m.Applied:
+        tick = self.runtime.wait_applied(sequence, timeout)
+        self.acknowledged = max(self.acknowledged, tick)
+        return m.Applied(sequence=sequence, tick=tick)
+
+    def do_table_begin(self, args: verbs.TableBegin, by: str) -> verbs.TableState:
+        self._check_table(args.name, args.length)
+        number = self.uploads.begin(args.name, args.dtype, args.length, args.crc)
+        return verbs.TableState(upload=number, received=0)
+
+    def do_table_chunk(self, args: verbs.TableChunk, by: str) -> verbs.TableState:
+        received = self.uploads.chunk(args.upload, args.offset, args.data, args.crc)
+        return verbs.TableState(upload=args.upload, received=received)
+
+    def do_table_commit(self, args: verbs.TableCommit, by: str) -> m.Applied:
+        name, array = self.uploads.finish(args.upload)
+        sequence = self.runtime.write(self._shaped({name: array}), by, args.at_tick)
+        if args.at_tick is not None:
+            return m.Applied(sequence=sequence, tick=args.at_tick)
+        return self._applied(sequence, APPLY_LIMIT_S)
+
+    def _check_table(self, name: str, length: int) -> None:
+        info = next((info for info in self.runtime.variables() if info.name == name), None)
+        if info is None:
+            raise VariableError(f"{name}: no such variable in the running code")
+        if info.length < length:
+            raise VariableError(f"{name}: {length} elements do not fit into {info.length}")
+        if length % info.columns:
+            raise VariableError(
+                f"{name}: {length} elements are no whole number of rows of {info.columns}"
+            )
+
+
+def _light(info: m.VariableInfo) -> m.VariableInfo:
+    """Shorten the initial value of a large array that is one value throughout: a table of zeros is
+    not worth megabytes.
+    """
+    initial = info.initial
+    if (
+        isinstance(initial, np.ndarray)
+        and initial.size > values.LIST_LIMIT
+        and bool((initial == initial[0]).all())
+    ):
+        return msgspec.structs.replace(info, initial=initial[0].item())
+    return info
