@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import reality
 
+from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import Parts, read_signals
 from zendsp.diagnosis.decide.torque_sensor import sides_of
@@ -168,3 +169,19 @@ def test_friction_before_and_after_a_torque_sensor_is_told_apart(
     (before, _), (after, _) = sides.dry
     assert before == pytest.approx(motor, abs=0.003)  # a tenth: the direction is smoothed
     assert after == pytest.approx(load, abs=0.003)
+
+
+def test_friction_over_temperature_between_recordings_that_are_each_at_one_temperature() -> None:
+    def at(temperature: float, seed: int) -> Recording:
+        level = 0.04 * (1 - 0.02 * (temperature - 20.0))
+        motion = reality.multisine(SECONDS, RATE, seed)
+        made = reality.simulate(reality.Machine(coulomb=level), motion, RATE)
+        warm = np.full(len(motion), temperature)
+        return Recording.from_columns(
+            {"q": made["q"], "u": made["u"], "warm": warm}, sample_time=1 / RATE
+        )
+
+    found = diagnose([at(20, 1), at(40, 2)], model(temperature="warm"), [at(22, 3), at(38, 4)])
+    assert [f.effect for f in found.findings] == ["friction_temperature"]
+    coefficient = found.findings[0].parameters["coefficient"].value
+    assert coefficient == pytest.approx(-0.02, rel=0.05)

@@ -35,7 +35,7 @@ from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.torque_sensor import sided
-from zendsp.diagnosis.decide.transmission import measured_transmissions
+from zendsp.diagnosis.decide.transmission import by_one_sensor, measured_transmissions, said
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
@@ -196,7 +196,9 @@ def _diagnose(
     proposal = propose(fit_signals, given, whole, searches, findings, decisions, seed)
     tell("asking what could have been seen")
     seen = detectable(parts, given, decisions, jobs)
-    seen += tuple(d for m in measured for d in m.detectable)
+    alone = by_one_sensor(parts, bodies.model, decisions)
+    seen += (*(d for m in measured for d in m.detectable), *alone)
+    notes += said(alone)
     return Diagnosis(
         verdict=verdict,
         findings=findings,

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.reading import Parts
 from zendsp.diagnosis.decide.confidence import MOST
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, PLAIN, SURE
+from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, PLAIN, SURE, Decision
 from zendsp.diagnosis.decide.findings import number, sentence
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF
 from zendsp.diagnosis.measure.evidence import Evidence, compare
@@ -35,6 +36,7 @@ from zendsp.diagnosis.measure.torsion import (
     judged,
     lowpass,
     moved,
+    of_bodies,
     regress,
     rms,
     strongest_order,
@@ -440,6 +442,54 @@ def _wave(raw: _Sets, model: Model, order: float) -> _Claim | None:
     # of a sine's frequency, from its phase at both ends of the range (Rife and Boorstyn 1974)
     order_std = math.sqrt(12.0) * std / amplitude / span
     return _Claim("wave", amplitude, std, held, log_e, size, left, order, phase, order_std)
+
+
+# --- one sensor only
+
+
+def by_one_sensor(
+    parts: Parts, model: Model, decisions: Sequence[Decision]
+) -> tuple[Detectable, ...]:
+    """The smallest compliance that the motor's sensor alone would have shown, at each joint of a
+    model with bodies that has no other.
+
+    A load that lags behind its motor by c T lacks the torque of its inertia times c T̈; what stays
+    unexplained hides as much.
+    """
+    if not has_bodies(model):
+        return ()
+    out = []
+    for decision in decisions:
+        joint = decision.joint
+        records = [rec[joint - 1] for rec in parts.test.records]
+        if any("position_load" in r.columns for r in records):
+            continue
+        squares = count = 0.0
+        for record in records:
+            fs = 1.0 / record.sample_time
+            sos = butter(4, min(OF_BODIES, 0.2 * fs), fs=fs, output="sos")
+            inertia, _ = record.inertia_and_bias(model)
+            torque = sosfiltfilt(sos, of_bodies(record, model))
+            bend = inertia * np.gradient(np.gradient(torque, 1.0 / fs), 1.0 / fs)
+            edge = max(2, round(0.5 * fs))
+            squares += float(np.sum(bend[edge:-edge] ** 2))
+            count += len(bend[edge:-edge])
+        hidden = max(decision.after.value, FINEST) * decision.scale
+        least = hidden / max(math.sqrt(squares / max(count, 1.0)), 1e-300)
+        unit = unit_of("position", model.joint_kind(joint)) + "/(" + _torque(model, joint) + ")"
+        out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
+    return tuple(out)
+
+
+def said(unseen: Sequence[Detectable]) -> list[str]:
+    """The note on what one sensor a joint could not have shown; none where there is nothing."""
+    if not unseen:
+        return []
+    listed = ", ".join(f"joint {d.joint} {d.size:.2g} {d.unit}" for d in unseen)
+    return [
+        "one position sensor a joint: these recordings cannot show a transmission's compliance"
+        f" below {listed}"
+    ]
 
 
 # --- findings

@@ -84,7 +84,7 @@ def twists(data: Data, model: Model, joint: int) -> list[Twist]:
         q, qd, qdd = record.motion.states
         load = record.columns["position_load"]
         drive = held_drive(record, model, joint)
-        torque = _of_bodies(record, model) if has_bodies(model) else drive
+        torque = of_bodies(record, model) if has_bodies(model) else drive
         still = STILL * float(np.quantile(np.abs(qd), 0.98))
         edge = max(2, round(0.05 / record.sample_time))
         kept = np.abs(qd) > still
@@ -107,7 +107,7 @@ def held_drive(record: JointRecord, model: Model, joint: int) -> Array:
     return np.asarray(per_joint(model.actuator.gain, joint, 1.0) * held)
 
 
-def _of_bodies(record: JointRecord, model: Model) -> Array:
+def of_bodies(record: JointRecord, model: Model) -> Array:
     """Torque that the bodies behind a transmission take, (n,), N m or N."""
     inertia, bias = record.inertia_and_bias(model)
     _, _, qdd = record.motion.states
