@@ -15,6 +15,7 @@ import msgspec
 from zendsp_protocol import errors
 from zendsp_protocol.errors import LinkError, VersionMismatch, ZendspError
 from zendsp_protocol.messages import ErrorBody
+from zendsp_protocol.texts import shown, shown_all, suspicious
 from zendsp_protocol.values import enc_hook
 from zendsp_protocol.verbs import VERBS, Arguments, Verb
 from zendsp_protocol.version import PROTOCOL, mismatch
@@ -53,7 +54,12 @@ def decode(data: bytes, kind: Any) -> Any:
     LinkError
         Not MessagePack, or not of that form.
     """
-    return _convert(_unpack(data, "message"), kind, "message")
+    return _convert(_said(_unpack(data, "message"), data), kind, "message")
+
+
+def _said(message: Any, data: bytes) -> Any:
+    """Return what another process says, with nothing in its texts that a terminal would obey."""
+    return shown_all(message) if suspicious(data) else message
 
 
 def _unpack(data: bytes, what: str) -> Any:
@@ -97,7 +103,11 @@ def decode_request(data: bytes, lane: str) -> tuple[Verb, Arguments, str]:
         raise LinkError(f"unknown verb {name!r}; known: {', '.join(VERBS)}")
     if verb.lane != lane:
         raise LinkError(f"verb {name!r} belongs to the lane {verb.lane!r}, not {lane!r}")
-    return verb, _convert(message.get("args"), verb.arguments, f"arguments of {name!r}"), by
+    return (
+        verb,
+        _convert(message.get("args"), verb.arguments, f"arguments of {name!r}"),
+        shown(by, lines=False),
+    )
 
 
 def encode_result(result: Any) -> bytes:
@@ -141,7 +151,7 @@ def decode_reply(data: bytes, kind: Any) -> Any:
     try:  # nearly always
         message = msgpack.unpackb(data)
         if message["ok"] is True and message["v"] == PROTOCOL:
-            return msgspec.convert(message.get("result"), kind)
+            return msgspec.convert(_said(message.get("result"), data), kind)
     except (*_MALFORMED, LookupError):
         pass  # what follows finds the words
     return _explain(data, kind)
@@ -151,7 +161,7 @@ def _explain(data: bytes, kind: Any) -> Any:
     """Raise the error that a reply carries, whatever its version; else say what is wrong with the
     reply.
     """
-    message = _unpack(data, "reply")
+    message = _said(_unpack(data, "reply"), data)
     try:
         reply = msgspec.convert(message, Reply)
     except _MALFORMED as error:

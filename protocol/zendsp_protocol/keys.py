@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from zendsp_protocol.texts import shown
+
 ROOT = "zendsp"
 LANES = ("quick", "sync", "stop", "slow", "bulk")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
@@ -47,6 +49,18 @@ def alive(target: str = "*") -> str:
     return f"{ROOT}/{target}/alive"
 
 
+def ended(target: str) -> str:
+    """Liveliness token of a target that ends by itself, shown before :func:`alive` goes: one that
+    was killed, or is cut off, has none.
+    """
+    return f"{alive(target)}/ended"
+
+
+def life(target: str) -> str:
+    """Both tokens of a target."""
+    return f"{alive(target)}/**"
+
+
 def host(target: str, host_id: str = "*") -> str:
     """Liveliness token of a host connected to ``target``."""
     return f"{ROOT}/{target}/host/{host_id}"
@@ -76,4 +90,9 @@ def event(target: str = "*") -> str:
 
 def target_of(key: str) -> str:
     """Name of the target in a key."""
-    return key.split("/")[1]
+    return shown(key.split("/")[1], lines=False)
+
+
+def host_of(key: str) -> str:
+    """Name of the host in the key of its token."""
+    return shown(key.rpartition("/")[2], lines=False)

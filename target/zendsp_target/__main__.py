@@ -87,6 +87,8 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--machine-option", action="append", default=[], metavar="KEY=VALUE",
                    help="setting of the machine, e.g. its start position; may be repeated")
+    p.add_argument("--ideal", action="store_true",
+                   help="a simulated machine without noise and other imperfections")
     p.add_argument("--concealed", metavar="FILE|seed:N", help="effects that only the machine knows")
     p.add_argument(
         "--no-realtime",
@@ -156,12 +158,14 @@ def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) 
 
     keep_large_buffers()
     name = args.name or machine_title(args.machine)
+    ideal = ["ideal=1"] if args.ideal else []
     runtime = Runtime(
         machine=args.machine,
         rate_hz=args.rate,
         clock=args.clock,
         machine_config={
-            key: value for key, _, value in (text.partition("=") for text in args.machine_option)
+            key: value
+            for key, _, value in (text.partition("=") for text in [*ideal, *args.machine_option])
         },
         concealed=args.concealed,
         realtime=not args.no_realtime,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -91,6 +92,63 @@ def test_a_session_at_the_command_line(target: Target, tmp_path: Path) -> None:
     assert answer("stop")["state"] in ("running", "stopped")
     until(lambda: target.status().state == "stopped", "the STOP is in force")
     assert answer("stop", "--acknowledge")["trip"] is None
+
+
+OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]")  # by a terminal
+RUDE = r"""
+#include "isr.h"
+static double x;
+void UserInit(void) {
+    SIGNAL(x, "\x1b]0;owned\a", "\x1b[2J\x1b[31mSTOPPED\x1b[8m\xe2\x80\xaegone\r\xc2\x9b" "2J");
+}
+void UserISR_INT2(void) { x = 1.0; }
+"""
+
+
+def test_no_text_of_a_program_or_of_a_file_commands_the_terminal(
+    target: Target, tmp_path: Path
+) -> None:
+    (tmp_path / "rude.c").write_text(RUDE)
+    target.download(tmp_path / "rude.c")
+    info = zendsp_("info").stdout
+    assert "STOPPED" in info and not OBEYED.search(info)
+    (seen,) = target.variables().values()
+    assert "STOPPED" in seen.description and not OBEYED.search(seen.unit + seen.description)
+    model = tmp_path / "rude.toml"
+    model.write_text('name = "\\u001b[2J"\n[mechanism]\nkind = "\\u001b[31m"\n')
+    refused = zendsp_("model", "check", str(model))
+    assert refused.returncode == 2 and "31m" in refused.stderr and not OBEYED.search(refused.stderr)
+
+
+BOMB = "".join(
+    f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' if i else '<!ENTITY a0 "lol">' for i in range(12)
+)
+CHAIN = "".join(
+    f'<link name="l{i}"/><joint name="j{i}" type="fixed"><parent link="l{i}"/>'
+    f'<child link="l{i + 1}"/></joint>'
+    for i in range(3000)
+)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "words"),
+    [
+        (None, "no such file beside the model"),
+        ("<robot", "is not a URDF"),
+        (f'<!DOCTYPE r [{BOMB}]><robot name="&a11;"/>', "amplification"),
+        ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', "entity"),
+        (f'<robot name="r">{CHAIN}<link name="l3000"/></robot>', "recursion"),
+        (f'<robot name="r">{"<a>" * 90000}{"</a>" * 90000}</robot>', "is not a URDF"),
+    ],
+    ids=["missing", "cut", "bomb", "foreign file", "endless chain", "deep"],
+)
+def test_a_check_of_a_model_reads_its_urdf(tmp_path: Path, urdf: str | None, words: str) -> None:
+    (tmp_path / "arm.toml").write_text('name = "a"\n[mechanism]\nkind = "urdf"\nfile = "a.urdf"\n')
+    if urdf is not None:
+        (tmp_path / "a.urdf").write_text(urdf)
+    checked = zendsp_("model", "check", str(tmp_path / "arm.toml"))
+    assert checked.returncode == 2 and words in checked.stderr, checked.stderr[-300:]
+    assert "Traceback" not in checked.stderr
 
 
 def test_failures_are_one_sentence_and_an_exit_code(target: Target, tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import io
 import socket
+import subprocess
 import threading
 import time
 import weakref
@@ -338,6 +340,37 @@ def test_who_is_connected_is_known_and_a_host_that_leaves_is_gone(running: Targe
         other.status()
 
 
+def test_a_target_that_is_not_ready_in_time_is_told_as_that() -> None:
+    from zendsp.link.connect import _wait_ready
+
+    with (
+        subprocess.Popen(["sleep", "60"], stdout=subprocess.PIPE) as process,
+        pytest.raises(LinkError, match=r"not ready within 0\.1 s; it said: runs as root"),
+    ):
+        _wait_ready(process, io.BytesIO(b"runs as root"), 0.1)
+
+
+def test_a_target_elsewhere_that_ends_is_not_waited_for(target: Target, monitor: Monitor) -> None:
+    from zendsp_target.monitor import Options
+
+    target.link.own = False  # elsewhere, there is no process to look for
+    assert not target.link.ended
+    monitor.close()
+    until(lambda: not target.alive, "the end is noticed")
+    begin = time.monotonic()
+    with pytest.raises(LinkError, match=r"'fake' at .* has ended: 'write' was not answered"):
+        target.write(Kp1=1.0)
+    assert time.monotonic() < begin + 2.5  # of five seconds that it may take
+    with pytest.raises(LinkError, match=r"has ended: 'status' was not answered"):
+        target.status()
+    again = Monitor(FakeRuntime(), Options("fake", "fake_machine"))
+    try:
+        until(lambda: target.alive, "the target is back")
+        assert not target.link.ended
+    finally:
+        again.close()
+
+
 def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refused(
     target: Target, monitor: Monitor, runtime: FakeRuntime
 ) -> None:
@@ -346,13 +379,13 @@ def test_a_target_that_ends_is_reported_at_once_and_a_second_of_its_name_is_refu
     monitor.close()
     until(lambda: not target.alive, "the end is noticed")
     with pytest.raises(
-        LinkError, match=r"target 'fake' at unixsock-stream/.* is gone: 'status' was not answered"
+        LinkError, match=r"target 'fake' at unixsock-stream/.* has ended: 'status' was not answered"
     ):
         target.status()
     begin = time.monotonic()
     with pytest.raises(
         LinkError,
-        match=r"is gone: 'write' was not answered.*Whether it was applied cannot be known",
+        match=r"has ended: 'write' was not answered.*Whether it was applied cannot be known",
     ):
         target.write(Kp1=1.0)
     # nobody is left to send it to: of five seconds that it may take

@@ -195,3 +195,17 @@ def test_a_number_changed_by_hand_is_told_and_an_older_file_loads(
     del body["checksum"]
     np.savez(path, **{**arrays, "zendsp": np.array(json.dumps(body))})
     assert np.array_equal(Recording.load(path).data, recording.data, equal_nan=True)
+
+
+def test_a_recording_is_one_line_that_a_person_can_read(recording: Recording) -> None:
+    said = repr(recording)
+    assert said.startswith("<Recording ") and f"{len(recording)} rows" in said
+    assert "\n" not in said and len(said) < 120
+
+
+def test_a_recording_cannot_be_changed_and_what_is_loaded_is_a_recording(
+    recording: Recording, tmp_path: Path
+) -> None:
+    with pytest.raises(AttributeError):
+        recording.note = "another"  # type: ignore[misc]
+    assert type(Recording.load(recording.save(tmp_path / "a.npz"))) is Recording

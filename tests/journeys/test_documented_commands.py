@@ -72,6 +72,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/experiments.md",
         "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
     ): EXPERIMENT,
+    ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
     ("docs/experiments.md", "[[effect]]"): SYNTAX,

@@ -138,6 +138,23 @@ def test_f9_works_where_the_process_of_the_keys_was_killed(
     screen.until("reference chosen", 10.0)
 
 
+def test_f9_works_where_the_process_of_the_keys_hangs(
+    installed: Installed, screens: list[Screen]
+) -> None:
+    installed.target("imi")
+    assert installed.script(PREPARE).returncode == 0
+    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screens.append(screen)
+    screen.until("● running")
+    stopper = stopper_of(screen.pid)
+    os.kill(stopper, signal.SIGSTOP)
+    screen.keys(F9)
+    screen.until("stopped, at sample", 15.0)
+    assert not Path(f"/proc/{stopper}").exists()
+    screen.keys(b"\x1bOR")
+    screen.until("reference chosen", 10.0)
+
+
 def stopper_of(terminal: int) -> int:
     """Number of the process that reads the keys."""
     for task in Path(f"/proc/{terminal}/task").iterdir():

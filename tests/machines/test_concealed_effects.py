@@ -30,11 +30,19 @@ def command(t: float) -> Array:
     return np.array([26.0 + 6.0 * math.sin(9.0 * t), 6.4 + 0.9 * math.sin(14.0 * t)])
 
 
+# plain friction and no electronics: nothing but the equations
+BARE = "friction = plain\nideal = 1\n"
+
+
+def lines(hidden: Concealed) -> str:
+    return "ideal = 1\n" + "".join(f"{k} = {v}\n" for k, v in hidden.config().items())
+
+
 def config(effect: str, joint: int, **parameters: float) -> str:
     hidden = Concealed(
         "imi_planar", (ConcealedEffect(effect, joint, parameters),), "test", friction="plain"
     )
-    return "".join(f"{k} = {v}\n" for k, v in hidden.config().items())
+    return lines(hidden)
 
 
 def run_plant(text: str) -> Array:
@@ -54,7 +62,7 @@ Extra = Callable[[float, Array, Array, Array, Array], Array]
 
 def run_reference(
     torque: Extra | None = None,
-    mass: Array | None = None,
+    mass: Array | Callable[[Array], Array] | None = None,
     actuator: Callable[[float], Array] = command,
     states: Callable[[float, Array, Array, Array], Array] | None = None,
     x0: tuple[float, ...] = (),
@@ -62,13 +70,17 @@ def run_reference(
     """RK4 of M qdd + c + viscous qd + coulomb + extra = tau held over each sample; extra may have
     states x of its own.
     """
-    added = np.zeros((2, 2)) if mass is None else mass
+
+    def added(q: Array) -> Array:
+        return np.zeros((2, 2)) if mass is None else mass(q) if callable(mass) else mass
 
     def rate(t: float, y: Array, tau: Array) -> Array:
         q, qd, x = y[:2], y[2:4], y[4:]
         c, s = P3 * math.cos(q[1]), P3 * math.sin(q[1])
-        m = np.array([[P1 + 2 * c, P2 + c], [P2 + c, P2]]) + added
-        bias = np.array([-s * qd[1] * (2 * qd[0] + qd[1]), s * qd[0] ** 2]) + VISCOUS * qd + COULOMB
+        m = np.array([[P1 + 2 * c, P2 + c], [P2 + c, P2]]) + added(q)
+        bias = gyroscopic(added, q, qd) if callable(mass) else np.zeros(2)
+        bias += np.array([-s * qd[1] * (2 * qd[0] + qd[1]), s * qd[0] ** 2])
+        bias += VISCOUS * qd + COULOMB
         extra = np.zeros(2) if torque is None else torque(t, q, qd, tau, x)
         qdd = np.linalg.solve(m, tau - bias - extra)
         return np.concatenate([qd, qdd, np.zeros(0) if states is None else states(t, q, qd, x)])
@@ -84,6 +96,32 @@ def run_reference(
             k3 = rate(t + h / 2, y + h / 2 * k2, tau)
             y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, y + h * k3, tau))
     return np.array(rows)
+
+
+def gyroscopic(mass: Callable[[Array], Array], q: Array, qd: Array) -> Array:
+    """What a mass matrix that changes with position adds to C qd (Lagrange, by differences)."""
+    step = 1e-6 * np.eye(2)
+    # [k, i, j] = dM_ij / dq_k
+    slope = np.array([(mass(q + h) - mass(q - h)) / 2e-6 for h in step])
+    return np.einsum("kij,k,j->i", slope, qd, qd) - 0.5 * np.einsum("ijk,j,k->i", slope, qd, qd)
+
+
+def point_mass(kg: float, x: float, y: float, link: int) -> Callable[[Array], Array]:
+    """Mass matrix of a point at (x, y) on a link: m J^T J of its place on the table."""
+
+    def place(q: Array) -> Array:
+        if link == 1:
+            a, base = q[0], np.zeros(2)
+        else:
+            a, base = q[0] + q[1], 0.36 * np.array([math.cos(q[0]), math.sin(q[0])])
+        turn = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+        return np.asarray(base + turn @ np.array([x, y]))
+
+    def matrix(q: Array) -> Array:
+        J = np.array([(place(q + h) - place(q - h)) / 2e-4 for h in 1e-4 * np.eye(2)])
+        return np.asarray(kg * J @ J.T)
+
+    return matrix
 
 
 def on(joint: int, value: float) -> Array:
@@ -322,7 +360,7 @@ DRY = {
 
 @pytest.fixture(scope="module")
 def bare() -> tuple[Array, Array]:
-    return run_plant("friction = plain\n"), run_reference()
+    return run_plant(BARE), run_reference()
 
 
 def test_the_bare_arm_moves_as_its_equations_say(bare: tuple[Array, Array]) -> None:
@@ -354,8 +392,17 @@ def test_effect_moves_the_arm_as_its_equation_says(
 
 
 def test_the_table_covers_every_effect_that_this_file_does_not_test_on_its_own() -> None:
-    own = {"stribeck", "presliding", "encoder_eccentricity", "foreign"}
+    own = {"stribeck", "presliding", "encoder_eccentricity", "foreign", "payload"}
     assert {case[0] for case in CASES} | own == set(EFFECTS)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_payload_is_a_mass_on_its_link(bare: tuple[Array, Array], joint: int) -> None:
+    text = config("payload", joint, mass=2.0, x=0.25, y=0.06, z=0.0)
+    moved = run_plant(text) - bare[0]
+    wanted = run_reference(mass=point_mass(2.0, 0.25, 0.06, joint)) - bare[1]
+    # differences of differences: the reference's Jacobian is right to 1e-8
+    assert np.abs(moved - wanted).max() < 1e-5 * np.abs(wanted).max()
 
 
 def breakaway(text: str) -> float:
@@ -371,7 +418,7 @@ def breakaway(text: str) -> float:
 
 def test_stribeck_raises_the_breakaway_torque_to_its_level() -> None:
     # ramp of 1 N m/s: half a second to leave
-    assert breakaway("friction = plain\n") == pytest.approx(8.45, abs=0.7)
+    assert breakaway(BARE) == pytest.approx(8.45, abs=0.7)
     assert breakaway(config("stribeck", 1, breakaway=16.0, velocity=0.1)) == pytest.approx(
         16.0, abs=1.0
     )
@@ -391,7 +438,7 @@ def test_presliding_gives_way_by_torque_over_stiffness_and_comes_back() -> None:
 
 def test_encoder_eccentricity_bends_the_reading_and_not_the_motion() -> None:
     text = config("encoder_eccentricity", 1, amplitude=0.02, phase=0.5)
-    with Plant("imi_planar", text) as plant, Plant("imi_planar", "friction = plain\n") as bare:
+    with Plant("imi_planar", text) as plant, Plant("imi_planar", BARE) as bare:
         for k in range(SAMPLES):
             q = plant.q[0]
             shown = plant.torque(command(k * PERIOD))[0]
@@ -416,7 +463,7 @@ def test_two_effects_act_together(bare: tuple[Array, Array]) -> None:
         "test",
         "plain",
     )
-    moved = run_plant("".join(f"{k} = {v}\n" for k, v in both.config().items())) - bare[0]
+    moved = run_plant(lines(both)) - bare[0]
     wanted = run_reference(lambda t, q, qd, tau, x: on(1, 4.0 * qd[0]), entry(2, 2, 0.1)) - bare[1]
     assert np.abs(moved - wanted).max() < 0.03 * np.abs(wanted).max()
 

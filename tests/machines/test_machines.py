@@ -23,10 +23,19 @@ UP = np.array([0.0, 0.5, 0.0, 1.5, -1.5, 0.0, 0.0])
 
 SHIM = b"""
 #include "wam7_dynamics.h"
-void inverse(const double *q, const double *qd, const double *qdd, double *tau) { wam7_inverse(q, qd, qdd, tau); }
-void forward(const double *q, const double *qd, const double *tau, double *qdd) { wam7_forward(q, qd, tau, qdd); }
-void mass(const double *q, double *M) { wam7_pose p; wam7_locate(q, &p); wam7_mass(&p, (double(*)[WAM7])M); }
-"""  # noqa: E501
+#define arm wam7_published
+void inverse(const double *q, const double *qd, const double *qdd, double *tau) {
+    wam7_inverse(&arm, q, qd, qdd, tau);
+}
+void forward(const double *q, const double *qd, const double *tau, double *qdd) {
+    wam7_forward(&arm, q, qd, tau, qdd);
+}
+void mass(const double *q, double *M) {
+    wam7_pose p;
+    wam7_locate(&arm, q, &p);
+    wam7_mass(&p, (double(*)[WAM7])M);
+}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +178,7 @@ def test_friction_holds_a_joint_below_breakaway_and_its_bristle_gives_way(name: 
     with Plant(name, "q1 = 0\nq2 = 0\nq4 = 0\n" if name == "wam7" else "") as plant:
         tau = np.zeros(plant.joints)
         tau[0] = {"imi_planar": 7.0, "pendulum": 0.07, "wam7": 3.5}[name]
-        for _ in range(2000):
+        for _ in range(8000 if name == "wam7" else 2000):  # its other joints sink until they rest
             plant.torque(tau)
         resting = plant.q[0]
         for _ in range(300):
@@ -259,7 +268,8 @@ def test_stop_brings_every_joint_to_rest_and_holds_it(name: str) -> None:
         for _ in range(1000):
             plant.sample(np.zeros(plant.joints), VELOCITY)
         assert np.abs(plant.qd).max() < 2e-3
-        assert np.abs(plant.q - held).max() < 2e-3
+        # noise on an analog speed reference lets a joint wander, by two or three counts a second
+        assert np.abs(plant.q - held).max() < 5e-3
 
 
 def test_power_off_lets_the_wam_sink_into_its_stops_and_no_further() -> None:

@@ -33,8 +33,10 @@ PROGRAMS = sorted(path.name for path in (source_root() / "programs").glob("*.c")
 def running(
     machine: str, program: str, flags: tuple[str, ...] = (), **config: Any
 ) -> Iterator[Runtime]:
-    """A machine in the fast clock with a program loaded."""
-    with Runtime(machine, clock="fast", machine_config=config) as runtime:
+    """A machine in the fast clock with a program loaded; without noise, which is not what programs
+    are tested for.
+    """
+    with Runtime(machine, clock="fast", machine_config={"ideal": 1, **config}) as runtime:
         result = runtime.compile(gather(program), flags)
         assert result.ok, result.diagnostics
         assert not result.diagnostics, "shipped programs give no warning"

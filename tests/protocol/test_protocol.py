@@ -30,8 +30,7 @@ def test_a_request_survives_the_wire() -> None:
     )
     verb, args, by = codec.decode_request(data, "sync")
     assert (verb.name, by, args.at_tick) == ("update", "anna@lab", 7)  # type: ignore[attr-defined]
-    assert args.values == {"Kp": 1.5, "on": True, "n": 3,
-        "g": [1.0, 2.0]}  # type: ignore[attr-defined]
+    assert args.values == {"Kp": 1.5, "on": True, "n": 3, "g": [1.0, 2.0]}  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -84,9 +83,11 @@ def test_a_result_and_an_error_survive_the_wire() -> None:
             | st.floats()
             | st.text(max_size=9)
             | st.binary(max_size=9),
-            lambda inner: st.lists(inner, max_size=4)
-            | st.dictionaries(
-                st.sampled_from(["v", "verb", "by", "args", "ok", "x"]), inner, max_size=5
+            lambda inner: (
+                st.lists(inner, max_size=4)
+                | st.dictionaries(
+                    st.sampled_from(["v", "verb", "by", "args", "ok", "x"]), inner, max_size=5
+                )
             ),
             max_leaves=12,
         ).map(msgspec.msgpack.encode),
@@ -136,6 +137,21 @@ def test_every_error_of_the_tree_crosses_the_wire_as_itself() -> None:
     for kind in kinds:
         with pytest.raises(kind, match="why"):
             codec.decode_reply(codec.encode_error(kind("why")), m.Empty)
+
+
+def test_texts_from_elsewhere_command_no_terminal() -> None:
+    rude, exact = "anna@\x1b[2J\r\n\x9b2J\u202e", "int x;\r\n\x1b"
+    written = "anna@\\x1b[2J\\r\n\\x9b2J\\u202e"
+    said = codec.encode_result(
+        m.Program(key="k", sources={"a.c": exact}, flags=[rude], compiler="gcc")
+    )
+    program = codec.decode_reply(said, m.Program)
+    assert program.sources == {"a.c": exact} and list(program.flags) == [written]
+    with pytest.raises(errors.Refused, match=r"^anna@\\x1b\[2J\\r\n\\x9b2J\\u202e$"):
+        codec.decode_reply(codec.encode_error(errors.Refused(rude)), m.Empty)
+    _, _, by = codec.decode_request(codec.encode_request("info", {}, rude), "quick")
+    assert by == written.replace("\n", "\\n")  # a name has one line
+    assert keys.host_of(f"zendsp/imi/host/{rude}") == by
 
 
 def test_names_that_keys_cannot_hold_are_refused() -> None:

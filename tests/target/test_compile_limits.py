@@ -94,9 +94,11 @@ def test_of_many_messages_the_first_are_told() -> None:
     ]
 
 
-def test_a_huge_result_is_refused() -> None:
-    result = compile_program({"huge.c": HEAD + "char y[400 << 20] = {1};\n"}, timeout_s=10.0)
+def test_a_huge_result_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler, "_MAX_FILE", 1 << 20)  # far below every other limit
+    result = compile_program({"huge.c": HEAD + "char y[8 << 20] = {1};\n"}, timeout_s=10.0)
     assert not result.ok
+    assert "its result exceeds 1 MB" in result.diagnostics[0].message
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -21,12 +22,18 @@ Make = Callable[..., Runtime]
 PROGRAM = """
 #define _GNU_SOURCE
 #include "isr.h"
+#include <asm/sockios.h>
+#include <asm/ioctls.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <pthread.h>
 #include <sched.h>
 #include <signal.h>
 #include <spawn.h>
 #include <stdlib.h>
+#include <sys/ioctl.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -133,6 +140,43 @@ def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
         runtime = make_runtime(_program(how, mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
         assert other.poll() is None
+    finally:
+        other.kill()
+        other.wait()
+
+
+REACHES = {  # how a program could end another process without a signal of its own
+    "limit": (
+        "const struct rlimit none = {{1, 1}}; return prlimit({other}, RLIMIT_CPU, &none, NULL);"
+    ),
+    "owner": (
+        "int p[2]; if (pipe(p) != 0) return 1; fcntl(p[0], F_SETFL, O_ASYNC | O_NONBLOCK);"
+        " fcntl(p[0], F_SETSIG, SIGKILL); if (fcntl(p[0], F_SETOWN, {other}) != 0) return -1;"
+        ' return write(p[1], "x", 1);'
+    ),
+    "owner_of_a_thread": (
+        "const struct f_owner_ex o = {{F_OWNER_PID, {other}}}; int p[2]; if (pipe(p) != 0) return"
+        " 1; fcntl(p[0], F_SETFL, O_ASYNC | O_NONBLOCK); fcntl(p[0], F_SETSIG, SIGKILL); if"
+        ' (fcntl(p[0], F_SETOWN_EX, &o) != 0) return -1; return write(p[1], "x", 1);'
+    ),
+    "ioctl": (
+        "int s[2], on = 1, who = {other}; if (socketpair(AF_UNIX, SOCK_STREAM, 0, s) != 0) return"
+        " 1; ioctl(s[0], FIOASYNC, &on); fcntl(s[0], F_SETSIG, SIGKILL); if (ioctl(s[0],"
+        ' FIOSETOWN, &who) != 0) return -1; return write(s[1], "x", 1);'
+    ),
+    "ring": "char none[120] = {{0}}; return syscall(SYS_io_uring_setup, 1, none);",
+}
+
+
+@pytest.mark.parametrize("way", list(REACHES))
+def test_user_code_reaches_no_other_process(make_runtime: Make, way: str, mark: str) -> None:
+    other = subprocess.Popen(["sleep", "300"])
+    try:
+        before = resource.prlimit(other.pid, resource.RLIMIT_CPU)
+        runtime = make_runtime(_program(REACHES[way].format(other=other.pid), mark, "init"))
+        assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
+        assert other.poll() is None
+        assert resource.prlimit(other.pid, resource.RLIMIT_CPU) == before
     finally:
         other.kill()
         other.wait()

@@ -9,6 +9,7 @@
  *     transmission   a load of its own behind a spring or a gap; the sensor stays on the motor
  *     actuator       what the command loses on its way, in the order of the list
  *     sensor         what the encoder shows
+ *     body           a payload: the machine's own law takes it up
  */
 #ifndef ZENDSP_CONCEALED_H
 #define ZENDSP_CONCEALED_H
@@ -111,6 +112,7 @@ static inline void concealed_plain(plant_friction *f) {
     f->viscous_pos = f->viscous_neg = 0.5 * (f->viscous_pos + f->viscous_neg);
     f->coulomb_pos = f->coulomb_neg = 0.5 * (f->coulomb_pos + f->coulomb_neg);
     f->breakaway_pos = f->breakaway_neg = f->coulomb_pos;
+    f->vary = 0.0;
     f->stiffness *= 2000.0;
     f->damping *= 22.0; /* half the damping ratio: enough to come to rest, little beside the level at a reversal */
 }
@@ -133,6 +135,13 @@ static inline int concealed_attach(concealed *c, plant *p, const char *config, c
         return -1;
     if (c->count == 0)
         return 0; /* nothing concealed: nothing costs time */
+    for (int i = 0; i < c->count; i++) {
+        const concealed_effect *e = &c->effect[i];
+        if (e->kind == PAYLOAD && (!p->carry || p->carry(p->carry_self, e->joint, e->p[0], &e->p[1]) != 0)) {
+            snprintf(error, error_size, "concealed: this machine can carry no payload there (joint %d)", e->joint + 1);
+            return -1;
+        }
+    }
     memcpy(c->base, p->friction, sizeof c->base);
     for (int i = 0; i < c->count; i++)
         concealed_prepare(c, &c->effect[i]);

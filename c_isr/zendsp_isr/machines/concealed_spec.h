@@ -46,6 +46,7 @@ typedef enum concealed_kind {
     ENCODER_ECCENTRICITY,
     DISTURBANCE,
     FOREIGN,
+    PAYLOAD,
     CONCEALED_KINDS
 } concealed_kind;
 
@@ -83,6 +84,7 @@ static const concealed_name concealed_names[CONCEALED_KINDS] = {
     [ENCODER_ECCENTRICITY] = {"encoder_eccentricity", {"amplitude", "phase"}},
     [DISTURBANCE] = {"disturbance", {"level", "begin", "duration"}},
     [FOREIGN] = {"foreign", {"law", "amplitude"}}, /* laws that the contract has no name for, see concealed.h */
+    [PAYLOAD] = {"payload", {"mass", "x", "y", "z"}}, /* on the link that the joint moves, in the frame of that link */
 };
 
 typedef struct concealed_effect {

@@ -2,10 +2,15 @@
  *
  *     M(q) qdd + C(q, qd) qd + friction = tau,   M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]]
  *
- * No gravity (vertical axes). Inertias, viscous and Coulomb levels: the published model of the arm; torque limits: NSK Megatorque
- * class; breakaway, Stribeck speed, bristle stiffness and asymmetry: chosen so that the published experiments find what they found.
+ * No gravity (vertical axes). Total length, position limits, modes of the drives: the paper of Bona, Indri and Smaldone. Inertias, viscous and
+ * Coulomb levels: the model of the IMI arm in the adaptive-control literature; the paper prints none. Torque limits: NSK Megatorque class.
+ * Chosen here: speed limits; breakaway, Stribeck speed, bristle stiffness, asymmetry, so that the published experiments find what they
+ * found; how friction varies with place (5 %, 14 waves a turn, their phase by the seed); electronics, as such parts have: 16-bit analog
+ * output over ±10 V with 1 mV rms on the line, current loop of 1 kHz (the paper: much faster than the sample), a resolver that is
+ * interpolated to a third of a count rms.
  *
- * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits); friction, effect1, … (concealed.h).
+ * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits); ideal, seed, … (plant.h); friction, effect1, …
+ * (concealed.h).
  */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
@@ -16,6 +21,9 @@
 #include "plant.h"
 
 static const double p1 = 3.473, p2 = 0.196, p3 = 0.242; /* kg m^2 */
+static const double length[2] = {0.36, 0.34};           /* m */
+static const plant_electronics usual = {
+    .dac_step = 20000.0 / 65536.0, .dac_noise = 1.0, .current_loop = 1.6e-4, .encoder_noise = {0.33, 0.33}};
 static const double counts_per_turn = 153600.0;         /* resolver, interpolated to encoder signals by the drive box */
 static const double full_scale = 10000.0;               /* mV, command that gives the torque limit (or speed limit) */
 static const double two_pi = 6.283185307179586;
@@ -25,12 +33,13 @@ typedef struct imi {
     machine_info info;
     uint32_t din;
     concealed concealed;
+    double p1, p2, p3, p4; /* kg m^2, with what it carries; p4 goes with sin q2 */
 } imi;
 
 static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
-    (void)self;
-    const double c = cos(q[1]), s = p3 * sin(q[1]);
-    const double m11 = p1 + 2.0 * p3 * c, m12 = p2 + p3 * c, m22 = p2;
+    const imi *m = self;
+    const double c = m->p3 * cos(q[1]) - m->p4 * sin(q[1]), s = m->p3 * sin(q[1]) + m->p4 * cos(q[1]);
+    const double m11 = m->p1 + 2.0 * c, m12 = m->p2 + c, m22 = m->p2;
     /* Coriolis and centrifugal: [-s qd2 (2 qd1 + qd2), s qd1^2] */
     const double b1 = torque[0] + s * qd[1] * (2.0 * qd[0] + qd[1]);
     const double b2 = torque[1] - s * qd[0] * qd[0];
@@ -39,8 +48,23 @@ static void acceleration(void *self, const double *q, const double *qd, const do
     qdd[1] = (m11 * b2 - m12 * b1) / det;
 }
 
+/* A point mass on a link: x along it from its joint, y across. */
+static int carry(void *self, int joint, double mass, const double *place) {
+    imi *m = self;
+    const double x = place[0], y = place[1], square = mass * (x * x + y * y);
+    if (joint == 0) {
+        m->p1 += square;
+    } else {
+        m->p1 += mass * length[0] * length[0] + square;
+        m->p2 += square;
+        m->p3 += mass * length[0] * x;
+        m->p4 += mass * length[0] * y;
+    }
+    return 0;
+}
+
 static void describe(machine_info *info) {
-    static const double torque_max[2] = {245.0, 39.2}, speed_max[2] = {9.0, 15.0}, length[2] = {0.36, 0.34};
+    static const double torque_max[2] = {245.0, 39.2}, speed_max[2] = {9.0, 15.0};
     snprintf(info->name, sizeof info->name, "imi_planar");
     snprintf(info->text, sizeof info->text, "Planar arm, two direct-drive revolute joints on vertical axes (simulated).");
     info->simulated = 1;
@@ -67,7 +91,7 @@ static void describe(machine_info *info) {
     }
 }
 
-static void make_plant(plant *p, const machine_info *info) {
+static void make_plant(plant *p, const machine_info *info, const char *config) {
     static const plant_friction friction[2] = {
         {.coulomb_pos = 8.45 * 1.05, .coulomb_neg = 8.45 * 0.95, .breakaway_pos = 11.4 * 1.05, .breakaway_neg = 11.4 * 0.95,
          .stribeck = 0.08, .stiffness = 12000.0, .damping = 60.0, .viscous_pos = 5.3 * 1.02, .viscous_neg = 5.3 * 0.98},
@@ -75,10 +99,17 @@ static void make_plant(plant *p, const machine_info *info) {
          .stribeck = 0.10, .stiffness = 1500.0, .damping = 6.0, .viscous_pos = 1.1 * 0.97, .viscous_neg = 1.1 * 1.03},
     };
     static const double speed_gain[2] = {400.0, 30.0};
+    const int ideal = machine_config_double(config, "ideal", 0.0) != 0.0;
     p->joints = 2;
     p->acceleration = acceleration;
+    plant_equip(p, config, &usual, 2.0 * full_scale);
     for (int j = 0; j < 2; j++) {
         p->friction[j] = friction[j];
+        if (!ideal) {
+            p->friction[j].vary = 0.05;
+            p->friction[j].turns = 14.0 / two_pi;
+            p->friction[j].phase = two_pi * plant_copy(config, j + 1);
+        }
         p->drive[j] = (plant_drive){.torque_limit = info->joint[j].torque_max,
                                     .speed_gain = speed_gain[j],
                                     .speed_integral = 10.0 * speed_gain[j],
@@ -98,7 +129,12 @@ static int imi_open(void **handle, const char *config, double period, machine_in
         return -1;
     }
     describe(&m->info);
-    make_plant(&m->plant, &m->info);
+    make_plant(&m->plant, &m->info, config);
+    m->plant.self = m->plant.carry_self = m;
+    m->plant.carry = carry;
+    m->p1 = p1;
+    m->p2 = p2;
+    m->p3 = p3;
     m->plant.q[0] = machine_config_double(config, "q1", 0.0);
     m->plant.q[1] = machine_config_double(config, "q2", 0.0);
     m->plant.substep = machine_config_double(config, "substep", 1e-4);

@@ -2,13 +2,14 @@
  *
  *     J qdd + G sin q + friction = k_a i,     v = k_b qd + R_a i,  |v| <= 24 V,  k_b = k_a
  *
- * Motor, supply, current loop, bar, encoder and current sensor: figures of the paper. Rotor inertia, bearing friction, breakaway,
- * Stribeck speed, bristle and asymmetry: chosen here.
+ * Motor, supply, current loop, bar, encoder and range and bits of the current sensor, torque limit: figures of the paper. Rotor inertia, bearing
+ * friction, breakaway, Stribeck speed, bristle and asymmetry: chosen here, and so are the electronics, as such parts have: a 12-bit
+ * command with 1 mV rms on the line, one step rms of noise in the current sensor, a bridge that makes voltage in 1024 steps of 47 mV.
  *
  * The drive's own PI current loop runs once a sample, on the current that the 10-bit sensor shows; its voltage is held over the
  * sample. With kp = 5 V/A, ki = 5000 V/(A s) and R_a = 5.54 ohm it settles in two samples.
  *
- * Config keys: q1 (rad, 0 hangs down), substep (s), drive (torque: aout is a torque reference for the current loop; voltage: aout
+ * Config keys: ideal, seed, … (plant.h); q1 (rad, 0 hangs down), substep (s), drive (torque: aout is a torque reference for the current loop; voltage: aout
  * is the motor's voltage and the current loop is the user's), brake (N m, level of the rim brake), friction, effect1, effect2, …
  * Analog inputs: 0 current, A; 1 voltage, V.
  */
@@ -30,10 +31,15 @@ static const double full_scale = 10000.0;                 /* mV for torque_max, 
 static const double turn_counts = 4096.0, two_pi = 6.283185307179586;
 static const double sensor_range = 5.0, sensor_steps = 1024.0; /* A, from -5 to 5 in 10 bits */
 
+static const plant_electronics usual = {.dac_step = 20000.0 / 4096.0, .dac_noise = 1.0}; /* its current loop is its own */
+static const double bridge_steps = 1024.0; /* of the supply, both signs */
+
 typedef struct pendulum {
     plant plant;
     machine_info info;
     concealed concealed;
+    double inertia, gravity; /* kg m^2, N m, with what it carries */
+    int ideal;
     double period;   /* s */
     int by_voltage;  /* 1: the command is a voltage */
     double voltage;  /* V, held over the sample */
@@ -42,9 +48,20 @@ typedef struct pendulum {
 } pendulum;
 
 static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
-    (void)self;
+    const pendulum *m = self;
     (void)qd;
-    qdd[0] = (torque[0] - gravity * sin(q[0])) / inertia;
+    qdd[0] = (torque[0] - m->gravity * sin(q[0])) / m->inertia;
+}
+
+/* A point mass on the bar, x along it from the shaft. */
+static int carry(void *self, int joint, double mass, const double *place) {
+    pendulum *m = self;
+    (void)joint;
+    if (place[1] != 0.0)
+        return -1;
+    m->inertia += mass * place[0] * place[0];
+    m->gravity += 9.81 * mass * place[0];
+    return 0;
 }
 
 static int powered(const pendulum *m) { return m->plant.mode != MACHINE_OFF; }
@@ -52,13 +69,20 @@ static int powered(const pendulum *m) { return m->plant.mode != MACHINE_OFF; }
 static double true_current(const pendulum *m) { return powered(m) ? (m->voltage - k_a * m->plant.qd[0]) / R_a : 0.0; }
 
 /* What 10 bits make of it. */
-static double measured_current(const pendulum *m) {
+static double measured_current(pendulum *m) {
     const double step = 2.0 * sensor_range / sensor_steps;
-    const double i = floor(true_current(m) / step + 0.5) * step;
+    const double seen = true_current(m) + (m->ideal ? 0.0 : plant_noise(&m->plant, step));
+    const double i = floor(seen / step + 0.5) * step;
     return i > sensor_range - step ? sensor_range - step : i < -sensor_range ? -sensor_range : i;
 }
 
 static double clip(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
+
+/* What the bridge makes of a voltage. */
+static double bridge(const pendulum *m, double voltage) {
+    const double step = 2.0 * supply / bridge_steps;
+    return m->ideal ? clip(voltage, supply) : clip(step * floor(voltage / step + 0.5), supply);
+}
 
 /* Hooks of the plant: the stall torque of the held voltage, and what the back-EMF takes off it. */
 static void stall_torque(void *self, double t, double dt, double *torque) {
@@ -86,7 +110,7 @@ static void drive(pendulum *m) {
     if (m->by_voltage && m->plant.mode == MACHINE_TORQUE) {
         u[0] = m->plant.command[0];
         concealed_command(&m->concealed, m->plant.t, m->period, u);
-        m->voltage = clip(u[0], supply);
+        m->voltage = bridge(m, u[0]);
         m->integral = 0.0;
         return;
     }
@@ -94,8 +118,8 @@ static void drive(pendulum *m) {
     concealed_command(&m->concealed, m->plant.t, m->period, u);
     const double error = clip(u[0], torque_max) / k_a - m->current;
     const double wanted = loop_kp * error + m->integral;
-    m->voltage = clip(wanted, supply);
-    if (wanted == m->voltage) /* the integrator rests while the voltage is at its limit */
+    m->voltage = bridge(m, wanted);
+    if (fabs(wanted) < supply) /* the integrator rests while the voltage is at its limit */
         m->integral += loop_ki * m->period * error;
 }
 
@@ -164,7 +188,13 @@ static int pendulum_open(void **handle, const char *config, double period, machi
     m->period = period;
     m->by_voltage = strcmp(command, "voltage") == 0;
     describe(&m->info, m->by_voltage);
+    m->inertia = inertia;
+    m->gravity = gravity;
+    m->ideal = machine_config_double(config, "ideal", 0.0) != 0.0;
     make_plant(m, machine_config_double(config, "brake", 0.08));
+    m->plant.self = m->plant.carry_self = m;
+    m->plant.carry = carry;
+    plant_equip(&m->plant, config, &usual, 2.0 * full_scale);
     m->plant.q[0] = machine_config_double(config, "q1", 0.0);
     m->plant.substep = machine_config_double(config, "substep", 1e-4);
     if (concealed_attach(&m->concealed, &m->plant, config, error, error_size) != 0) {
@@ -192,7 +222,7 @@ static void pendulum_write(void *handle, const machine_actuators *actuators) {
     pendulum *m = handle;
     plant_command(&m->plant, &m->info, actuators);
     if (m->by_voltage && actuators->mode == MACHINE_TORQUE)
-        m->plant.command[0] = actuators->aout[0] * supply / full_scale;
+        m->plant.command[0] = plant_analog(&m->plant, actuators->aout[0]) * supply / full_scale;
 }
 
 static void pendulum_step(void *handle, double dt) {

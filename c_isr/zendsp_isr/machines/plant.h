@@ -32,6 +32,8 @@ typedef struct plant_friction {
     double stiffness;                    /* N m/rad, bristle */
     double damping;                      /* N m s/rad, bristle */
     double viscous_pos, viscous_neg;     /* N m s/rad */
+    double vary, turns, phase;           /* level varies with place: 1 + vary sin(2 pi turns q + phase); turns in 1/rad */
+    double here;                         /* that factor at the present place */
 } plant_friction;
 
 typedef struct plant_drive {
@@ -72,7 +74,7 @@ typedef struct plant {
     double command[PLANT_JOINTS];  /* N m in torque mode, rad/s in velocity mode */
     int mode;                      /* MACHINE_OFF | MACHINE_TORQUE | MACHINE_VELOCITY */
     double current[PLANT_JOINTS];  /* N m, torque behind the current loop */
-    uint64_t random;               /* state of the noise: the same seed gives the same noise */
+    uint64_t random;               /* state of the noise: the same seed and load give the same */
     plant_electronics electronics;
     plant_friction friction[PLANT_JOINTS];
     plant_drive drive[PLANT_JOINTS];
@@ -85,6 +87,9 @@ typedef struct plant {
      * stage 1 after the second, to its end. */
     void (*others)(void *self, int stage, double h);
     void *others_self;
+    /* Hang a point mass on the link of a joint, at `place` in the link's frame (may be NULL). Returns 0, or -1: it cannot hang there. */
+    int (*carry)(void *self, int joint, double mass, const double *place);
+    void *carry_self;
     plant_hooks hooks;
 } plant;
 
@@ -107,11 +112,18 @@ static inline double plant_noise(plant *p, double std) {
     return std * radius * cos(6.283185307179586 * plant_uniform(p));
 }
 
-/* Config keys seed, ideal, dac_bits, dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`.
+/* A number in (0, 1) that belongs to this copy of the machine, by its seed: the same at every opening. */
+static inline double plant_copy(const char *config, int which) {
+    plant p = {.random = (uint64_t)machine_config_double(config, "seed", 1.0) + ((uint64_t)which << 48)};
+    return plant_uniform(&p);
+}
+
+/* Config keys load (which opening this is: noise does not begin again), seed, ideal, dac_bits, dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`.
  * `range` is the span of the analog output, mV. */
 static inline void plant_equip(plant *p, const char *config, const plant_electronics *usual, double range) {
     plant_electronics *e = &p->electronics;
-    p->random = (uint64_t)machine_config_double(config, "seed", 1.0);
+    p->random = (uint64_t)machine_config_double(config, "seed", 1.0)
+        + ((uint64_t)machine_config_double(config, "load", 1.0) << 32);
     *e = (plant_electronics){0};
     if (machine_config_double(config, "ideal", 0.0) != 0.0)
         return;
@@ -130,7 +142,7 @@ static inline double plant_level(const plant_friction *f, double qd) {
     const double coulomb = qd >= 0.0 ? f->coulomb_pos : f->coulomb_neg;
     const double breakaway = qd >= 0.0 ? f->breakaway_pos : f->breakaway_neg;
     const double r = f->stribeck > 0.0 ? qd / f->stribeck : 1e3;
-    return coulomb + (breakaway - coulomb) * exp(-r * r);
+    return f->here * (coulomb + (breakaway - coulomb) * exp(-r * r));
 }
 
 /* Friction torque, N m, for speed qd and bristle z. */
@@ -208,6 +220,10 @@ static inline void plant_substep(plant *p, double h) {
     plant_current_loop(p, h, torque);
     if (p->hooks.actuator)
         p->hooks.actuator(p->hooks.self, p->t, h, torque);
+    for (int j = 0; j < p->joints; j++) {
+        plant_friction *f = &p->friction[j];
+        f->here = 1.0 + (f->vary != 0.0 ? f->vary * sin(6.283185307179586 * f->turns * p->q[j] + f->phase) : 0.0);
+    }
     plant_evaluate(p, p->t, p->q, p->qd, p->z, torque, qdd);
     for (int j = 0; j < p->joints; j++) {
         vm[j] = p->qd[j] + 0.5 * h * qdd[j];

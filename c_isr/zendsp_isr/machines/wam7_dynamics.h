@@ -4,7 +4,9 @@
  * Cholesky for the acceleration. No allocation, no state. Tested against Pinocchio to 1e-9 (tests/machines).
  *
  * Frames: standard Denavit-Hartenberg, frame k fixed to link k: T = Rot(z, q) Trans(0, 0, d) Trans(a, 0, 0) Rot(x, alpha).
- * Inertial figures: Barrett Technology, "WAM Inertial Specifications" AC-02, without a hand.
+ * Inertial figures: Barrett Technology, "WAM Inertial Specifications" AC-02, without a hand, as this project was given them. Masses and
+ * centres of mass are roundings of what others republish (e.g. OpenRAVE's model of the arm); inertias of links 1 to 4 are not, they differ by
+ * up to 0.1 %, and the products of inertia stand here as elements of the matrix, with the opposite sign.
  */
 #ifndef ZENDSP_WAM7_DYNAMICS_H
 #define ZENDSP_WAM7_DYNAMICS_H
@@ -13,6 +15,7 @@
 
 enum { WAM7 = 7 };
 
+/* An arm: its links, and the inertia of each rotor behind its drive. */
 typedef struct wam7_link {
     double a, d;       /* m */
     double ca, sa;     /* cos and sin of alpha, exact for right angles */
@@ -21,9 +24,14 @@ typedef struct wam7_link {
     double inertia[6]; /* kg m^2 about the centre of mass, axes of frame k: xx yy zz xy xz yz */
 } wam7_link;
 
+typedef struct wam7_arm {
+    wam7_link link[WAM7];
+    double rotor[WAM7]; /* kg m^2, at the joint */
+} wam7_arm;
+
 static const double wam7_gravity[3] = {0.0, 0.0, -9.81}; /* m/s^2, base frame */
 
-static const wam7_link wam7_links[WAM7] = {
+static const wam7_arm wam7_published = {.link = {
     {.a = 0.0, .d = 0.0, .ca = 0.0, .sa = -1.0, .mass = 10.768,
      .com = {-0.0044342, 0.12189, -0.00066489},
      .inertia = {0.134873, 0.113284, 0.0904562, 0.00213026, 0.000124857, -0.000685566}},
@@ -45,10 +53,14 @@ static const wam7_link wam7_links[WAM7] = {
     {.a = 0.0, .d = 0.06, .ca = 1.0, .sa = 0.0, .mass = 0.068648,
      .com = {-7.974e-05, 0.00016313, -0.0032355},
      .inertia = {3.77295e-05, 3.80609e-05, 7.40777e-05, 1.89107e-07, -2.2889e-09, 3.7671e-09}},
-};
+}};
+
+/* kg m^2, rotors at the joints (ratio squared), as OpenRAVE's model of the arm has them. */
+static const double wam7_rotor[WAM7] = {0.201, 0.182, 0.067, 0.034, 0.0033224, 0.0033224, 0.000466939};
 
 /* Where everything is, in base coordinates, for one q. */
 typedef struct wam7_pose {
+    const wam7_arm *arm;
     double axis[WAM7][3];    /* of joint k */
     double origin[WAM7][3];  /* a point on that axis, m */
     double com[WAM7][3];     /* of link k, m */
@@ -81,10 +93,11 @@ static inline void wam7_turn(const double R[9], const double I[6], double W[9]) 
             W[3 * i + j] = half[3 * i] * R[3 * j] + half[3 * i + 1] * R[3 * j + 1] + half[3 * i + 2] * R[3 * j + 2];
 }
 
-static inline void wam7_locate(const double *q, wam7_pose *p) {
+static inline void wam7_locate(const wam7_arm *arm, const double *q, wam7_pose *p) {
+    p->arm = arm;
     double R[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, o[3] = {0, 0, 0}, c[3];
     for (int k = 0; k < WAM7; k++) {
-        const wam7_link *l = &wam7_links[k];
+        const wam7_link *l = &arm->link[k];
         const double cq = cos(q[k]), sq = sin(q[k]);
         const double step[9] = {cq, -sq * l->ca, sq * l->sa, sq, cq * l->ca, -cq * l->sa, 0.0, l->sa, l->ca};
         const double way[3] = {l->a * cq, l->a * sq, l->d};
@@ -139,7 +152,7 @@ static inline void wam7_newton_euler(const wam7_pose *p, const double *qd, const
         wam7_cross(w, x, y);
         wam7_cross(wd, r, x);
         for (int i = 0; i < 3; i++)
-            F[k][i] = wam7_links[k].mass * (a[i] + x[i] + y[i]);
+            F[k][i] = p->arm->link[k].mass * (a[i] + x[i] + y[i]);
         wam7_apply(p->inertia[k], w, x);
         wam7_cross(w, x, y);
         wam7_apply(p->inertia[k], wd, x);
@@ -156,7 +169,7 @@ static inline void wam7_newton_euler(const wam7_pose *p, const double *qd, const
         wam7_cross(p->origin[k], f, x);
         for (int i = 0; i < 3; i++)
             y[i] = n[i] - x[i];
-        tau[k] = wam7_dot(p->axis[k], y);
+        tau[k] = wam7_dot(p->axis[k], y) + (qdd ? p->arm->rotor[k] * qdd[k] : 0.0);
     }
 }
 
@@ -178,7 +191,7 @@ static inline void wam7_join(double *m1, double c1[3], double I1[9], double m2, 
 static inline void wam7_mass(const wam7_pose *p, double M[WAM7][WAM7]) {
     double m = 0.0, c[3] = {0, 0, 0}, I[9] = {0}, r[3], f[3], n[3], x[3];
     for (int b = WAM7 - 1; b >= 0; b--) {
-        wam7_join(&m, c, I, wam7_links[b].mass, p->com[b], p->inertia[b]);
+        wam7_join(&m, c, I, p->arm->link[b].mass, p->com[b], p->inertia[b]);
         /* unit acceleration of joint b alone: force and moment on everything from link b on */
         for (int i = 0; i < 3; i++)
             r[i] = c[i] - p->origin[b][i];
@@ -194,14 +207,26 @@ static inline void wam7_mass(const wam7_pose *p, double M[WAM7][WAM7]) {
                 x[i] += n[i];
             M[a][b] = M[b][a] = wam7_dot(p->axis[a], x);
         }
+        M[b][b] += p->arm->rotor[b];
     }
 }
 
 /* Inverse dynamics: tau of (q, qd, qdd), N m. With qd and qdd zero: gravity. */
-static inline void wam7_inverse(const double *q, const double *qd, const double *qdd, double *tau) {
+static inline void wam7_inverse(const wam7_arm *arm, const double *q, const double *qd, const double *qdd, double *tau) {
     wam7_pose p;
-    wam7_locate(q, &p);
+    wam7_locate(arm, q, &p);
     wam7_newton_euler(&p, qd, qdd, tau);
+}
+
+/* Hang a point mass on a link, at `place` in its frame. */
+static inline void wam7_carry(wam7_link *l, double mass, const double place[3]) {
+    const double I[6] = {l->inertia[0], l->inertia[1], l->inertia[2], l->inertia[3], l->inertia[4], l->inertia[5]};
+    double full[9] = {I[0], I[3], I[4], I[3], I[1], I[5], I[4], I[5], I[2]};
+    const double none[9] = {0};
+    wam7_join(&l->mass, l->com, full, mass, place, none);
+    const double joined[6] = {full[0], full[4], full[8], full[1], full[2], full[5]};
+    for (int i = 0; i < 6; i++)
+        l->inertia[i] = joined[i];
 }
 
 /* Solve M x = b in place of b; M is symmetric and positive definite, and is overwritten by its Cholesky factor. */
@@ -229,10 +254,10 @@ static inline void wam7_solve(double M[WAM7][WAM7], double *b) {
 }
 
 /* Forward dynamics: qdd under tau, rad/s^2. */
-static inline void wam7_forward(const double *q, const double *qd, const double *tau, double *qdd) {
+static inline void wam7_forward(const wam7_arm *arm, const double *q, const double *qd, const double *tau, double *qdd) {
     wam7_pose p;
     double M[WAM7][WAM7], bias[WAM7];
-    wam7_locate(q, &p);
+    wam7_locate(arm, q, &p);
     wam7_newton_euler(&p, qd, (const double *)0, bias);
     wam7_mass(&p, M);
     for (int k = 0; k < WAM7; k++)

@@ -6,6 +6,7 @@
  * same stays beneath the runner (subreaper), also in a session of its own, and ends with it.
  */
 #define _GNU_SOURCE
+#include <asm/sockios.h>  /* FIOSETOWN */
 #include <dirent.h>       /* opendir */
 #include <errno.h>        /* errno */
 #include <fcntl.h>        /* FD_CLOEXEC */
@@ -46,16 +47,28 @@ static int refused; /* errno of the filter, 0: it holds */
 #define DENY(error) BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | (error))
 #define ALLOW BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW)
 #define DENY_CALL(number) BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 1), DENY(EPERM)
-/* A signal: to this process, or its group; the low word of the number stands first or second by the byte order. */
+/* The low word of an argument stands first or second by the byte order. */
 #if __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
-#define FIRST_ARGUMENT BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, args))
+#define LOW_WORD 0u
 #else
-#define FIRST_ARGUMENT BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, args) + 4)
+#define LOW_WORD 4u
 #endif
+#define ARGUMENT(index) \
+    BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, args[index]) + LOW_WORD)
+/* A signal: to this process, or its group. */
 #define OWN_ONLY(number, own)                                                                                   \
-    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), FIRST_ARGUMENT,                                        \
+    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), ARGUMENT(0),                                           \
         BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (own), 2, 0), BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), \
         ALLOW
+/* One command of a call that has many. */
+#define DENY_COMMAND(number, command)                                                     \
+    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 4), ARGUMENT(1),                      \
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (command), 0, 1), DENY(EPERM), FIELD(nr)
+#ifdef __NR_fcntl
+#define CALL_FCNTL __NR_fcntl
+#else
+#define CALL_FCNTL __NR_fcntl64
+#endif
 
 static int filter_calls(void) {
     const uint32_t own = (uint32_t)getpid();
@@ -93,6 +106,18 @@ static int filter_calls(void) {
 #ifdef __NR_pidfd_send_signal
         DENY_CALL(__NR_pidfd_send_signal),
 #endif
+#ifdef __NR_pidfd_getfd
+        DENY_CALL(__NR_pidfd_getfd),
+#endif
+#ifdef __NR_io_uring_setup
+        DENY_CALL(__NR_io_uring_setup), /* what is asked for through a ring passes no filter */
+#endif
+        /* who owns a file is sent the signal of its choice when the file is ready */
+        DENY_COMMAND(CALL_FCNTL, F_SETOWN),
+        DENY_COMMAND(CALL_FCNTL, F_SETOWN_EX),
+        DENY_COMMAND(__NR_ioctl, FIOSETOWN),
+        DENY_COMMAND(__NR_ioctl, SIOCSPGRP),
+        OWN_ONLY(__NR_prlimit64, own), /* a process beyond its limit of CPU time is killed */
         OWN_ONLY(__NR_kill, own),
         OWN_ONLY(__NR_tgkill, own),
         ALLOW,

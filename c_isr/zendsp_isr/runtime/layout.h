@@ -86,7 +86,7 @@ typedef struct variable_entry {
 
 /* One consistent sample of all small variables; `values` follow in the data file. Written by the loop. */
 typedef struct snapshot {
-    uint64_t sequence; /* 2 n + 1 while sample n is being written, 2 n + 2 after */
+    uint64_t sequence; /* of the seqlock: 2 n + 1 while sample n is being written, 2 n + 2 after */
     uint64_t tick;
 } snapshot;
 

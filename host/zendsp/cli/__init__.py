@@ -18,6 +18,7 @@ except ModuleNotFoundError:
     ) from None
 
 from zendsp.errors import ZendspError
+from zendsp_protocol.texts import shown
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -124,5 +125,5 @@ def main() -> None:
         click.echo("interrupted", err=True)
         sys.exit(130)
     except ZendspError as error:
-        click.echo(f"zendsp: {error}", err=True)
+        click.echo(f"zendsp: {shown(str(error))}", err=True)
         sys.exit(2)

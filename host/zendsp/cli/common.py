@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 import msgspec
 
+from zendsp_protocol.texts import shown
 from zendsp_protocol.values import Packed, from_wire
 
 if TYPE_CHECKING:
@@ -67,9 +68,9 @@ def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:
     if as_json:
         click.echo(json.dumps(plain(value), allow_nan=False))
     else:
-        shown = text() if callable(text) else text
-        if shown:
-            click.echo(shown)
+        words = text() if callable(text) else text
+        if words:
+            click.echo(shown(words))
 
 
 def plain(value: Any) -> Any:

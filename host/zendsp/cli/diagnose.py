@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from zendsp_protocol.texts import shown
+
 FILE = click.Path(path_type=Path)
 
 
@@ -145,7 +147,7 @@ def _together(
         return
     from zendsp.diagnosis.report.summary import summary
 
-    click.echo(summary(result))
+    click.echo(shown(summary(result)))
     if out is not None:
         click.echo(f"\nreport: {out / 'report.html'}")
 
@@ -190,4 +192,4 @@ def _each(
         rows = [{"recording": i.recording, "report": i.report, "error": i.error} for i in items]
         click.echo(json.dumps(rows, indent=1, ensure_ascii=False))
     else:
-        click.echo(table(items))
+        click.echo(shown(table(items)))

@@ -63,7 +63,7 @@ def command(
     if name is None:
         _list()
         return
-    names = list(EXPERIMENTS) if name == "all" else [name]
+    names = [n for n, e in EXPERIMENTS.items() if e.machine] if name == "all" else [name]
     takes = fit_model(names, into) if into is not None else []  # before the machine moves
     opened = None
     closing = contextlib.ExitStack()
@@ -108,7 +108,8 @@ def _list() -> None:
 
     width = max(len(name) for name in EXPERIMENTS)
     for experiment in EXPERIMENTS.values():
-        click.echo(f"{experiment.name:<{width}}  {experiment.machine:<10}  {experiment.title}")
+        machine = experiment.machine or "any"
+        click.echo(f"{experiment.name:<{width}}  {machine:<10}  {experiment.title}")
 
 
 def _print(result: Result, folder: Path, as_json: bool) -> None:

@@ -81,8 +81,12 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     Example:  zendsp model check bench.toml --recording run.csv
     """
     from zendsp.physics.model_file import load_model
+    from zendsp.physics.rigid import urdf_path
+    from zendsp.physics.tree import read_urdf
 
     model = load_model(file)
+    if model.kind == "urdf":
+        read_urdf(urdf_path(model))
     body = _about(model)
     lines = [f"{file}: {body['text']}"]
     if recording is not None:

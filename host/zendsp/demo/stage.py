@@ -88,7 +88,7 @@ def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time:
                 "gain": {"value": 1.0, "free": False},
                 "limit": plan.limits.torque.tolist(),
                 "hold": sample_time,
-                "delay": DELAY_SAMPLES * sample_time,
+                "delay": DELAY_SAMPLES * sample_time + plan.parameters.get("current_loop", 0.0),
             },
             "sensor": {"position_resolution": resolution if len(resolution) > 1 else resolution[0]},
             "columns": {"time": "t", "position": "q", "command": "tau", "reference": "r"},

@@ -94,7 +94,7 @@ def measured_model(curves: Result) -> Model:
             "sample_time": 0.001,
             "mechanism": {"kind": "planar2r", "parameters": {"p1": P1, "p2": P2, "p3": P3}},
             "effect": curves.effects,
-            "actuator": {"gain": [1.0, 1.0], "limit": [245.0, 39.2], "delay": 0.001},
+            "actuator": {"gain": [1.0, 1.0], "limit": [245.0, 39.2], "delay": 0.00116},
             "sensor": {"position_resolution": 4.0906154344e-5},
         }
     )

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
+from zendsp.experiment.estimates import NORMAL, line_fit, mean_of
 from zendsp.experiment.figures import AMBER, BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, own_program, playing
 from zendsp.experiment.result import Estimate, Result
@@ -21,10 +22,16 @@ MACHINE = "imi_planar"
 JOINTS = (1, 2)
 KP, KD = [2000.0, 300.0], [120.0, 12.0]  # N m/rad, N m s/rad: hold the other joint
 BRAKE = [30.0, 5.0]  # N m s/rad
-# N m, height of a torque step; ten times as high, they shake the joint and its bristles creep
-STEP = {1: 0.005, 2: 0.002}
-# s, its length: the torque grows slowly, so that little of it is added while the joint runs away
-HOLD = 0.01
+# N m, height of a torque step, and s, its length: so slow that friction reaches what it can hold
+STEP, HOLD = {1: 0.01, 2: 0.004}, 0.01
+# the same for the stiffness of bristles: fast against what the drive's noise lets them creep
+FAST, FAST_HOLD = {1: 0.002, 2: 0.002}, 0.001
+CREEP = 0.006  # of the stiffness: what they still creep, as pushes of other speeds show
+ENOUGH = {1: 14.0, 2: 4.2}  # N m, to break away
+CUTOFF = 25.0  # Hz, of the speed: what holds one joint must not shake the other by its noise
+AWAY = 0.02  # rad/s: a joint that is faster has broken away
+REACH = 1.5  # rad, of start positions
+VISCOUS = {1: 5.3, 2: 1.1}  # N m s/rad, of the arm's published model
 P1, P2, P3 = 3.473, 0.196, 0.242  # kg m^2, of the arm's published model
 DELAY = 1  # samples from a command to its effect
 
@@ -43,121 +50,177 @@ def inertia_torque(q: Array, qd: Array, qdd: Array) -> Array:
     return np.stack([first, second], axis=1)
 
 
-def static(lab: Lab, positions: tuple[float, ...] = (-1.2, -0.4, 0.4, 1.2)) -> Result:
+def static(lab: Lab, count: int = 6) -> Result:
     """Static friction: torque steps CW and CCW from several positions; the mean of the torques at
     which a joint breaks away.
+
+    The positions are drawn at random: friction varies with place, and only so does the spread of
+    few tell how far their mean may be from that of all places.
     """
     result = Result("imi-static", "Static friction of the planar arm", MACHINE)
-    found: dict[tuple[int, int], list[float]] = {}
-    bristles: dict[int, list[float]] = {1: [], 2: []}
+    found: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    bristles: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
     with lab.bench(MACHINE, result.name) as bench:
         for joint in JOINTS:
             for direction in (1, -1):
-                pairs = [_break_away(bench, joint, direction, x) for x in positions]
-                found[joint, direction] = [torque for torque, _ in pairs]
-                bristles[joint] += [stiffness for _, stiffness in pairs]
+                places = lab.random.uniform(-REACH, REACH, count)
+                pushes = [_break_away(bench, joint, direction, float(x)) for x in places]
+                found[joint, direction] = [
+                    (float(x), torque) for x, (torque, _, _) in zip(places, pushes, strict=True)
+                ]
+                bristles[joint] += [(stiffness, apart) for _, stiffness, apart in pushes]
         result.recordings, result.target = bench.recordings, bench.where
-        rows = []
-        for (joint, direction), torques in found.items():
-            mean, std = float(np.mean(torques)), float(
-                np.std(torques, ddof=1) / np.sqrt(len(torques))
-            )
-            std = float(np.hypot(std, STEP[joint] / np.sqrt(12 * len(torques))))
-            result.values[f"breakaway{joint}_{'ccw' if direction > 0 else 'cw'}"] = Estimate(
-                mean, std, "N m"
-            )
-            rows.append(
-                {
-                    "joint": joint,
-                    "direction": "ccw" if direction > 0 else "cw",
-                    "torque N m": round(mean, 3),
-                    "± N m": round(std, 3),
-                    "each N m": ", ".join(f"{x:.2f}" for x in torques),
-                }
-            )
-        result.tables["breakaway"] = rows
         for joint in JOINTS:
-            both = [result.values[f"breakaway{joint}_{d}"] for d in ("ccw", "cw")]
-            result.values[f"breakaway{joint}"] = Estimate(
-                float(np.mean([e.value for e in both])),
-                float(np.hypot(both[0].std, both[1].std) / 2),
-                "N m",
-            )
-            mean, count = float(np.mean(bristles[joint])), len(bristles[joint])
-            result.values[f"stiffness{joint}"] = Estimate(
-                mean, float(np.std(bristles[joint], ddof=1) / np.sqrt(count)), "N m/rad"
-            )
-        result.figure = _draw_static(found, positions, bench)
+            _report_static(result, joint, found, bristles[joint])
+        result.figure = _draw_static(found, bench)
     return result
 
 
-def _break_away(bench: Bench, joint: int, direction: int, position: float) -> tuple[float, float]:
-    enough = {1: 14.0, 2: 4.2}[joint]  # N m
+def _report_static(
+    result: Result,
+    joint: int,
+    found: dict[tuple[int, int], list[tuple[float, float]]],
+    bristles: list[tuple[float, float]],
+) -> None:
+    both = []
+    for direction, word in ((1, "ccw"), (-1, "cw")):
+        torques = [torque for _, torque in found[joint, direction]]
+        each = mean_of(torques, "N m", STEP[joint] / np.sqrt(12))
+        result.values[f"breakaway{joint}_{word}"] = each
+        both.append(each)
+        result.tables.setdefault("breakaway", []).append(
+            {
+                "joint": joint,
+                "direction": word,
+                "torque N m": round(each.value, 3),
+                "± N m": round(each.std, 3),
+                "each N m": ", ".join(f"{x:.2f}" for x in torques),
+            }
+        )
+    result.values[f"breakaway{joint}"] = Estimate(
+        float(np.mean([e.value for e in both])),
+        float(np.hypot(both[0].std, both[1].std) / 2),
+        "N m",
+    )
+    stiffness, apart = np.array(bristles).T
+    shared = np.hypot(np.mean(apart), CREEP * np.mean(stiffness))
+    result.values[f"stiffness{joint}"] = mean_of(stiffness, "N m/rad", float(shared))
+
+
+def _break_away(
+    bench: Bench, joint: int, direction: int, position: float
+) -> tuple[float, float, float]:
+    """Breakaway torque from a slow staircase; stiffness from a fast one, and how far two ways of
+    reading it are apart.
+    """
+    word = f"joint{joint}_{'ccw' if direction > 0 else 'cw'}_{position:+.3f}"
+    slow = _push(bench, word, joint, direction, position, STEP[joint], HOLD)
+    torque = breakaway_torque(slow, joint)
+    fast = _push(bench, f"{word}_fast", joint, direction, position, FAST[joint], FAST_HOLD)
+    wide, narrow = (bristle_stiffness(fast, joint, torque, part) for part in (0.7, 0.3))
+    return torque, wide, 0.5 * (wide - narrow)
+
+
+def _push(
+    bench: Bench,
+    name: str,
+    joint: int,
+    direction: int,
+    position: float,
+    increment: float,
+    hold: float,
+) -> Recording:
     start = [0.0, 0.0]
     start[joint - 1] = position
-    rec = bench.record(
-        f"joint{joint}_{'ccw' if direction > 0 else 'cw'}_{position:+.1f}",
+    return bench.record(
+        name,
         own_program("push.c"),
         ["q", "torque", "phase"],
-        seconds=3.5 + enough / STEP[joint] * HOLD,
+        seconds=3.8 + ENOUGH[joint] / increment * hold,
         joint=joint,
         direction=direction,
         place=_padded(start),
         Kp=_padded(KP),
         Kd=_padded(KD),
         brake=_padded(BRAKE),
-        increment=STEP[joint],
-        hold=HOLD,
+        cutoff=CUTOFF,
+        increment=increment,
+        hold=hold,
         threshold=0.05,
     )
-    torque = breakaway_torque(rec, joint)
-    return torque, bristle_stiffness(rec, joint, torque)
 
 
-def breakaway_torque(rec: Recording, joint: int, speed: float = 0.05, window: int = 20) -> float:
-    """Torque at which a joint ran away: the first whose speed, over ``window`` samples, exceeds
-    ``speed`` rad/s.
-
-    Before that it creeps: bristles bend by more than the torque over their stiffness as the level
-    is approached.
+def _pushed(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Array]:
+    """Way, speed and friction torque of a pushed joint, smoothed by a local parabola, its sign
+    taken off: friction is the torque less what accelerates the joint.
     """
-    pushed = np.flatnonzero(rec["phase"] >= 2)
-    q = rec["q"][pushed, joint - 1]
-    rate = np.abs(q[window:] - q[:-window]) / (window * rec.sample_time)
-    away = np.flatnonzero(rate > speed)
-    if len(away) == 0:
-        most = abs(rec["torque"][pushed]).max()
+    from scipy.signal import savgol_filter
+
+    rows = np.flatnonzero(rec["phase"] == 2)
+    before = np.arange(max(0, rows[0] - 50), rows[0])
+    used = np.r_[before, rows]
+    dt = rec.sample_time * rec.decimation
+    q, torque = rec["q"][used], rec["torque"][used] * (rec["phase"][used] == 2)
+    # what acts at a sample is the mean of the commands of the two samples before it
+    torque = 0.5 * (np.r_[[0.0] * DELAY, torque[:-DELAY]] + np.r_[[0.0, 0.0], torque[:-2]])
+    qd, qdd = (savgol_filter(q, window, 2, order, dt, axis=0) for order in (1, 2))
+    smooth = savgol_filter(q[:, joint - 1], window, 2)
+    friction = savgol_filter(torque, window, 2) - inertia_torque(q, qd, qdd)[:, joint - 1]
+    sign = np.sign(torque[-1])
+    way = sign * (smooth - q[: len(before), joint - 1].mean())
+    first = len(before)
+    return way[first:], sign * qd[first:, joint - 1], sign * friction[first:]
+
+
+def breakaway_torque(rec: Recording, joint: int, window: int = 101) -> float:
+    """The most that friction holds, N m: the torque less what accelerates the joint and what is
+    viscous, at its largest.
+
+    A joint creeps before it runs away, and gathers speed while the torque goes on growing: the
+    torque at any given speed is too high.
+    """
+    if len(np.flatnonzero(rec["phase"] == 2)) < 2 * window:
+        raise RecordingError(f"joint {joint} was pushed for less than {2 * window} samples")
+    _, speed, friction = _pushed(rec, joint, window)
+    edge = window // 2
+    held = (friction - VISCOUS[joint] * speed)[edge:-edge]
+    most = int(np.argmax(held))
+    if speed[edge:-edge].max() < AWAY:
         raise RecordingError(
-            f"joint {joint} did not break away: {most:.3g} N m were not enough; look at the"
+            f"joint {joint} did not break away: {held.max():.3g} N m were not enough; look at the"
             " recording"
         )
-    return float(abs(rec["torque"][pushed[away[0] + window // 2]]))
+    return float(held[most])
 
 
-def bristle_stiffness(rec: Recording, joint: int, level: float) -> float:
-    """Stiffness of the spring that friction is before it slides, N m/rad, from the way under up to
-    30 % of the breakaway torque.
+def bristle_stiffness(rec: Recording, joint: int, level: float, part: float = 0.7) -> float:
+    """Stiffness of the spring that friction is before it slides, N m/rad, from a fast push.
 
-    A bristle creeps as it nears its level: q = -(level / stiffness) ln(1 - torque / level) (Dahl
-    1968, quasi-static).
+    friction = level (1 - exp(-stiffness way / level)) + damping speed (Dahl 1968), for the first
+    ``part`` of the breakaway torque. A slow push measures creep instead: what shakes the joint, the
+    noise of its drive, lets a bristle slip.
     """
-    pushed = np.flatnonzero(rec["phase"] == 2)
-    torque, q = np.abs(rec["torque"][pushed]), np.abs(
-        rec["q"][pushed, joint - 1] - rec["q"][pushed[0], joint - 1]
-    )
-    used = (torque > 0.05 * level) & (torque < 0.3 * level)
-    bend = -level * np.log(1 - torque[used] / level)
-    slope = float(np.polyfit(bend, q[used], 1)[0])
-    return 1.0 / slope if slope > 0 else float("nan")
+    from scipy.optimize import least_squares
+
+    way, speed, friction = _pushed(rec, joint, 31)
+    last = int(np.argmax(friction > part * level)) or len(way)
+    way, speed, friction = way[:last], speed[:last], friction[:last]
+
+    def miss(x: Array) -> Array:
+        gone = np.exp(-1e4 * x[0] * (way - 1e-4 * x[2]) / level)
+        return np.asarray(
+            level * (1 - gone) + x[1] * speed * gone + VISCOUS[joint] * speed - friction
+        )
+
+    first = part * level / max(way[-1], 1e-9) / 1e4
+    return 1e4 * float(least_squares(miss, [first, 0.0, 0.0]).x[0])
 
 
-def _draw_static(
-    found: dict[tuple[int, int], list[float]], positions: tuple[float, ...], bench: Bench
-) -> str:
+def _draw_static(found: dict[tuple[int, int], list[tuple[float, float]]], bench: Bench) -> str:
     figure, axes = make_figure(1, 2)
     for axis, joint in zip(axes[0], JOINTS, strict=True):
         for direction, colour, word in ((1, BLUE, "counterclockwise"), (-1, RED, "clockwise")):
-            torques = found[joint, direction]
+            positions, torques = np.array(found[joint, direction]).T
             axis.plot(positions, torques, "o", color=colour, label=word, markersize=6)
             axis.axhline(float(np.mean(torques)), color=colour, linewidth=0.8, linestyle="--")
         low, high = axis.get_ylim()
@@ -177,19 +240,19 @@ def viscous(lab: Lab, speeds: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 5.0)) -> 
             for direction in (1, -1):
                 for speed in speeds:
                     torque = guess[joint][0] + guess[joint][1] * speed
-                    points[joint].append(_steady(bench, joint, direction, torque))
+                    # friction varies with place: parts of the way that differ make that visible
+                    part = (lab.random.uniform(0.1, 0.5), lab.random.uniform(1.15, 1.55))
+                    points[joint].append(_steady(bench, joint, direction, torque, part))
         result.recordings, result.target = bench.recordings, bench.where
         for joint in JOINTS:
             for direction, word in ((1, "ccw"), (-1, "cw")):
                 chosen = np.array([p[:2] for p in points[joint] if np.sign(p[0]) == direction])
-                (slope, level), covariance = np.polyfit(
-                    np.abs(chosen[:, 0]), np.abs(chosen[:, 1]), 1, cov=True
-                )
+                (level, slope), half, _ = line_fit(chosen[:, 0], chosen[:, 1])
                 result.values[f"viscous{joint}_{word}"] = Estimate(
-                    float(slope), float(np.sqrt(covariance[0, 0])), "N m s/rad"
+                    float(slope), float(half[1] / NORMAL), "N m s/rad"
                 )
                 result.values[f"level{joint}_{word}"] = Estimate(
-                    float(level), float(np.sqrt(covariance[1, 1])), "N m"
+                    float(level), float(half[0] / NORMAL), "N m"
                 )
         result.tables["points"] = [
             {
@@ -211,8 +274,10 @@ def viscous(lab: Lab, speeds: tuple[float, ...] = (2.0, 2.5, 3.0, 4.0, 5.0)) -> 
     return result
 
 
-def _steady(bench: Bench, joint: int, direction: int, torque: float) -> tuple[float, float, float]:
-    """Mean speed, friction torque and acceleration on the last rad before the joint is braked."""
+def _steady(
+    bench: Bench, joint: int, direction: int, torque: float, part: tuple[float, float]
+) -> tuple[float, float, float]:
+    """Mean speed, friction torque and acceleration on a part of the way (rad)."""
     start = [0.0, 0.0]
     start[joint - 1] = -1.9 * direction
     rec = bench.record(
@@ -231,7 +296,8 @@ def _steady(bench: Bench, joint: int, direction: int, torque: float) -> tuple[fl
         upper=1.6,
     )
     q = rec["q"][:, joint - 1]
-    rows = np.flatnonzero((rec["phase"] == 2) & (np.abs(q) < 1.55) & (q * direction > 0.4))
+    way = q * direction
+    rows = np.flatnonzero((rec["phase"] == 2) & (way < part[1]) & (way > part[0]))
     t = rec.t[rows] - rec.t[rows].mean()
     quadratic, slope, _ = np.polyfit(t, q[rows], 2)
     v, a = np.zeros((1, 2)), np.zeros((1, 2))

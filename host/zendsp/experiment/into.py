@@ -12,6 +12,7 @@ from zendsp.experiment.result import Result
 from zendsp.physics import load_model, model_text, parse_model
 from zendsp.physics.model import Model, Quantity
 from zendsp.reference import load_machine
+from zendsp.reference.machine import MACHINES
 
 FRICTION = (
     "coulomb",
@@ -53,7 +54,9 @@ def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
     model = load_model(path)
     known = [EXPERIMENTS[name] for name in names if name in EXPERIMENTS]
     holding = [e for e in known if e.models]
-    fitting = [e.name for e in holding if load_machine(e.machine).joints == model.joints]
+    fitting = [
+        e.name for e in holding if not e.machine or load_machine(e.machine).joints == model.joints
+    ]
     if holding and not fitting:
         _require_joints(holding[0].machine, model, path)
     if known and not fitting:
@@ -100,7 +103,8 @@ def put_into(result: Result, path: str | Path) -> list[str]:
             f" {path}"
         )
     model = load_model(path)
-    _require_joints(result.machine, model, path)
+    if result.machine in MACHINES:
+        _require_joints(result.machine, model, path)
     found = parse_model(
         {
             "name": "found",

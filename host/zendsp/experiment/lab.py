@@ -35,6 +35,9 @@ class Lab:
         experiment, on the fast clock.
     say : callable, optional
         Told what begins, a line at a time.
+    seed : int
+        Of what an experiment draws (start positions), and of the noise of a machine that is started
+        here.
 
     Examples
     --------
@@ -43,20 +46,31 @@ class Lab:
     """
 
     def __init__(
-        self, folder: str | Path, target: Target | None = None, say: Say | None = None
+        self,
+        folder: str | Path,
+        target: Target | None = None,
+        say: Say | None = None,
+        seed: int = 1,
     ) -> None:
         self.folder = Path(folder)
+        self.seed = seed
+        self.random = np.random.default_rng(seed)
         self.target = target
         self.say: Say = say or (lambda text: None)
 
+    @property
+    def machine(self) -> str:
+        """Name of the target's machine; "" without one."""
+        return self.target.info.machine if self.target is not None else ""
+
     @contextmanager
-    def bench(self, machine: str, name: str, **options: Any) -> Iterator[Bench]:
+    def bench(self, machine: str | None, name: str, **options: Any) -> Iterator[Bench]:
         """A machine to experiment with; whatever ends the block, it is left standing still.
 
         Parameters
         ----------
         machine : str
-            Name of the machine that the experiment is for.
+            Name of the machine that the experiment is for; None: any, of a target.
         name : str
             Of the experiment: its folder.
         **options
@@ -71,18 +85,23 @@ class Lab:
         folder = self.folder / name
         folder.mkdir(parents=True, exist_ok=True)
         if self.target is not None:
-            if self.target.info.machine != machine:
+            if machine is not None and self.target.info.machine != machine:
                 raise Refused(
                     f"experiment {name} is for the machine {machine}; the target {self.target.name}"
                     f" is {self.target.info.machine}"
                 )
             yield from self._guard(Bench(self.target, folder, self.say))
             return
+        if machine is None:
+            raise Refused(
+                f"experiment {name} is for any machine, and needs one: start a target (zendsp"
+                " target --machine NAME) and name it with -t"
+            )
         from zendsp.link import local
 
         arguments = [
             part
-            for key, value in options.items()
+            for key, value in {"seed": self.seed, **options}.items()
             for part in ("--machine-option", f"{key}={value}")
         ]
         target = local(machine, clock="fast", options=arguments)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
+from zendsp.experiment.estimates import NORMAL, least_squares
 from zendsp.experiment.figures import BLUE, GREEN, RED, label, make_figure, save
 from zendsp.experiment.lab import Lab
 from zendsp.experiment.result import Estimate, Result
@@ -39,7 +40,7 @@ def electrical(
             rec = bench.record(
                 f"{v:+.1f}V",
                 "pendulum_current.c",
-                ["q", "i", "v"],
+                ["q", "adc"],
                 seconds=4.0,
                 command="voltage",
                 voltage_mode=True,
@@ -48,9 +49,10 @@ def electrical(
             points.append(steady_means(rec))
         result.recordings, result.target = bench.recordings, bench.where
         speed, current, voltage = np.array(points).T
-        (slope, intercept), covariance = np.polyfit(speed / current, voltage / current, 1, cov=True)
-        result.values["k_a"] = Estimate(float(slope), float(np.sqrt(covariance[0, 0])), "N m/A")
-        result.values["R_a"] = Estimate(float(intercept), float(np.sqrt(covariance[1, 1])), "ohm")
+        # the same line times the current: measured errors then weigh alike at all voltages
+        (intercept, slope), half, _ = least_squares(np.stack([current, speed], axis=1), voltage)
+        result.values["k_a"] = Estimate(float(slope), float(half[1] / NORMAL), "N m/A")
+        result.values["R_a"] = Estimate(float(intercept), float(half[0] / NORMAL), "ohm")
         result.tables["points"] = [
             {
                 "voltage V": round(float(v), 2),
@@ -81,7 +83,7 @@ def electrical(
 
 
 def steady_means(rec: Recording) -> tuple[float, float, float]:
-    """Mean speed, current and voltage over the last whole turns of a recording.
+    """Mean speed, measured current and voltage over the last whole turns of a recording.
 
     Raises
     ------
@@ -99,8 +101,8 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
     seconds = (len(q) - 1 - start) * rec.sample_time
     return (
         float((q[-1] - q[start]) / seconds),
-        float(rec["i"][rows].mean()),
-        float(rec["v"][rows].mean()),
+        float(rec["adc"][rows, 0].mean()),
+        float(rec["adc"][rows, 1].mean()),
     )
 
 
@@ -249,7 +251,7 @@ def fit_parameters(rec: Recording, start: Array) -> tuple[Array, Array, float]:
     From far off the whole recording misleads: the fit begins with its first half second and
     lengthens it.
     """
-    from scipy.optimize import least_squares
+    from scipy import optimize
 
     log = np.log(start)
     rows = len(rec)
@@ -260,7 +262,7 @@ def fit_parameters(rec: Recording, start: Array) -> tuple[Array, Array, float]:
         def miss(x: Array, piece: Recording = short) -> Array:
             return np.clip(simulated(np.exp(x), piece) - piece["q"], -50.0, 50.0)
 
-        found = least_squares(
+        found = optimize.least_squares(
             miss,
             log,
             x_scale=0.3,

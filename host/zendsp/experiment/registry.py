@@ -19,11 +19,15 @@ class Experiment:
     """
 
     name: str
-    machine: str
+    machine: str  # "": any whose command is what the experiment commands
     title: str
     function: str
     models: bool = False
     command: str = "torque"  # or voltage
+
+    def fits(self, machine: str) -> bool:
+        """Whether it is for this machine; what the machine's command is shows when it begins."""
+        return self.machine in ("", machine)
 
     def run(self, lab: Lab) -> Result:
         """Make it: recordings, figure and ``result.toml`` go to the lab's folder."""
@@ -41,6 +45,13 @@ class Experiment:
 EXPERIMENTS = {
     e.name: e
     for e in (
+        Experiment(
+            "friction",
+            "",
+            "Friction of every joint that takes a torque: constant speeds both ways.",
+            "any_friction:friction",
+            models=True,
+        ),
         Experiment(
             "imi-static",
             "imi_planar",

@@ -4,11 +4,13 @@ averaged, least squares for each direction.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.experiment.estimates import NORMAL, least_squares, line_fit
 from zendsp.experiment.figures import BLUE, GREY, RED, label, make_figure, save
 from zendsp.experiment.lab import Bench, Lab, playing
 from zendsp.experiment.result import Estimate, Result
@@ -24,7 +26,7 @@ NARROW = (0.02, 0.03, 0.045)  # rad/s: what a table comes to when only such spee
 # … shown on two of the joints for which the paper prints negative viscous friction
 NARROW_JOINTS = (2, 4)
 POSE = (0.0, 0.4, 0.0, 1.5, -1.5, 0.0, 0.0)  # rad, where the other joints stay
-TRAVEL = 0.6  # rad
+TRAVEL = 0.75  # rad: far enough to tell a weight that the model lacks from friction
 DECIMATION = 4
 CHANNELS = ("play_time", "q", "tau", "g")
 # Coulomb N m and viscous N m s/rad, positive and negative direction, of the seven-joint paper
@@ -48,7 +50,8 @@ def friction(
     the paper's table.
     """
     result = Result("wam-friction", "Friction maps of the WAM", MACHINE)
-    maps: dict[int, Array] = {}
+    maps: dict[int, Sliding] = {}
+    curves: dict[int, Array] = {}
     with lab.bench(MACHINE, result.name) as bench:
         for joint in joints:
             maps[joint] = _map(bench, joint, speeds, TRAVEL, f"joint{joint}")
@@ -58,20 +61,22 @@ def friction(
             if joint in joints
         }
         result.recordings, result.target = bench.recordings, bench.where
-        for joint, points in maps.items():
-            _fit_joint(result, joint, points)
-        for joint, points in narrow.items():
-            _fit_narrow(result, joint, points)
-        result.figure = save(_draw(maps, result), bench.folder / "friction_maps.png")
+        for joint, sliding in maps.items():
+            curves[joint] = _fit_joint(result, joint, sliding)
+        for joint, sliding in narrow.items():
+            _fit_narrow(result, joint, sliding.points(sliding.torque))
+        result.figure = save(_draw(curves, result), bench.folder / "friction_maps.png")
     return result
 
 
-def _map(bench: Bench, joint: int, speeds: tuple[float, ...], travel: float, name: str) -> Array:
+def _map(
+    bench: Bench, joint: int, speeds: tuple[float, ...], travel: float, name: str
+) -> Sliding:
     reference = _moves(joint, speeds, travel)
     rec = bench.record(
         name, "wam_pd_gravity.c", CHANNELS, reference=reference, before=3.0, decimation=DECIMATION
     )
-    return constant_speed_points(rec, reference, joint)
+    return constant_speed_pieces(rec, reference, joint)
 
 
 def _moves(joint: int, speeds: tuple[float, ...], travel: float) -> Reference:
@@ -88,62 +93,124 @@ def _moves(joint: int, speeds: tuple[float, ...], travel: float) -> Reference:
     )
 
 
-def constant_speed_points(rec: Recording, reference: Reference, joint: int) -> Array:
-    """Mean speed, mean friction torque, its standard error, for each constant-speed part: rows of
-    three.
+@dataclass(frozen=True)
+class Sliding:
+    """Means over short pieces of the constant-speed parts of a joint's moves.
+
+    Attributes
+    ----------
+    part : ndarray of int
+        Which part a piece belongs to.
+    q, speed, torque, gravity, acceleration : ndarray
+        Position (rad), mean speed of the part (rad/s), torque less the model's gravity, and that
+        gravity (N m); what acceleration is left (rad/s^2).
+    """
+
+    part: npt.NDArray[np.int64]
+    q: Array
+    speed: Array
+    torque: Array
+    gravity: Array
+    acceleration: Array
+
+    def points(self, friction: Array) -> Array:
+        """Mean speed, mean of ``friction`` and its standard error of each part: rows of three."""
+        rows = []
+        for k in np.unique(self.part):
+            here = friction[self.part == k]
+            rows.append(
+                (self.speed[self.part == k][0], here.mean(), here.std(ddof=1) / len(here) ** 0.5)
+            )
+        return np.array(rows)
+
+
+def constant_speed_pieces(
+    rec: Recording, reference: Reference, joint: int, gravity: bool = True
+) -> Sliding:
+    """The constant-speed parts of a recording, ten pieces each; ``gravity``: the program records as
+    ``g`` what it compensates.
 
     The first 30 % of each part are left out: the controller settles there.
     """
+    from scipy.signal import savgol_filter
+
     rows = playing(rec, reference.samples // rec.decimation)
-    q, tau, g = (rec[name][rows][:, joint - 1] for name in ("q", "tau", "g"))
+    q, tau = (np.atleast_2d(rec[name].T).T[rows][:, joint - 1] for name in ("q", "tau"))
+    # where the program compensates no weight, all of it is found beside friction
+    g = rec["g"][rows][:, joint - 1] if gravity else np.zeros_like(tau)
     wanted = reference.qd[:: rec.decimation, joint - 1][: len(q)]
     steady = (np.abs(reference.qdd[:: rec.decimation, joint - 1][: len(q)]) < 1e-6) & (
         np.abs(wanted) > 1e-3
     )
+    qdd = savgol_filter(q, 41, 2, 2, rec.sample_time)
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
-    points = []
-    for first, last in zip(edges[::2], edges[1::2], strict=True):
+    pieces = []
+    for part, (first, last) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
         first += round(0.3 * (last - first))
         if last - first < 20:
             continue
-        torque = (tau - g)[first:last]
         speed = (q[last - 1] - q[first]) / ((last - 1 - first) * rec.sample_time)
-        # neighbours are alike: the spread of the means of ten blocks is honest
-        blocks = np.array([b.mean() for b in np.array_split(torque, 10)])
-        points.append((speed, torque.mean(), blocks.std(ddof=1) / np.sqrt(10)))
-    return np.array(points)
+        for piece in np.array_split(np.arange(first, last), 10):
+            here, torque, gravity, rest = (x[piece].mean() for x in (q, tau - g, g, qdd))
+            pieces.append((part, here, speed, torque, gravity, rest))
+    columns = np.array(pieces).T
+    return Sliding(columns[0].astype(np.int64), *columns[1:])
 
 
-def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:
-    """|torque| = level + viscous |speed|: both, their 95 % half widths, and the correlation between
-    them.
+@dataclass(frozen=True)
+class Friction:
+    """Level (N m) and viscous coefficient (N m s/rad) of each direction with 95 % half widths; what
+    the model's gravity lacks along the way, N m.
     """
-    from scipy.special import stdtrit  # scipy.stats would take a second to import
 
-    A = np.stack([np.ones(len(speed)), np.abs(speed)], axis=1)
-    solution = np.linalg.lstsq(A, np.abs(torque), rcond=None)[0]
-    free = len(speed) - 2
-    if free < 1:
-        return solution, np.full(2, np.inf), -1.0
-    variance = float(np.sum((np.abs(torque) - A @ solution) ** 2)) / free
-    covariance = variance * np.linalg.inv(A.T @ A)
-    inverse = np.linalg.inv(A.T @ A)
-    correlation = float(inverse[0, 1] / np.sqrt(inverse[0, 0] * inverse[1, 1]))
-    return solution, stdtrit(free, 0.975) * np.sqrt(np.diag(covariance)), correlation
+    value: dict[str, tuple[float, float, float, float]]
+    lacking: Array
+    free: Array  # the torque without it
+    weight: float  # N m, the most that the joint carries beyond what is compensated
+    squares: float  # sum of the squared residuals
 
 
-def _fit_joint(result: Result, joint: int, points: Array) -> None:
+def fit_friction(sliding: Sliding, weighs: bool, unknown: bool = False) -> Friction:
+    """Friction of each direction, and what the gravity compensation lacks, together.
+
+    The weight of whatever a joint moves is a cos q + b sin q of its own position, whatever its
+    masses; friction is not. ``unknown``: nothing is known of the machine. The inertia is found too,
+    and the pieces of a part count as one measurement: friction may vary with place. A joint that
+    moves no weight (a vertical axis) has neither.
+    """
+    up = sliding.speed > 0
+    columns = [up, up * sliding.speed, -1.0 * ~up, ~up * sliding.speed]
+    if weighs:
+        columns += [np.cos(sliding.q), np.sin(sliding.q)]
+    if unknown:
+        columns.append(sliding.acceleration)
+    A = np.stack([np.asarray(c, dtype=np.float64) for c in columns], axis=1)
+    parts = len(np.unique(sliding.part)) if unknown else len(sliding.torque)
+    x, half, _ = least_squares(A, sliding.torque, parts)
+    lacking = A[:, 4:] @ x[4:]
+    weight = A[:, 4:6] @ x[4:6] if weighs else 0.0 * sliding.q
+    squares = float(np.sum((sliding.torque - A @ x) ** 2))
+    value = {
+        word: (float(x[k]), float(x[k + 1]), float(half[k]), float(half[k + 1]))
+        for word, k in (("+", 0), ("-", 2))
+    }
+    largest = float(np.abs(weight).max())
+    return Friction(value, lacking, sliding.torque - lacking, largest, squares)
+
+
+def _fit_joint(result: Result, joint: int, sliding: Sliding) -> Array:
+    """Put a joint's friction into the result; the points of its curve."""
     row: dict[str, Any] = {"joint": joint}
-    found = {}
+    fitted = fit_friction(sliding, weighs=bool(np.abs(sliding.gravity).max() > 1e-3))
+    found, points = fitted.value, sliding.points(fitted.free)
+    result.values[f"gravity{joint}_lacking"] = Estimate(
+        float(np.abs(fitted.lacking).max()), 0.0, "N m"
+    )
     for word, direction, paper in (("+", 1, (0, 2)), ("-", -1, (1, 3))):
-        chosen = points[np.sign(points[:, 0]) == direction]
-        (level, viscous), (dl, dv), correlation = line_fit(chosen[:, 0], chosen[:, 1])
-        found[word] = (level, viscous, dl, dv)
+        level, viscous, dl, dv = found[word]
         end = "pos" if direction > 0 else "neg"
-        result.values[f"coulomb{joint}_{end}"] = Estimate(float(level), float(dl / 1.96), "N m")
-        result.values[f"viscous{joint}_{end}"] = Estimate(
-            float(viscous), float(dv / 1.96), "N m s/rad"
-        )
+        result.values[f"coulomb{joint}_{end}"] = Estimate(level, dl / NORMAL, "N m")
+        result.values[f"viscous{joint}_{end}"] = Estimate(viscous, dv / NORMAL, "N m s/rad")
         row |= {
             f"Coulomb {word}": f"{level:.3f} ± {dl:.3f}",
             f"paper C{word}": PAPER[joint][paper[0]],
@@ -151,25 +218,34 @@ def _fit_joint(result: Result, joint: int, points: Array) -> None:
             f"paper v{word}": PAPER[joint][paper[1]],
         }
         if cannot_separate(viscous, dv):
+            chosen = points[np.sign(points[:, 0]) == direction]
+            correlation = line_fit(chosen[:, 0], chosen[:, 1])[2]
             result.warnings.append(_warning(joint, word, chosen, viscous, dv, correlation))
     result.tables.setdefault("friction", []).append(row)
-    result.effects += [
+    result.effects += friction_effects(joint, fitted)
+    return points
+
+
+def friction_effects(joint: int, fitted: Friction) -> list[dict[str, Any]]:
+    """A joint's friction as ``[[effect]]`` tables of a model."""
+    found = fitted.value
+    return [
         {
             "kind": "coulomb_asymmetry",
             "joint": joint,
-            "level_pos": {"value": float(found["+"][0]), "std": float(found["+"][2] / 1.96)},
-            "level_neg": {"value": float(found["-"][0]), "std": float(found["-"][2] / 1.96)},
+            "level_pos": {"value": float(found["+"][0]), "std": float(found["+"][2] / NORMAL)},
+            "level_neg": {"value": float(found["-"][0]), "std": float(found["-"][2] / NORMAL)},
         },
         {
             "kind": "viscous_asymmetry",
             "joint": joint,
             "coefficient_pos": {
                 "value": max(0.0, float(found["+"][1])),
-                "std": float(found["+"][3] / 1.96),
+                "std": float(found["+"][3] / NORMAL),
             },
             "coefficient_neg": {
                 "value": max(0.0, float(found["-"][1])),
-                "std": float(found["-"][3] / 1.96),
+                "std": float(found["-"][3] / NORMAL),
             },
         },
     ]

@@ -88,7 +88,7 @@ def measured_model(measured: Result, folder: Path) -> Model:
             "actuator": {
                 "gain": [1.0] * JOINTS,
                 "limit": [float(x) for x in machine.limits.torque],
-                "delay": 0.001,
+                "delay": 0.00116,
             },
             "sensor": {"position_resolution": [2 * np.pi / 4096 / r for r in RATIO]},
             "columns": {"position": [f"q[{j}]" for j in range(JOINTS)]},

@@ -203,9 +203,9 @@ def _wait_ready(process: subprocess.Popen[bytes], said: IO[bytes], timeout: floa
         process.terminate()
         said.seek(0)
         words = said.read().decode(errors="replace").strip()
-        why = words or (
-            f"nothing was heard of it within {timeout:g} s" if not ready else "it said nothing"
-        )
+        why = words or "it said nothing"
+        if not ready:  # what it said until then is not why
+            why = f"it was not ready within {timeout:g} s; it said: {words or 'nothing'}"
         raise LinkError(f"the target did not start: {why}") from None
 
 

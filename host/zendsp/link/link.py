@@ -76,13 +76,14 @@ class Link:
         self._ready: dict[str, _Ready] = {}
         self._waiting: set[zenoh.CancellationToken] = set()
         self.closed = False
+        self.ended = False  # by itself, as it said
         self.instance = bytes(8)  # of the target that is known
         self._name = os.urandom(8)
         self._requests = itertools.count(1)
         self._session = open_session(endpoints, credentials, timeout)
         try:
             tokens = self._session.liveliness().declare_subscriber(
-                keys.alive(target), zenoh.handlers.FifoChannel(WAITING), history=True
+                keys.life(target), zenoh.handlers.FifoChannel(WAITING), history=True
             )
             self._watch = Listener(tokens, self._liveliness, "alive")
             if not self._alive.wait(timeout):
@@ -242,9 +243,12 @@ class Link:
         if self.closed:
             return LinkError(f"the connection to {self.target!r} is closed")
         if not self._alive.is_set() or not self._still_there():
+            how, why = "is gone", " It was killed or is cut off."
+            if self.ended:
+                how, why = "has ended", ""
             return LinkError(
-                f"target {self.target!r} at {where} is gone: {verb!r} was not answered. It ended,"
-                " was killed or is cut off; the connection comes back by itself if it does"
+                f"target {self.target!r} at {where} {how}: {verb!r} was not answered.{why}"
+                " The connection comes back by itself if the target does"
             )
         return NoAnswer(
             f"target {self.target!r} at {where} did not answer {verb!r} within {timeout:g} s"
@@ -354,7 +358,7 @@ class Link:
         """
         deadline = time.monotonic() + timeout
         while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
-            if time.monotonic() >= deadline:
+            if time.monotonic() >= deadline or self.ended:
                 return False
             if self.own and self.target not in {entry.name for entry in local_entries()}:
                 return False
@@ -371,6 +375,9 @@ class Link:
             )
 
     def _liveliness(self, sample: zenoh.Sample) -> None:
+        if str(sample.key_expr) == keys.ended(self.target):
+            self.ended = self.ended or sample.kind == zenoh.SampleKind.PUT
+            return
         if sample.kind == zenoh.SampleKind.DELETE:
             self._alive.clear()
             self._lost.set()
@@ -380,6 +387,7 @@ class Link:
                 request.cancel()  # type: ignore[no-untyped-call]
             return
         again = self._lost.is_set()
+        self.ended = False
         self._lost.clear()
         self._alive.set()
         if again:

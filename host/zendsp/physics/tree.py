@@ -125,7 +125,9 @@ def read_urdf(path: str) -> tuple[list[Body], Array]:
     try:
         robot = ET.parse(Path(path)).getroot()
         return _read(robot, path), np.array(GRAVITY)
-    except (ET.ParseError, OSError, ValueError, KeyError, AttributeError) as error:
+    except (
+        ET.ParseError, OSError, ValueError, KeyError, AttributeError, RecursionError
+    ) as error:  # fmt: skip
         raise ModelError(f"{path}: is not a URDF that can be read: {error}") from error
 
 

@@ -49,6 +49,7 @@ class Rig:
     amplitude: tuple[float, ...]  # rad
     speed: tuple[float, ...]  # rad/s
     also_true: tuple[str, ...] = ()
+    loop: float = 0.0  # s, current loop of the drives: the given model knows of it as delay
     seconds: float = 20.0
     lines: list[str] = field(default_factory=list)  # of what is concealed, in the machine's words
     hidden: set[tuple[str, int]] = field(default_factory=set)  # friction that the given model lacks
@@ -75,7 +76,7 @@ def planar() -> Rig:
     return Rig(
         "imi_planar", "planar2r", {"p1": 3.473, "p2": 0.196, "p3": 0.242}, {"l1": 0.36, "l2": 0.34},
         (5.3, 1.1), (8.45, 2.35), (245.0, 39.2), 153600.0, (2000.0, 300.0), (120.0, 12.0), 80.0,
-        (0.9, 0.9), (1.8, 2.4),
+        (0.9, 0.9), (1.8, 2.4), loop=1.6e-4,
     )  # fmt: skip
 
 
@@ -281,7 +282,8 @@ def record(r: Rig, shape: str, rng: Rng) -> Run:
     kp, kd, limit = (np.array(x) for x in (r.kp, r.kd, r.limit))
     keep = 1 / (1 + 2 * np.pi * r.cutoff * PERIOD)
     command, speed = np.zeros(r.n), np.zeros(r.n)
-    with opened(r.name, f"friction = plain\n{start}{lines}") as machine:
+    seed = int(rng.integers(2**31))  # of the machine's noise
+    with opened(r.name, f"friction = plain\nseed = {seed}\n{start}{lines}") as machine:
         for k in range(rows):
             machine.write(command)
             y[k], q[k], v[k] = machine.read(r.n)
@@ -436,7 +438,7 @@ def given(r: Rig, columns: dict[str, Any], rng: Rng, name: str) -> dict[str, Any
             "gain": {"value": 1.0 if one else [1.0] * r.n, "free": False},
             "limit": r.limit[0] if one else list(r.limit),
             "hold": PERIOD,
-            "delay": PERIOD,
+            "delay": PERIOD + r.loop,
         },
         "sensor": {"position_resolution": r.resolution if one else [r.resolution] * r.n},
         "columns": columns,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Channel", "ParameterChange", "Recording"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording(Samples):
     """Samples of signals on one time base, and the circumstances under which they were taken.
 

@@ -133,9 +133,9 @@ _KEYS = ("name", "title", "kind", "joints", "sample_time", "home", "limits", "pa
 _LIMITS = ("position_min", "position_max", "speed", "acceleration", "torque")
 _LINK = ("a", "alpha_deg", "d", "mass", "com", "inertia")
 _PARAMETERS = {
-    "planar2r": ("p1", "p2", "p3", "l1", "l2", "viscous", "coulomb"),
+    "planar2r": ("p1", "p2", "p3", "l1", "l2", "viscous", "coulomb", "current_loop"),
     "pendulum": ("theta1", "theta2", "theta3", "beta", "viscous", "k_a", "R_a", "supply"),
-    "dh": ("gravity", "coulomb", "viscous", "link"),
+    "dh": ("gravity", "coulomb", "viscous", "current_loop", "link"),
 }
 
 

@@ -7,8 +7,10 @@ can hold that right for seconds: a thread of the application's own could not pro
     stdin  the terminal (or, in a browser, the packets of the page)
     1      what was read, for the application
     CONTROL    in, a line each: the name of the target to be ready for; "@ x y width height", where the red field is;
-               "!", which is STOP (by the palette of commands)
+               "!", which is STOP (by the palette of commands); "?", which is answered by "here"
     VERDICTS   out: a line of JSON for each STOP: asked, then how it ended
+
+A process that does not answer any more is ended: it would hold every key back. The application then reads the keys itself.
 """  # noqa: E501
 
 from __future__ import annotations
@@ -41,10 +43,14 @@ if TYPE_CHECKING:
     from zendsp.link import Target
 
 F9_MARKS = (b"\x1b[20~", b"\x1b[20;")  # with modifiers and kinds of event
+HERE = "here"
 EMERGENCY = "NOT STOPPED: use the machine's emergency stop"
 STOPPERS = 2  # a second STOP does not wait for the end of the first
 RETRY_S = 0.4  # between attempts to connect, or to stop what did not answer
 INSIST_S = 10.0  # that a STOP without an answer is asked again
+ASK_S = 1.0  # between questions whether it is there
+SILENT_S = 3.0  # without an answer, after which it is ended
+GRACE_S = 0.5  # more, for an answer that is there while the application itself could not look
 PASTE_S = 2.0  # of silence, after which a paste whose end did not come is over
 
 
@@ -267,6 +273,8 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             for line in whole:
                 if line == b"!":
                     stops.press()
+                elif line == b"?":
+                    tell(HERE, "")
                 elif line.startswith(b"@"):
                     field = Field(*map(int, line[1:].split()))
                 else:
@@ -310,7 +318,9 @@ class Stopper:
         assert self._process.stdout is not None
         os.dup2(self._process.stdout.fileno(), 0)
         self.alive, self.field = True, Field()
+        self._here = threading.Event()
         threading.Thread(target=self._listen, name="tui-verdicts", daemon=True).start()
+        threading.Thread(target=self._watch, name="tui-keys-watch", daemon=True).start()
 
     def want(self, name: str) -> None:
         """Have a link to this target ready."""
@@ -331,7 +341,7 @@ class Stopper:
         self.alive = False
         with contextlib.suppress(OSError):
             os.close(self._control)
-        self._process.terminate()
+        self._process.kill()  # one that is stopped would not hear anything less
         self._process.wait()
         os.dup2(self.terminal, 0)
 
@@ -342,11 +352,26 @@ class Stopper:
             return False
         return self.alive
 
+    def _watch(self) -> None:
+        """End the process if it hangs: what follows is as if it had been killed."""
+        patience = None  # until it has begun
+        while self._write("?"):
+            if not self._here.wait(patience) and not self._here.wait(GRACE_S):
+                if self.alive:
+                    self._process.kill()
+                return
+            self._here.clear()
+            patience = SILENT_S
+            time.sleep(ASK_S)
+
     def _listen(self) -> None:
         with open(self._verdicts, encoding="utf-8") as lines:
             for line in lines:
                 verdict = json.loads(line)
-                self._on_verdict(verdict["state"], verdict["text"], verdict["detail"])
+                if verdict["state"] == HERE:
+                    self._here.set()
+                else:
+                    self._on_verdict(verdict["state"], verdict["text"], verdict["detail"])
         if self.alive:
             self.alive = False
             self._process.wait()

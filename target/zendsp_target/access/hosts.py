@@ -31,7 +31,7 @@ class Hosts:
             return tuple(sorted(self._present))
 
     def _changed(self, sample: zenoh.Sample) -> None:
-        host = str(sample.key_expr).rpartition("/")[2]
+        host = keys.host_of(str(sample.key_expr))
         gone = sample.kind == zenoh.SampleKind.DELETE
         with self._lock:
             self._present.discard(host) if gone else self._present.add(host)

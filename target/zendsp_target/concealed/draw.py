@@ -36,11 +36,14 @@ class Usual:
     excluded: frozenset[str] = frozenset()
     heavy: tuple[int, ...] = ()  # joints whose inertia can be felt over their friction; empty: all
     period: float = 0.001  # s: delays are whole samples
+    # mass, kg, and x, y, z on the last link, m: lowest and highest of each
+    payload: tuple[tuple[float, float], ...] = ()
 
 
 MACHINES: dict[str, Usual] = {
     "imi_planar": Usual(
-        (Scale(8.45, 5.3, 3.4, 1.5, 0.0, 28.0), Scale(2.35, 1.1, 0.15, 2.0, 0.0, 6.0))
+        (Scale(8.45, 5.3, 3.4, 1.5, 0.0, 28.0), Scale(2.35, 1.1, 0.15, 2.0, 0.0, 6.0)),
+        payload=((1.0, 4.0), (0.2, 0.34), (-0.03, 0.03), (0.0, 0.0)),
     ),
     # one joint: nothing to couple with
     "pendulum": Usual((Scale(0.1, 0.005, 2.07e-3, 5.0, 0.167, 0.3),), frozenset({"coupling"})),
@@ -60,6 +63,7 @@ MACHINES: dict[str, Usual] = {
         ),
         frozenset({"saturation"}),
         heavy=(1, 2, 4),
+        payload=((0.5, 3.0), (-0.04, 0.04), (-0.04, 0.04), (0.02, 0.15)),
     ),
 }
 
@@ -188,12 +192,14 @@ DRAWS: dict[str, Draw] = {
         "law": float(r.randrange(3)),
         "amplitude": r.uniform(0.6, 1.2) * s.friction,
     },
+    "payload": lambda r, s, u: dict(
+        zip(("mass", "x", "y", "z"), (r.uniform(*span) for span in u.payload), strict=True)
+    ),
 }
 
 INERTIAL = ("inertia", "elasticity", "backlash")
-# What a plain seed draws from: the named physics. "disturbance" and "foreign" come when asked for
-# by effect=.
-NAMED = tuple(name for name in DRAWS if name not in ("disturbance", "foreign"))
+# What a plain seed draws from: the named physics. These come when asked for by effect=.
+NAMED = tuple(name for name in DRAWS if name not in ("disturbance", "foreign", "payload"))
 
 
 def draw_effect(r: random.Random, machine: str, effect: str, joint: int) -> ConcealedEffect:
@@ -241,6 +247,8 @@ def _payload(r: random.Random) -> tuple[ConcealedEffect, ...]:
 
 def _joints(usual: Usual, effect: str) -> tuple[int, ...]:
     """Joints on which an effect can be felt."""
+    if effect == "payload":
+        return (len(usual.joints),)
     return (
         usual.heavy
         if effect in INERTIAL and usual.heavy
@@ -266,7 +274,8 @@ def draw(
         Any whole number.
     effect : str, optional
         Only this effect, or one of several: "ripple/coupling"; else any named one that the machine
-        can carry. On the pendulum also "payload": inertia and gravity.
+        can carry. On the pendulum "payload" is inertia and gravity, elsewhere a mass on the last
+        link.
     joint : int, optional
         1-based; else any.
     count : int

@@ -47,6 +47,7 @@ EFFECTS: dict[str, dict[str, str]] = {
     "encoder_eccentricity": {"amplitude": "rad", "phase": "rad"},
     "disturbance": {"level": "N m", "begin": "s", "duration": "s"},
     "foreign": {"law": "", "amplitude": "N m"},
+    "payload": {"mass": "kg", "x": "m", "y": "m", "z": "m"},
 }
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")  # of coupling, by number
 MOST = 16  # effects that a machine can carry

@@ -80,6 +80,8 @@ class Server:
     def close(self) -> None:
         """Withdraw everything; the session stays open for its owner to close."""
         self._end.set()
+        # hosts elsewhere cannot look for the process: this tells them not to wait for it
+        self._ended = self._session.liveliness().declare_token(keys.ended(self.name))
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self.live.close()
         for queryable in self._queryables:

@@ -111,6 +111,35 @@ static void acceleration(void *self, const double *q, const double *qd, const do
         qdd[j] = d->qacc[r->speed[j]];
 }
 
+/* A point mass on the body of a joint, in the frame of that body. */
+static int carry(void *self, int joint, double mass, const double *place) {
+    robot *r = self;
+    mjModel *m = r->model;
+    const int body = m->jnt_bodyid[r->joint[joint]];
+    double turn[9], full[9] = {0}, half[9], own[9], away[3], axes[9];
+    double *centre = &m->body_ipos[3 * body], *quat = &m->body_iquat[4 * body], *moments = &m->body_inertia[3 * body];
+    const double before = m->body_mass[body], after = before + mass, reduced = before * mass / after;
+    for (int i = 0; i < 3; i++)
+        full[4 * i] = moments[i];
+    mju_quat2Mat(turn, quat);
+    mju_mulMatMat(half, turn, full, 3, 3, 3);
+    mju_mulMatMatT(own, half, turn, 3, 3, 3); /* about the centre of mass, axes of the body */
+    mju_sub3(away, place, centre);
+    const double square = mju_dot3(away, away);
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            own[3 * i + k] += reduced * ((i == k ? square : 0.0) - away[i] * away[k]);
+    mju_addToScl3(centre, away, mass / after);
+    mju_eig3(moments, axes, quat, own);
+    m->body_mass[body] = after;
+    mjData *kept = mj_copyData(NULL, m, r->data); /* setConst() looks at the zero position */
+    mj_setConst(m, r->data);
+    mj_copyData(r->data, m, kept);
+    mj_deleteData(kept);
+    r->known = 0;
+    return 0;
+}
+
 /* What moves beside the joints of the machine, by the same explicit midpoint. */
 static void others(void *self, int stage, double h) {
     robot *r = self;
@@ -482,6 +511,8 @@ static int load(robot *r, const char *config, double period, char *error, size_t
     r->plant.self = r;
     r->plant.others = others;
     r->plant.others_self = r;
+    r->plant.carry = carry;
+    r->plant.carry_self = r;
     describe(r, config);
     plant_equip(&r->plant, config, &usual, 2.0 * full_scale);
     for (int j = 0; j < r->plant.joints; j++)

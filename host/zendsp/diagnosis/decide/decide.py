@@ -63,8 +63,6 @@ SURE = 3.0  # standard deviations over blocks of time
 PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
-# of the energy that laws of several mechanisms explain: one that predicts so much takes their place
-ALONE = 0.9
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 
 
@@ -164,7 +162,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             ]
             # what makes an untouched recording worse is no finding, ever
             if decision.claims and errors[1] <= errors[0]:
-                if not _one_instead(parts, base.model, decision):
+                if any(c.effect != "unknown" for c in decision.claims):
                     return decision
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, search, before)
@@ -410,20 +408,6 @@ def _named(
         state,
         rms_torque(parts.test, joint),
     )
-
-
-def _one_instead(parts: Parts, base: Model, decision: Decision) -> bool:
-    """Whether the claims are better dropped: none has a law, or laws of several mechanisms stand
-    for what one other mechanism's variables explain by themselves.
-    """
-    if all(c.effect == "unknown" for c in decision.claims):
-        return True
-    named = {m for c in decision.claims for m in _kind(c.mechanism)}
-    if len({c.mechanism for c in decision.claims}) < 2:
-        return False
-    explained = decision.before.value**2 - decision.after.value**2
-    alone = (structure(parts.each, base, decision.joint, [m]) for m in STRUCTURED if m not in named)
-    return any(s.z > SURE and s.size**2 > ALONE * explained for s in alone)
 
 
 def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:

@@ -31,7 +31,7 @@ _WITHIN = {
 }
 
 
-def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
+def _fill(control: Any, settings: Settings, program: Path, data: Path, number: int = 1) -> None:
     ffi, lib = layout()
     control.magic, control.version, control.bytes = (
         lib.LAYOUT_MAGIC,
@@ -46,7 +46,8 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path) -> None:
     control.monitor = os.getpid()
     control.spin_us, control.speed = settings.spin_us, settings.speed
     control.memory = round(settings.memory_mb * 1e6)
-    given = dict(settings.machine_config)
+    # which load of the session this is: noise goes on, it does not begin again
+    given = dict(settings.machine_config) | {"load": str(number)}
     if is_model(settings.machine):
         given |= {"model": os.path.abspath(settings.machine), "clock": settings.clock}
     config = "".join(f"{key} = {value}\n" for key, value in given.items())
@@ -139,7 +140,7 @@ class RunnerProcess:
         # harm
         self.simulated = False
         try:
-            _fill(self.control, settings, program, data_path)
+            _fill(self.control, settings, program, data_path, number)
             mark = uuid.uuid4().hex
             self._process = subprocess.Popen(
                 [str(build_runner()), str(self.control_file.path)],

@@ -1,0 +1,109 @@
+"""Do the experiments' uncertainties hold? Each is repeated on copies of its machine, with other
+noise, other places of uneven friction and other start positions; how often do the 95 % intervals
+hold what the machine really has?
+
+    python benchmarks/experiments.py --keep runs.json --page docs/measurements/experiments.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zendsp.experiment import Lab, Result
+from zendsp.experiment.imi_friction import static, viscous
+from zendsp.experiment.pendulum_motor import electrical, mechanical
+from zendsp.experiment.truth import TRUTH
+from zendsp.experiment.wam_friction import friction
+
+WAM_JOINTS = (2, 4, 6)
+EXPERIMENTS: dict[str, tuple[str, Callable[[Lab], Result]]] = {
+    "imi-static": ("", static),
+    "imi-viscous": ("", viscous),
+    "pendulum-electrical": ("", electrical),
+    "pendulum-mechanical": ("", mechanical),
+    "wam-friction": (
+        f"joints {', '.join(map(str, WAM_JOINTS))}",
+        lambda lab: friction(lab, joints=WAM_JOINTS),
+    ),
+}
+
+
+def repeat(name: str, kept: dict[str, list[Any]], seeds: int, until: float) -> None:
+    """Add repetitions to those that are kept, until there are so many or the time is over: value
+    and standard deviation of every number whose truth is known.
+    """
+    rows = kept.setdefault(name, [])
+    while len(rows) < seeds and time.monotonic() < until:
+        with tempfile.TemporaryDirectory() as folder:
+            result = EXPERIMENTS[name][1](Lab(folder, seed=len(rows) + 1))
+        found = result.values
+        rows.append(
+            {key: (found[key].value, found[key].std) for key in TRUTH[name] if key in found}
+        )
+
+
+def section(name: str, rows: list[Any]) -> str:
+    """What the repetitions of one experiment say."""
+    lines = [
+        "| quantity | machine | mean | spread | stated | off, in stated | intervals that hold it |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    held, count = 0, 0
+    for key in rows[0]:
+        value, std = np.array([row[key] for row in rows]).T
+        truth = TRUTH[name][key]
+        inside = np.abs(value - truth) <= 1.96 * std
+        held, count = held + int(inside.sum()), count + len(inside)
+        lines.append(
+            f"| {key.replace('_', ' ')} | {truth:.4g} | {value.mean():.4g} |"
+            f" {value.std(ddof=1):.2g} | {std.mean():.2g} |"
+            f" {(value.mean() - truth) / std.mean():+.2f} | {100 * inside.mean():.1f} % |"
+        )
+    note = f" ({EXPERIMENTS[name][0]})" if EXPERIMENTS[name][0] else ""
+    return (
+        f"## {name}{note}\n\n{len(rows)} repetitions: {100 * held / count:.1f} % of {count}"
+        " intervals hold.\n\n" + "\n".join(lines) + "\n"
+    )
+
+
+HEAD = """# Do the intervals of the experiments hold?
+
+{day}. `python benchmarks/experiments.py`: every experiment repeated on copies of its simulated
+machine, with other noise, other places of uneven friction and other start positions. *Spread* is
+that of the values found, *stated* the mean of the standard deviations that the experiment gave;
+the last column counts how many of its 95 % intervals hold what the machine has.
+"""
+
+
+def main() -> None:
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("--seeds", type=int, default=200, help="repetitions of each")
+    p.add_argument("--only", default="", help="one experiment")
+    p.add_argument("--minutes", type=float, default=float("inf"), help="stop after so many")
+    p.add_argument("--keep", type=Path, help="go on from this file, and keep the repetitions there")
+    p.add_argument("--page", type=Path, help="write the tables there (Markdown)")
+    args = p.parse_args()
+    until = time.monotonic() + 60 * args.minutes
+    kept = json.loads(args.keep.read_text()) if args.keep and args.keep.exists() else {}
+    for name in [args.only] if args.only else EXPERIMENTS:
+        repeat(name, kept, args.seeds, until)
+    if args.keep:
+        args.keep.write_text(json.dumps(kept))
+    tables = [section(name, kept[name]) for name in EXPERIMENTS if len(kept.get(name, [])) > 1]
+    print("\n".join(tables))
+    if args.page:
+        day = f"{date.today():%-d %B %Y}"
+        args.page.write_text("\n".join([HEAD.format(day=day), *tables]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

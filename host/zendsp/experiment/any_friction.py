@@ -1,0 +1,148 @@
+"""Friction of every joint of any machine that takes torques: constant speeds both ways, from where
+it stands, within what the machine says that it bears.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import Refused
+from zendsp.experiment.estimates import NORMAL
+from zendsp.experiment.figures import BLUE, RED, label, make_figure, save
+from zendsp.experiment.lab import Bench, Lab
+from zendsp.experiment.result import Estimate, Result
+from zendsp.experiment.wam_friction import (
+    Friction,
+    Sliding,
+    constant_speed_pieces,
+    fit_friction,
+    friction_effects,
+)
+from zendsp.reference import Reference
+from zendsp_protocol.messages import JointInfo
+
+Array = npt.NDArray[np.float64]
+
+PROGRAM = "joint_pd.c"
+CHANNELS = ("play_time", "q", "tau")
+TRAVEL = 0.8  # rad or m, at most …
+SHARE = 0.4  # … and of the range of the joint
+SPEED = 0.4  # of the largest speed
+SPREAD = 6.0  # fastest over slowest speed: slower ones are those of Stribeck and bristles
+CRUISE = 0.6  # s, at the fastest
+REST = 0.3  # s, after each move
+
+
+def friction(lab: Lab, speeds: int = 6, joints: tuple[int, ...] = ()) -> Result:
+    """Coulomb and viscous friction of each direction of every joint, and the weight that it moves.
+
+    Parameters
+    ----------
+    lab : Lab
+        With a target: the machine is whatever that has.
+    speeds : int
+        How many, in equal ratios.
+    joints : tuple of int
+        Which; default: all.
+    """
+    result = Result("friction", "Friction of every joint", lab.machine)
+    curves: dict[int, tuple[Array, Friction]] = {}
+    with lab.bench(None, result.name) as bench:
+        place = bench.record("where_it_stands", PROGRAM, CHANNELS, seconds=0.2)["q"][-1]
+        place = np.atleast_1d(place)
+        all_joints = bench.target.machine().joints
+        period = 1.0 / bench.target.status().rate_hz
+        for joint in joints or tuple(range(1, len(all_joints) + 1)):
+            reference = _moves(all_joints[joint - 1], place, joint, speeds, period)
+            sliding = _record(bench, reference, joint)
+            found = fit_friction(sliding, all_joints[joint - 1].unit == "rad", unknown=True)
+            if not _weighs(sliding, found):
+                found = fit_friction(sliding, False, unknown=True)
+            curves[joint] = (sliding.points(found.free), found)
+            _report(result, joint, all_joints[joint - 1].unit, found)
+        result.recordings, result.target = bench.recordings, bench.where
+        result.figure = _draw(curves, bench)
+    return result
+
+
+def _moves(joint: JointInfo, place: Array, number: int, speeds: int, period: float) -> Reference:
+    """Ramp up, cruise, ramp down, rest, and the same back, for each speed."""
+    low, high = joint.position_min, joint.position_max
+    travel = min(TRAVEL, SHARE * (high - low))
+    if not travel > 0.0:
+        raise Refused(
+            f"{joint.name}: its range is {low:g} to {high:g} {joint.unit}: no way to move"
+        )
+    fastest = min(SPEED * joint.speed_max, travel / CRUISE)
+    margin = 0.1 * travel
+    start = float(np.clip(place[number - 1] - travel / 2, low + margin, high - margin - travel))
+    ramp = 0.15  # s
+    moves, at = [], start
+    for speed in np.geomspace(fastest / SPREAD, fastest, speeds):
+        cruise = max(0.0, travel / speed - ramp)
+        corners = np.cumsum([0.0, ramp, cruise, ramp, REST])
+        t = np.arange(round(corners[-1] / period)) * period
+        pace = np.interp(t, corners, [0.0, speed, speed, 0.0, 0.0])
+        for direction in (1.0, -1.0):
+            way = at + direction * np.cumsum(pace) * period
+            moves.append(way)
+            at = float(way[-1])
+    q = np.tile(place, (sum(map(len, moves)), 1))
+    q[:, number - 1] = np.concatenate(moves)
+    return Reference(q, period, kind="trapezoid", machine="")
+
+
+def _record(bench: Bench, reference: Reference, joint: int) -> Sliding:
+    rec = bench.record(
+        f"joint{joint}", PROGRAM, CHANNELS, reference=reference, before=2.0, decimation=2
+    )
+    return constant_speed_pieces(rec, reference, joint, gravity=False)
+
+
+def _weighs(sliding: Sliding, found: Friction) -> bool:
+    """Whether the joint moves a weight: two more coefficients, kept where they explain what chance
+    does once in a hundred (F test). What friction does at a place it does at every speed: a part
+    counts as one measurement.
+    """
+    from scipy.special import fdtri
+
+    plain = fit_friction(sliding, False, unknown=True)
+    free = len(np.unique(sliding.part)) - 7
+    without, within = plain.squares, found.squares
+    return free > 0 and bool((without - within) / 2 > fdtri(2, free, 0.99) * within / free)
+
+
+def _report(result: Result, joint: int, unit: str, found: Friction) -> None:
+    force = "N m" if unit == "rad" else "N"
+    row: dict[str, object] = {"joint": joint}
+    for word, end in (("+", "pos"), ("-", "neg")):
+        level, viscous, dl, dv = found.value[word]
+        result.values[f"coulomb{joint}_{end}"] = Estimate(level, dl / NORMAL, force)
+        result.values[f"viscous{joint}_{end}"] = Estimate(viscous, dv / NORMAL, f"{force} s/{unit}")
+        row |= {f"Coulomb {word}": f"{level:.3g} ± {dl:.2g}"}
+        row |= {f"viscous {word}": f"{viscous:.3g} ± {dv:.2g}"}
+        if viscous - dv <= 0.0:
+            result.warnings.append(
+                f"Joint {joint}, direction {word}: the viscous coefficient"
+                f" {viscous:.3g} ± {dv:.2g} is not told from zero at these speeds."
+            )
+    weight = found.weight
+    result.values[f"weight{joint}"] = Estimate(weight, 0.0, force)
+    result.tables.setdefault("friction", []).append({**row, "weight": f"{weight:.3g}"})
+    result.effects += friction_effects(joint, found)
+
+
+def _draw(curves: dict[int, tuple[Array, Friction]], bench: Bench) -> str:
+    columns = min(4, len(curves))
+    figure, axes = make_figure(-(-len(curves) // columns), columns, width=3.0 * columns, height=2.7)
+    for axis, (joint, (points, found)) in zip(axes.flat, curves.items(), strict=False):
+        axis.errorbar(
+            points[:, 0], points[:, 1], yerr=2 * points[:, 2], fmt="o", color=BLUE, markersize=3.5
+        )
+        for word, sign in (("+", 1.0), ("-", -1.0)):
+            level, viscous = found.value[word][:2]
+            x = sign * np.array([0.0, np.abs(points[:, 0]).max()])
+            axis.plot(x, sign * (level + viscous * np.abs(x)), color=RED, linewidth=1.0)
+        label(axis, "speed", "friction", f"joint {joint}")
+    return save(figure, bench.folder / "friction.png")

@@ -1,0 +1,68 @@
+"""Numbers with uncertainties that hold: value ± 1.96 standard deviations covers the truth 95 times
+of 100, however few measurements there were (`benchmarks/experiments.py` counts it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.experiment.result import Estimate
+
+Array = npt.NDArray[np.float64]
+NORMAL = 1.96  # half width of 95 % in standard deviations
+
+
+def half_width(std: float | Array, free: int) -> Array:
+    """Half width of a 95 % interval (Student) of an estimate with ``free`` degrees of freedom."""
+    from scipy.special import stdtrit  # scipy.stats would take a second to import
+
+    return np.asarray(std) * (stdtrit(free, 0.975) if free > 0 else np.inf)
+
+
+def mean_of(values: Sequence[float], unit: str, systematic: float = 0.0) -> Estimate:
+    """Mean of repeated measurements.
+
+    Parameters
+    ----------
+    values : sequence of float
+        At least two.
+    unit : str
+    systematic : float
+        Standard deviation of what all of them share and their spread does not show.
+
+    Returns
+    -------
+    Estimate
+    """
+    spread = float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    half = float(half_width(spread, len(values) - 1))
+    return Estimate(float(np.mean(values)), float(np.hypot(half / NORMAL, systematic)), unit)
+
+
+def least_squares(
+    A: Array, b: Array, independent: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Solution of A x = b, 95 % half widths, and the covariance over the residual's variance.
+
+    ``independent``: how many of the rows are, where not all are.
+    """
+    solution = np.asarray(np.linalg.lstsq(A, b, rcond=None)[0], np.float64)
+    free = (independent or len(b)) - A.shape[1]
+    inverse = np.asarray(np.linalg.inv(A.T @ A), np.float64)
+    if free < 1:
+        return solution, np.full(A.shape[1], np.inf), inverse
+    variance = float(np.sum((b - A @ solution) ** 2)) / free
+    return solution, half_width(np.sqrt(variance * np.diag(inverse)), free), inverse
+
+
+def line_fit(speed: Array, torque: Array) -> tuple[Array, Array, float]:
+    """|torque| = level + viscous |speed|: both, their 95 % half widths, and the correlation between
+    them.
+    """
+    A = np.stack([np.ones(len(speed)), np.abs(speed)], axis=1)
+    solution, half, inverse = least_squares(A, np.abs(torque))
+    correlation = float(inverse[0, 1] / np.sqrt(inverse[0, 0] * inverse[1, 1]))
+    return solution, half, correlation

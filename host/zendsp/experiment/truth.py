@@ -1,0 +1,52 @@
+"""What the simulated machines really have, from their C sources: for reports and for counting how
+often stated intervals hold. No experiment reads it.
+"""
+
+from __future__ import annotations
+
+# N m and N m s/rad of the WAM, pos and neg, as in wam7.c
+_WAM = {
+    1: (4.4748, 4.3609, 1.3348, 0.8266),
+    2: (2.6385, 3.5643, 3.5572, 2.80),
+    3: (1.7399, 2.3529, 0.3944, 1.2075),
+    4: (1.5414, 0.7342, 0.50, 0.45),
+    5: (0.2798, 0.1172, 0.30, 1.467),
+    6: (0.4834, 0.4417, 0.8291, 0.1836),
+    7: (0.0538, 0.1370, 1.0689, 0.7954),
+}
+_NAMES = ("coulomb{}_pos", "coulomb{}_neg", "viscous{}_pos", "viscous{}_neg")
+
+# Experiment to quantity to value, in the quantity's unit. Levels of the planar arm are means over
+# all places; the pendulum's are those of the direction in which the experiment turns it.
+TRUTH: dict[str, dict[str, float]] = {
+    "imi-static": {
+        "breakaway1_ccw": 11.4 * 1.05,
+        "breakaway1_cw": 11.4 * 0.95,
+        "breakaway2_ccw": 3.1 * 0.96,
+        "breakaway2_cw": 3.1 * 1.04,
+        "stiffness1": 12000.0,
+        "stiffness2": 1500.0,
+    },
+    "imi-viscous": {
+        "viscous1_ccw": 5.3 * 1.02,
+        "viscous1_cw": 5.3 * 0.98,
+        "viscous2_ccw": 1.1 * 0.97,
+        "viscous2_cw": 1.1 * 1.03,
+        "level1_ccw": 8.45 * 1.05,
+        "level1_cw": 8.45 * 0.95,
+        "level2_ccw": 2.35 * 0.96,
+        "level2_cw": 2.35 * 1.04,
+    },
+    "pendulum-electrical": {"k_a": 0.1762, "R_a": 5.54},
+    "pendulum-mechanical": {
+        "theta1": 2.07e-3,
+        "theta2": 0.0170,
+        "theta3": 0.104,
+        "viscous": 0.0052,
+    },
+    "wam-friction": {
+        name.format(joint): value
+        for joint, row in _WAM.items()
+        for name, value in zip(_NAMES, row, strict=True)
+    },
+}

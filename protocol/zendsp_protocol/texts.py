@@ -1,0 +1,55 @@
+"""Text from elsewhere, made fit to be shown: a terminal obeys some characters."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+# Control characters but tab and newline, and those that turn the direction of reading.
+_OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+# Bytes without which no text has any of the dangerous ones in UTF-8. Numbers may hold them too:
+# they only say where to look.
+_SIGNS = (b"\x1b", b"\r", b"\b", b"\xc2", b"\xe2")
+EXACT = "sources"  # C code is kept as it was sent
+
+
+def shown(text: str, lines: bool = True) -> str:
+    r"""Return text in which every character that a terminal would obey is written out.
+
+    Parameters
+    ----------
+    text : str
+    lines : bool
+        Whether tabs and newlines may stay: a name has none.
+
+    Examples
+    --------
+    >>> shown("\x1b[2Jgone")
+    '\\x1b[2Jgone'
+    """
+    if not lines:
+        text = text.replace("\t", "\\t").replace("\n", "\\n")
+    return text if text.isprintable() else _OBEYED.sub(_written, text)
+
+
+def _written(found: re.Match[str]) -> str:
+    return found[0].encode("unicode_escape").decode()
+
+
+def suspicious(data: bytes) -> bool:
+    """Whether encoded text could hold what a terminal obeys: escapes, or what overwrites a line."""
+    return any(sign in data for sign in _SIGNS)
+
+
+def shown_all(value: Any) -> Any:
+    """Return a decoded message with :func:`shown` applied to each of its texts but C code."""
+    kind = type(value)
+    if kind is str:
+        return shown(value)
+    if kind is list:
+        return [shown_all(item) for item in value]
+    if kind is dict:
+        return {
+            shown_all(key): item if key == EXACT else shown_all(item) for key, item in value.items()
+        }
+    return value
