@@ -261,7 +261,7 @@ def test_what_a_target_returns_is_read_in_a_line_at_the_prompt() -> None:
         "late 11.8 (at most 6568.8) us>"
     )
     assert repr(status) == (
-        "<Status stopped, drive stopped, imi_planar, sample 11553, 11.553 s; "
+        "<Status imi_planar: stopped, drives stopped, 11.553 s at 1000 Hz, "
         "STOP was requested (sample 11551)>"
     )
     result = m.CompileResult(ok=True, key="5b", seconds=0.0038, cached=True, compiler="cc")

@@ -101,8 +101,14 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
 
 
 def usable(effect: Effect, records: Sequence[JointRecord]) -> bool:
-    """Whether every recording has the optional columns that an effect reads."""
-    return all(column in record.columns for column in effect.reads for record in records)
+    """Whether every recording has the optional columns that an effect reads, and none that shows
+    the effect directly.
+    """
+    return all(
+        all(column in record.columns for column in effect.reads)
+        and not any(column in record.columns for column in effect.shown_by)
+        for record in records
+    )
 
 
 class Screen:
