@@ -13,6 +13,7 @@ import msgspec
 
 from zendsp_protocol.states import DriveState, ProgramState, RecorderState
 from zendsp_protocol.values import WireValue
+from zendsp_protocol.views import html_table
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,6 +58,13 @@ class CompileResult(Message, frozen=True):
     compiler: str = ""  # path and version
     flags: tuple[str, ...] = ()  # all that were used
 
+    def __repr__(self) -> str:
+        cached = " (from the cache)" if self.cached else ""
+        parts = [f"ok in {self.seconds:.2g} s{cached}" if self.ok else "not compiled"]
+        parts += [f"{d.file}:{d.line}:{d.column}: {d.severity}: {d.message}"
+                  for d in self.diagnostics]  # fmt: skip
+        return f"<CompileResult {'; '.join(parts)}>"
+
 
 class VariableInfo(Message, frozen=True):
     """One entry of the dictionary of the running code."""
@@ -90,6 +98,16 @@ class Timing(Message, frozen=True):
     late_histogram: WireValue = 0  # counts per bin
     histogram_edges_ns: WireValue = 0  # ns, one more than there are bins
 
+    def __repr__(self) -> str:
+        def spent(mean: float, most: float) -> str:
+            return f"{mean / 1e3:.1f} (at most {most / 1e3:.1f}) us"
+
+        return (
+            f"<Timing {self.ticks} samples, {self.overruns} overruns, {self.missed} missed;"
+            f" execution {spent(self.exec_mean_ns, self.exec_max_ns)},"
+            f" late {spent(self.late_mean_ns, self.late_max_ns)}>"
+        )
+
 
 class Trip(Message, frozen=True):
     """Why the drive tripped."""
@@ -122,6 +140,31 @@ class Status(Message, frozen=True):
     homed: bool = True  # whether positions mean anything
     drive_mode: str = "off"  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
+
+    def __repr__(self) -> str:
+        trouble = self.crash or (self.trip.text or self.trip.reason if self.trip else "")
+        return (
+            f"<Status {self.machine}: {self.state}, drives {self.drive}, {self.t:.3f} s at"
+            f" {self.rate_hz:g} Hz{f', {trouble}' if trouble else ''}>"
+        )
+
+    def _repr_html_(self) -> str:
+        t = self.timing
+        when = f"sample {self.tick} ({self.t:.3f} s at {self.rate_hz:g} Hz)"
+        rows = [
+            ("machine", f"{self.machine}, {self.joints} joints, {self.clock} clock"),
+            ("program", f"{self.state}, {when}"),
+            ("drives", f"{self.drive}, {self.drive_mode}"),
+            ("time in ISR", f"{t.exec_mean_ns / 1e3:.1f} µs, at most {t.exec_max_ns / 1e3:.1f}"),
+            ("begins late by", f"{t.late_mean_ns / 1e3:.1f} µs, at most {t.late_max_ns / 1e3:.1f}"),
+            ("overruns, missed", f"{t.overruns}, {t.missed}"),
+            ("hosts", ", ".join(self.hosts) or "none"),
+        ]
+        if self.trip is not None:
+            rows.append(("trip", self.trip.text or self.trip.reason))
+        if self.crash:
+            rows.append(("crash", self.crash))
+        return html_table(("", ""), rows)
 
 
 class JointInfo(Message, frozen=True):

@@ -33,6 +33,9 @@ class Packed(msgspec.Struct, frozen=True):
     data: bytes
     columns: int = 1
 
+    def __repr__(self) -> str:
+        return f"<Packed {len(self.data) // np.dtype(self.dtype).itemsize} x {self.dtype}>"
+
 
 if TYPE_CHECKING:  # the target's own side puts arrays into its messages; `enc_hook` packs them
     WireValue = bool | int | float | list[bool | int | float] | Packed | npt.NDArray[Any]

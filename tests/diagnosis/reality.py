@@ -58,6 +58,8 @@ class Machine:
     soft: float = 0.0
     hard: float = 0.0
     wobble: float = 0.0  # rad by which a rigid transmission errs, five times a turn
+    both_sides: bool = False  # a second encoder, of the load, and a torque sensor at the spring
+    dry_load: float = 0.0  # N m: dry friction of the load, behind the spring
     thin: float = 0.0  # 1/K by which dry friction falls with the temperature, which rises by 15 K
     extra: dict[str, float] = field(default_factory=dict)
 
@@ -94,7 +96,7 @@ def simulate(
     there, speed = q - 0.5 * m.gap, 0.0  # of the load
     late = round(m.delay / h)
     queue = [0.0] * (late + 1)
-    ys, us = [], []
+    ys, us, loads, twisting = [], [], [], []
     draw = np.random.default_rng(seed)
     slow = (
         [
@@ -115,6 +117,9 @@ def simulate(
         last = y
         ys.append(m.resolution * round(seen / m.resolution) if m.smear else y)
         us.append(u)
+        of_load = there if m.load else q
+        loads.append(m.resolution * round(of_load / m.resolution) if m.resolution else of_load)
+        twisting.append(m.soft * (q - there) + m.hard * (q - there) ** 3)
         drive = u * (1.0 + m.fade * (1.0 - math.exp(-k * T / 3.0)))
         for _ in range(sub):
             if late:
@@ -160,7 +165,9 @@ def simulate(
             if m.soft:
                 apart = q - there
                 push = m.soft * apart + m.hard * apart**3 + 0.02 * (v - speed)
-                speed += h * push / m.load
+                held = math.tanh(speed / 1e-3)
+                steep_there = m.dry_load / 1e-3 * (1 - held * held)
+                speed += h * (push - m.dry_load * held) / (m.load + h * steep_there)
                 there += h * speed
             elif m.load:
                 apart = q - there
@@ -183,6 +190,8 @@ def simulate(
         "u": np.array(us)[rows],
         "r": np.asarray(reference, float),
     }
+    if m.both_sides:
+        columns |= {"ql": np.array(loads), "ts": np.array(twisting)}
     return {**columns, "warm": np.array(warm)} if m.thin else columns
 
 
@@ -241,6 +250,7 @@ def model_file(
     inertia: float = 0.0102,
     gravity: float = 0.0,
     resolution: float = RESOLUTION,
+    columns: str = "",
 ) -> Path:
     """The given model: what it has is what is written here."""
     text = MODEL.format(
@@ -250,5 +260,5 @@ def model_file(
         effects="\n".join(effects),
         resolution=repr(resolution),
     )
-    path.write_text(text)
+    path.write_text(text + columns)
     return path

@@ -153,6 +153,17 @@ def test_short_recordings_are_refused(
     assert words in refuse(reality.save(tmp_path / "run.csv", columns), "--model", model)
 
 
+def test_as_many_rows_as_fill_two_seconds_last_two_seconds(
+    good: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    def saved(rows: int) -> Path:
+        return reality.save(tmp_path / "run.csv", {k: v[:rows] for k, v in good.items()})
+
+    assert "lasts 1.998 s" in refuse(saved(999), "--model", model)
+    given = load_model(model)
+    check_signals([read_signals(saved(1000), given)], given)
+
+
 def test_bad_held_out_recording_is_refused_by_its_name(
     good: Columns, other: Columns, model: Path, tmp_path: Path, refuse: Callable[..., str]
 ) -> None:

@@ -84,7 +84,11 @@ def test_report_has_every_key_of_the_contract_with_its_type(report: dict[str, An
         assert 0 <= a < b <= 9.0
     for row in report["where"]["state"]:
         assert (
-            set(row) == {"joint", "variable", "interval", "share", "time_share"}
+            set(row) == {"joint", "variable", "interval", "unit", "share", "time_share"}
+            and row["unit"]
+            in {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "command": "N m"}[
+                row["variable"]
+            ]
             and row["interval"][0] <= row["interval"][1]
         )
     fit = report["fit"]

@@ -213,7 +213,9 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
         "0.05",
     ]
     watch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert watch.stdout is not None and "q[0]" in watch.stdout.readline()
+    assert watch.stdout is not None
+    line = watch.stdout.readline()
+    assert re.fullmatch(r"t +[\d.]+ s  q\[0\] .* rad  q\[1\] .* rad\n", line), line
     watch.send_signal(signal.SIGINT)
     _, said = watch.communicate(timeout=DEADLINE_S)
     assert watch.returncode == 130 and said.strip() == "interrupted"

@@ -111,6 +111,9 @@ def test_mat_opens_as_a_matrix_with_one_column_per_signal_and_their_names(
 def test_pandas_reads_our_csv_with_its_own_reader(recording: Recording, tmp_path: Path) -> None:
     pandas = pytest.importorskip("pandas")
     frame = pandas.read_csv(recording.save(tmp_path / "run.csv"), comment="#")
+    times = recording.save(tmp_path / "run.csv").read_text().splitlines()[2:]
+    written = [line.split(",")[0] for line in times[:20]]
+    assert written == [repr(t) for t in recording.t[:20].tolist()], "as short as they are exact"
     assert list(frame.columns) == ["t [s]", "q[0] [rad]", "q[1] [rad]", "u [N m]", "w"]
     assert len(frame) == 200
 

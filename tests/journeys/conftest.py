@@ -7,6 +7,7 @@ the fixture `installed`, never by importing zendsp in the test's own process.
 
 from __future__ import annotations
 
+import json
 import os
 import site
 import subprocess
@@ -86,3 +87,16 @@ def installed(environment_of_the_wheel: Path, tmp_path: Path) -> Iterator[Instal
     user = Installed(home / "bin" / "python", home / "bin" / "zendsp", folder, env)
     yield user
     user.end()
+
+
+@pytest.fixture
+def kernels(installed: Installed) -> Installed:
+    """A user who has notebooks."""
+    pytest.importorskip("nbclient")
+    spec = installed.folder / ".local/share/jupyter/kernels/python3"
+    spec.mkdir(parents=True)
+    command = [str(installed.python), "-m", "ipykernel_launcher", "-f", "{connection_file}"]
+    (spec / "kernel.json").write_text(
+        json.dumps({"argv": command, "display_name": "p", "language": "python"})
+    )
+    return installed

@@ -149,7 +149,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/tui.md", "off → ready → homed → enabled → running → stopped | tripped"): DRAWING,
     (
         "docs/tui.md",
-        "app.py            the three screens over one session     actions.py     the table",
+        "app.py            the four screens over one session      actions.py     the table",
     ): DRAWING,
     **{
         ("docs/results.md", f"zendsp experiment {name}"): EXPERIMENT
@@ -238,17 +238,12 @@ def bench(user: Installed) -> None:
         user.write(f"{name}.csv", "t,q,u,q_ref\n" + "\n".join(rows) + "\n")
 
 
-def examples(user: Installed) -> None:
-    """The folder `examples` of a clone."""
-    (user.folder / "examples").symlink_to(ROOT / "examples")
-
-
 ARM = """
 import zendsp
 from zendsp.reference import make_reference
 for name, amplitude in (("run1", 0.1), ("run2", 0.08), ("test", 0.09)):
     motion = make_reference("multisine", "imi_planar", period=4.0, f_max=2.0, periods=1, amplitude=amplitude)
-    rec = zendsp.simulate("pd.c", "examples/models/imi_planar.toml", reference=motion, channels=["measured", "plant_torque"])
+    rec = zendsp.simulate("pd.c", "imi_planar.toml", reference=motion, channels=["measured", "plant_torque"])
     q, tau = rec["measured"], rec["plant_torque"]
     columns = {"q": q, "tau": tau}
     recording = zendsp.Recording.from_columns(columns, t=rec.t, units={"q": "rad", "tau": "N m"})
@@ -281,13 +276,9 @@ def benches(user: Installed) -> None:
 
 
 def tour(user: Installed) -> None:
-    """For the tour: recordings of the arm; the circle is planned on the page, after it is
-    simulated.
-    """
-    examples(user)
+    """For the tour: recordings of the arm."""
     made = user.script(ARM)
     assert made.returncode == 0, made.stderr
-    assert user.run("reference", "circle", "--out", "circle.mat").returncode == 0
 
 
 def running(user: Installed) -> None:
@@ -308,12 +299,6 @@ def saved_parameters(user: Installed) -> None:
     """A target that runs, and a set of its parameters."""
     running(user)
     assert user.run("params", "save", "kept.json").returncode == 0
-
-
-def beside_a_target(user: Installed) -> None:
-    """A clone's examples, and a target that an experiment left standing."""
-    examples(user)
-    running(user)
 
 
 def lab(user: Installed) -> None:
@@ -374,7 +359,7 @@ PLANS: dict[str, Plan] = {
     "docs/effects.md": Plan(
         bench, files={"from zendsp.physics.effects import Effect, Parameter": "film.py"}
     ),
-    "docs/experiments.md": Plan(beside_a_target),
+    "docs/experiments.md": Plan(running),
     "docs/isr.md": Plan(running, files={'#include "isr.h"': "control.c"}),
     "docs/machines.md": Plan(files={"#include <math.h>": "my_axis.c"}),
     "docs/machines_simulated.md": Plan(files={'friction = "plain"': "hidden.toml"}),

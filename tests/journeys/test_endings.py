@@ -129,19 +129,6 @@ def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
     assert "1 failed, 1 passed" in said
 
 
-@pytest.fixture
-def kernels(installed: Installed) -> Installed:
-    """A user who has notebooks."""
-    pytest.importorskip("nbclient")
-    spec = installed.folder / ".local/share/jupyter/kernels/python3"
-    spec.mkdir(parents=True)
-    command = [str(installed.python), "-m", "ipykernel_launcher", "-f", "{connection_file}"]
-    (spec / "kernel.json").write_text(
-        json.dumps({"argv": command, "display_name": "p", "language": "python"})
-    )
-    return installed
-
-
 def test_a_notebook_kernel_ends_and_its_target_with_it(kernels: Installed) -> None:
     text = """
 import nbformat

@@ -258,6 +258,55 @@ def test_compensation_takes_the_effect_out_of_the_loop(kind: str, values: dict[s
     assert error[1.0] < 0.35 * error[0.0], error
 
 
+FADING = """#include "isr.h"
+#define N 1
+#include "motion.h"
+#undef TORQUE_MAX
+#define TORQUE_MAX(ch) 4.0
+#include "compensation.c"
+static double added;
+void UserInit(void) { MotionInit(); CompensationInit(); SIGNAL(added, "N m", ""); }
+void UserISR_INT2(void) {
+    const double still[N] = {0.0}, moving[N] = {1.0};
+    MotionStep();
+    if (SAMPLE_TICK == 500)
+        comp_share = 0.0;
+    if (SAMPLE_TICK == 1500)
+        comp_share = 1.0;
+    added = Compensation(0, still, moving, still, 0.0);
+    (void)Compensation(0, still, moving, still, 0.0); /* a second joint's call moves nothing */
+}
+void UserBackground(void) {}
+"""
+
+
+@pytest.mark.parametrize(("level", "limit", "height"), [(1.0, 0.5, 1.0), (3.0, 0.5, 2.0)])
+def test_compensation_fades_and_stays_within_its_limit(
+    level: float, limit: float, height: float
+) -> None:
+    model = parse_model(
+        {
+            "sample_time": 0.001,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}},
+            "effect": [{"kind": "coulomb", "joint": 1, "level": level}],
+        }
+    )
+    rec = simulate(
+        {"loop.c": FADING, "motion.h": _motion(), "compensation.c": compensation(model.terms)},
+        model,
+        seconds=2.2,
+        channels=["added"],
+        parameters={"comp_limit": limit, "comp_sign_speed": 0.0, "comp_fade": 0.5},
+    )
+    added = rec["added"]
+    assert added[100] == pytest.approx(height), "there from the first sample, up to the limit"
+    faded = np.minimum(level * np.clip(1.0 - np.arange(600) / 500.0, 0.0, 1.0), height)
+    # a sample more or less: which one sees the new share is the loop's affair
+    assert np.abs(added[500:1100] - faded).max() < 2.1 * level / 500.0
+    assert np.abs(np.diff(added)).max() < 1.1 * level / 500.0, "no step anywhere"
+    assert np.all(added[1010:1490] == 0.0) and added[2100] == pytest.approx(height)
+
+
 def test_what_a_torque_cannot_cancel_is_named_with_its_reason_and_valid_c_comes_out() -> None:
     terms = [t for t in every_effect() if not compensable(t)]
     assert {t.effect for t in terms} >= {

@@ -120,6 +120,23 @@ def test_degrees_and_milliseconds_end_as_si(tmp_path: Path) -> None:
     assert "angle: deg converted to rad" in draft.text
 
 
+def test_degrees_without_a_unit_are_suspected() -> None:
+    columns = recording()
+    columns["q"] = np.degrees(columns["q"])
+    draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
+    assert any("looks like degrees: write 'q [deg]'" in question for question in draft.questions)
+    draft = draft_model(Table(recording(), {}, {}, Path("run.csv")))
+    assert not any("degrees" in question for question in draft.questions)
+
+
+def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> None:
+    columns = recording()
+    columns["q"][5000:5003] = np.nan
+    draft = draft_model(Table(columns, {}, {}, Path("run.csv")))
+    assert any("q has 3 values that are no finite numbers" in each for each in draft.questions)
+    assert "4096 counts a turn" in draft.text
+
+
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
     with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))

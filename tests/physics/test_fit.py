@@ -11,7 +11,12 @@ import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import Signals
-from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.likelihood import (
+    deviance,
+    fit_scored,
+    fitted_deviance,
+    tune_bandwidth,
+)
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.fit import Data, fit, free_handles, get_values, set_values
 from zendsp.physics.model_file import parse_model
@@ -137,3 +142,36 @@ def test_numbers_that_are_not_free_stay() -> None:
     assert "inertia" not in keys  # fixed by hand
     assert "gravity" not in keys  # zero: physics that the model does not have
     assert keys == ["coefficient", "level"]
+
+
+def test_a_thinned_recording_says_nearly_the_same_of_the_parameters(data: Data) -> None:
+    thin = data.thinned()
+    whole, short = _fit(data, 2), _fit(thin, 2)
+    assert [rec[0].n for rec in thin.records] == [N // 2, N // 2]  # 4 ms of 2 ms
+    for name, (value, _) in whole.items():
+        # a first look only begins a fit: 5 % is well within the basin of any parameter
+        assert short[name][0] == pytest.approx(value, rel=0.05), name
+
+
+def test_thinning_keeps_what_the_sensor_says(data: Data) -> None:
+    record = data.records[0][0]
+    for every in (2, 3, 7):
+        thin = record.thinned(every)
+        groups = record.n // every
+        said = np.where(record.counted, 1.0 / record.measurement.variance, 0.0)
+        kept = np.where(thin.counted, 1.0 / thin.measurement.variance, 0.0)
+        assert thin.n == groups
+        assert kept.sum() == pytest.approx(said[: groups * every].sum())
+        # the integral of the command at the ends of the groups is that of the recording
+        assert thin.integral == pytest.approx(record.integral[: groups * every + 1 : every])
+
+
+def test_the_deviance_of_a_fit_is_that_of_its_model(data: Data) -> None:
+    model = parse_model(MODEL)
+    result = fit(data, model, free_handles(model), joints=(1,))
+    # the kernel's lanes and its single pass differ in the last digits of a sine
+    assert fitted_deviance(data, result, (1,)) == pytest.approx(
+        deviance(data, result.model, (1,)), abs=1e-3
+    )
+    tuned, value = tune_bandwidth(data, result.model, (1,))
+    assert value == deviance(tuned, result.model, (1,))

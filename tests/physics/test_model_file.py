@@ -174,3 +174,15 @@ def test_columns_are_names() -> None:
             },
             "bench.toml",
         )
+
+
+def test_a_shipped_model_is_found_by_its_name_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_model("wam7.toml").joints == 7, "with the URDF beside it"
+    with pytest.raises(ModelError, match=r"imi_planar: cannot be read: .*imi_planar.toml"):
+        load_model("imi_planar")
+    (tmp_path / "wam7.toml").write_text("oops")
+    with pytest.raises(ModelError, match="is not TOML"):
+        load_model("wam7.toml")  # the user's own goes first

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from zendsp_protocol import chunks, codec, errors, keys, registry, values, version
 from zendsp_protocol import messages as m
 from zendsp_protocol.errors import LinkError, VariableError, VersionMismatch, ZendspError
+from zendsp_protocol.states import DriveState, ProgramState
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -228,3 +229,43 @@ def test_the_documentation_lists_every_verb_and_field_as_they_are() -> None:
         keys.host("<target>", "<host>"),
     ):
         assert f"`{key}`" in text, key
+
+
+def test_what_a_target_returns_is_read_in_a_line_at_the_prompt() -> None:
+    counts = values.to_wire(np.arange(160))
+    timing = m.Timing(
+        ticks=11553,
+        overruns=43,
+        exec_mean_ns=1251.2,
+        exec_max_ns=140668,
+        late_mean_ns=11814.1,
+        late_max_ns=6568787,
+        exec_histogram=counts,
+        late_histogram=counts,
+        histogram_edges_ns=counts,
+    )
+    trip = m.Trip(reason="stop", tick=11551, text="STOP was requested (sample 11551)")
+    status = m.Status(
+        state=ProgramState.STOPPED,
+        tick=11553,
+        t=11.553,
+        rate_hz=1000.0,
+        machine="imi_planar",
+        timing=timing,
+        drive=DriveState.STOPPED,
+        trip=trip,
+    )
+    assert repr(counts) == "<Packed 160 x <i8>"
+    assert repr(timing) == (
+        "<Timing 11553 samples, 43 overruns, 0 missed; execution 1.3 (at most 140.7) us, "
+        "late 11.8 (at most 6568.8) us>"
+    )
+    assert repr(status) == (
+        "<Status imi_planar: stopped, drives stopped, 11.553 s at 1000 Hz, "
+        "STOP was requested (sample 11551)>"
+    )
+    result = m.CompileResult(ok=True, key="5b", seconds=0.0038, cached=True, compiler="cc")
+    assert repr(result) == "<CompileResult ok in 0.0038 s (from the cache)>"
+    wrong = m.Diagnostic(severity="error", file="pd.c", line=3, column=5, message="expected ';'")
+    result = m.CompileResult(ok=False, key="", seconds=0.1, diagnostics=(wrong,))
+    assert repr(result) == "<CompileResult not compiled; pd.c:3:5: error: expected ';'>"

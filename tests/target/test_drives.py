@@ -121,6 +121,30 @@ def test_each_refusal_names_what_fails(process: Target) -> None:
     process.release_command()
 
 
+def test_a_refused_enable_changes_nothing(target: Target) -> None:
+    target.start()
+    target.stop()
+    _soon(lambda: target.status().trip is not None, "latched at the next sample")
+    with pytest.raises(Refused, match="enabling is refused: no trip: STOP"):
+        target.enable()
+    assert not target.drive_status().explicit, "still automatic"
+    target.acknowledge()
+    target.start()
+    assert target.drive_status().state == "running", "as after any STOP in automatic"
+
+
+def test_where_every_condition_is_met_enabling_is_not_refused(target: Target) -> None:
+    target.start()
+    target.stop()
+    _soon(lambda: target.status().trip is not None, "latched at the next sample")
+    target.acknowledge()
+    status = target.drive_status()
+    assert not status.explicit and all(c.met for c in status.conditions)
+    target.enable()
+    status = target.drive_status()
+    assert status.explicit and status.state == "enabled"
+
+
 def test_enabling_wants_finite_limits(target: Target) -> None:
     status = replace(_STATUS, state="loaded", io={"enc": np.zeros(2)})
     endless = Limits((-1.0,), (1.0,), (2.0,), (float("inf"),), (5.0,), torque_clamp=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sys
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from zendsp.reference import make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import find_targets, open_port, start_machine
 
+sys.path.insert(0, str(Path(__file__).parent))  # helpers beside the tests
 PATIENCE_S = 40.0  # the machine that runs the tests is busy with others at the same time
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 

@@ -10,6 +10,7 @@ import pytest
 from rich.style import Style
 from textual.app import App, ComposeResult
 from textual.pilot import Pilot
+from textual.widgets import OptionList, Static
 
 from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
@@ -25,7 +26,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.statusbar import mean_and_max
+from zendsp.tui.statusbar import StatusBar, mean_and_max
 from zendsp.tui.trial import Trial
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -68,11 +69,24 @@ async def test_footer_help_and_palette_come_from_the_table(app: ZendspApp, scree
             b.binding.description for b in app.screen.active_bindings.values() if b.binding.show
         }
         assert {a.label for a in ACTIONS if a.scope in ("app", screen) and a.footer} <= shown
-        text = app.screen.help_text().plain
+        text = " ".join(app.screen.help_text().plain.split())
         assert all(a.help in text for a in ACTIONS if a.scope in ("app", screen))
         commands = [c.title for c in app.get_system_commands(app.screen)]
         wanted = [a for a in ACTIONS if a.scope in ("app", screen) and a.name != "command_palette"]
         assert commands == [f"{a.label} ({a.shown_key})" for a in wanted]
+
+
+async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        await app.action_show("console")
+        await pilot.press("f1")
+        await pilot.pause()
+        words = app.screen.query_one(".words", Static)
+        below = app.screen_stack[-2]
+        assert isinstance(below, LabScreen)
+        lines = below.help_text().plain.splitlines()
+        assert max(map(len, lines)) <= words.size.width, "nothing wraps to the left margin"
+        assert any(line.startswith(24 * " ") for line in lines)
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:
@@ -265,3 +279,37 @@ def test_the_preflight_names_the_keys_that_are_still_missing() -> None:
         "power (o), home (h), enable (e)"
     ), "automatic: the sequence begins with power"
     assert advice("homed", True).endswith(": enable (e)"), "o would switch the power off"
+
+
+@pytest.mark.parametrize(
+    ("found", "words", "event"),
+    [
+        ([("imi", "arm"), ("wam", "arm")], "Ctrl+O connects to imi, wam", "target imi answers"),
+        ([], "Ctrl+O starts a simulated machine", "F5 diagnoses a file"),
+    ],
+)
+async def test_an_empty_terminal_says_what_there_is_and_what_to_press(
+    tmp_path: Path, until: Until, found: list[tuple[str, str]], words: str, event: str
+) -> None:
+    app = ZendspApp(_nobody, folder=tmp_path, find_targets=lambda: found, frames=4.0)
+    async with app.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: app.session.snapshot.here is not None, "looked around")
+        line = app.screen.query_one(StatusBar).where(app.session.snapshot)
+        assert words in line.plain
+        assert any(event in e.text for e in app.session.events.since(0)[1])
+
+
+async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp) -> None:
+    chosen: list[object] = []
+    options = [Option(name, name, detail) for name, detail in (
+        ("Kp1", "N m/rad"), ("Kp2", "N m/rad"), ("tau 2", "N m"))]  # fmt: skip
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Curves", options), chosen.append)
+        await pilot.pause()
+        rows = app.screen.query_one(OptionList)
+        await pilot.press("k", "p")
+        assert [o.id for o in rows.options] == ["Kp1", "Kp2"]
+        await pilot.press("backspace", "backspace", "u", "space", "2")
+        assert [o.id for o in rows.options] == ["tau 2"]
+        await pilot.press("backspace", "backspace", "backspace", "k", "down", "enter")
+        assert chosen == [["Kp2"]]

@@ -24,6 +24,7 @@ from zendsp.tui.playing import Player, Setup, make_playlist, smooth_move
 from zendsp.tui.runs import SIMULATED, compare, discard_run, list_runs, rename_run, store_run
 from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView, simulation_of
+from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -326,17 +327,23 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
                 Recording.load(folder / "out" / f"run{suffix}")["e"], _recording(1.0)["e"]
             )
         (folder / "arm.toml").write_text('name = "arm"\n')
-        for key in ("S", "D"):
-            await pilot.press(key)
-            await pilot.pause()
-            assert isinstance(lab.screen, Form)
-            lab.screen.query_one(Input).value = str(folder / "arm.toml")
-            await pilot.pause()
-            await pilot.press("enter")
-            await pilot.pause()
-            assert isinstance(lab.screen, ProcessView)
-            await pilot.press("escape")
-            await pilot.pause()
+        await pilot.press("S")
+        await pilot.pause()
+        assert isinstance(lab.screen, Form)
+        lab.screen.query_one(Input).value = str(folder / "arm.toml")
+        await pilot.pause()
+        await pilot.press("enter")
+        await pilot.pause()
+        assert isinstance(lab.screen, ProcessView)
+        await pilot.press("escape")
+        await pilot.pause()
+        meant = screen.this_run()
+        assert meant is not None
+        await pilot.press("D")
+        await until(pilot, lambda: isinstance(lab.screen, DiagnoseScreen), "Diagnose is shown")
+        assert isinstance(lab.screen, DiagnoseScreen)
+        assert lab.screen.chosen("fit") == [str(meant.folder / "recording.mat")]
+        await _open(lab, pilot, until)
         await pilot.press("delete")
         await pilot.pause()
         await pilot.press("enter")

@@ -11,7 +11,9 @@ from textual.app import App, ComposeResult
 from textual.color import Color
 
 from zendsp.tui.colours import DARK, LIGHT
+from zendsp.tui.panels.values import show_value
 from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
+from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.ticks import duration, label, number, ticks
@@ -175,6 +177,9 @@ def test_numbers_on_axes_are_round_and_short() -> None:
         "—",
         "3.1416",
     )
+    assert number(-1.877e-322) == "0", "what a filter leaves that dies away"
+    assert show_value(np.array([-3070.0, 24113.0])) == "-3070 24113", "counts are whole"
+    assert show_value(np.array([0.12345, 5.9e-323])) == "0.123 0"
 
 
 def _contrast(a: str, b: str) -> float:
@@ -342,3 +347,24 @@ async def test_units_in_brackets_reach_the_screen() -> None:
         await pilot.pause()
         text = "\n".join(scope.render_line(r).text for r in range(scope.size.height))
         assert "q [rad]" in text and "[N m]" in text
+
+
+def test_the_statistics_between_the_cursors_are_those_of_the_samples() -> None:
+    t = np.linspace(0.0, 2.0, 2001)
+    wave = 3.0 + 2.0 * np.sin(2.0 * np.pi * 5.0 * t)
+    found = measure(t, wave, 1.5, 0.5)  # five whole periods, cursors the other way round
+    assert found.mean == pytest.approx(3.0, abs=2e-3)
+    assert found.deviation == pytest.approx(np.sqrt(2.0), rel=1e-3)
+    assert found.rms == pytest.approx(np.sqrt(9.0 + 2.0), rel=1e-3)
+    assert (found.low, found.high) == (pytest.approx(1.0), pytest.approx(5.0))
+    assert np.isnan(found.rise), "a wave is no step"
+    z, w = 0.3, 20.0
+    wd = w * np.sqrt(1.0 - z * z)
+    step = 1.0 - np.exp(-z * w * t) * (np.cos(wd * t) + z * w / wd * np.sin(wd * t))
+    found = measure(t, 5.0 - 4.0 * step, 0.0, 2.0)  # downwards
+    peak = np.exp(-np.pi * z / np.sqrt(1.0 - z * z))  # of a second-order system
+    assert found.overshoot == pytest.approx(peak, rel=0.01)
+    share = (t[np.argmax(step >= 0.9)] - t[np.argmax(step >= 0.1)])
+    assert found.rise == pytest.approx(share, abs=2e-3)
+    gap = np.where(t < 1.0, np.nan, 1.0)
+    assert measure(t, gap, 0.0, 2.0).mean == 1.0 and np.isnan(measure(t, gap, 0.0, 0.5).mean)

@@ -4,13 +4,15 @@ there.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 
 import pytest
-from textual.events import MouseDown
+from textual.events import Key, MouseDown
 from textual.pilot import Pilot
+from textual.widgets import Input
 
 from zendsp.tui import stopper
 from zendsp.tui.app import ZendspApp
@@ -101,8 +103,10 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
 
     lab.session.do = do  # type: ignore[method-assign, assignment]
 
+    seek = threading.Event()
+
     def slow() -> list[tuple[str, str]]:
-        time.sleep(0.5)
+        seek.wait(30.0)
         return [("one", "a target")]
 
     lab._find = slow
@@ -111,6 +115,7 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
         asked.clear()
         await pilot.press("ctrl+o", "b", "s", "o")
         assert not isinstance(lab.screen, Choose), "typed before the dialog was there"
+        seek.set()
         await until(
             pilot,
             lambda: isinstance(lab.screen, Choose) and lab.screen.opened and not lab._held,
@@ -119,3 +124,26 @@ async def test_what_is_typed_before_a_dialog_opens_is_no_command(
         assert not asked
         await pilot.press("escape", "b")
         await until(pilot, lambda: bool(asked), "a command once more")
+
+
+@pytest.mark.parametrize("opens", ["slash", "O"])
+async def test_what_a_fast_hand_types_after_a_key_that_opens_an_input_is_no_command(
+    lab: ZendspApp, until: Until, opens: str
+) -> None:
+    asked: list[str] = []
+
+    def do(label: str, job: object) -> Future[None]:
+        asked.append(label)
+        return Future()
+
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        lab.session.do = do  # type: ignore[method-assign, assignment]
+        for key in (opens, "p", "s", "d"):  # at once, as a terminal hands on one read
+            lab.post_message(Key(key, {"slash": "/"}.get(key, key)))
+        await until(
+            pilot,
+            lambda: [line.value for line in lab.screen.query(Input)] == ["psd"],
+            "the input has what was typed",
+        )
+        assert not asked

@@ -75,7 +75,7 @@ async def test_the_page_shows_the_screen_and_needs_no_other_computer(port: int) 
         async with session.ws_connect(url, headers={"Origin": base}) as socket_:
             seen = b""
             deadline = time.monotonic() + 60.0
-            while b"Reference works without a target" not in seen:
+            while b"Reference and Diagnose work without a target" not in seen:
                 assert time.monotonic() < deadline, seen[-500:]
                 message = await asyncio.wait_for(socket_.receive(), 60.0)
                 if message.type == aiohttp.WSMsgType.BINARY:

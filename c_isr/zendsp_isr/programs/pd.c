@@ -2,9 +2,18 @@
  *
  *     tau = Kp (r - q) + Kd (rd - qd)        rd, qd: differences of r and q through a first-order filter
  *
+ * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command, along the reference:
+ * a measured speed at rest would chatter, a reference knows its reversals.
+ *
  * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left smoothly from where the arm stands.
  */
 #include "isr.h"
+#if __has_include("compensation.c")
+#include "compensation.c"
+#else
+#define CompensationInit() ((void)0)
+#define Compensation(joint, pos, vel, acc, torque) 0.0
+#endif
 
 enum { N = 2, ROWS = 60000 }; /* reference of 60 s at 1 kHz */
 #define HALT 0.3              /* s that the reference takes to come to rest */
@@ -18,6 +27,7 @@ static table ref;
 
 static double q1, q2, qd1, qd2, r1, r2, e1, e2, tau1, tau2;
 static double q[N], e[N], tau[N];
+static double r[N], rd[N], rdd[N];
 
 static double rd1, rd2;
 static double start[N], last_q[N], last_r[N], t0;
@@ -26,6 +36,7 @@ static uint32_t seen;
 static bool tabled;
 
 void UserInit(void) {
+    CompensationInit();
     PARAMETER(Kp1, 2000.0, "N m/rad", 0.0, 20000.0, "proportional gain, joint 1");
     PARAMETER(Kd1, 120.0, "N m s/rad", 0.0, 1000.0, "derivative gain, joint 1");
     PARAMETER(Kp2, 300.0, "N m/rad", 0.0, 5000.0, "proportional gain, joint 2");
@@ -127,6 +138,18 @@ static void differentiate(void) {
     last_r[1] = r2;
 }
 
+static void compensate(void) {
+    const double now[N] = {rd1, rd2};
+    for (int32_t j = 0; j < N; j++) {
+        rdd[j] = (now[j] - rd[j]) / SAMPLE_PERIOD;
+        rd[j] = now[j];
+    }
+    r[0] = r1;
+    r[1] = r2;
+    tau1 += Compensation(0, r, rd, rdd, tau1);
+    tau2 += Compensation(1, r, rd, rdd, tau2);
+}
+
 void UserISR_INT2(void) {
     q1 = READ_POSITION(0);
     q2 = READ_POSITION(1);
@@ -138,6 +161,7 @@ void UserISR_INT2(void) {
     e2 = r2 - q2;
     tau1 = Kp1 * e1 + Kd1 * (rd1 - qd1);
     tau2 = Kp2 * e2 + Kd2 * (rd2 - qd2);
+    compensate();
     WRITE_TORQUE(0, tau1);
     WRITE_TORQUE(1, tau2);
     q[0] = q1;

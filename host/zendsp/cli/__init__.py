@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import importlib
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 try:
     import click
@@ -16,6 +16,9 @@ except ModuleNotFoundError:
         "zendsp: this is a bare target, without the packages of the host. It runs with 'python -m"
         " zendsp_target --help'; 'pip install zendsp' installs the rest"
     ) from None
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 from zendsp.errors import ZendspError
 from zendsp_protocol.texts import shown
@@ -55,7 +58,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "tui": (
         "zendsp.cli.tui:command",
-        "Console, Execute and Reference in the terminal, or in a browser.",
+        "Console, Execute, Reference and Diagnose in the terminal, or a browser.",
     ),
     "rehearse": (
         "zendsp.cli.rehearse:command",
@@ -75,6 +78,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "zendsp.cli.diagnose:command",
         "Find the physics that a model left out of real recordings.",
     ),
+    "shell": ("zendsp.cli.shell:command", "Type commands over one link; Tab completes."),
+    "completion": ("zendsp.cli.completion:command", "Let bash, zsh or fish complete commands."),
     "keys": ("zendsp.cli.keys:command", "Make a lab's certificates, and say who may do what."),
     "prove": (
         "zendsp.cli.prove:command",
@@ -95,6 +100,15 @@ class LazyGroup(click.Group):
         module, attribute = COMMANDS[cmd_name][0].split(":")
         command: Any = getattr(importlib.import_module(module), attribute)
         return command if isinstance(command, click.Command) else None
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Commands by the table above; click would import each for its help."""
+        names = [name for name in COMMANDS if name.startswith(incomplete)]
+        if names:
+            from click.shell_completion import CompletionItem
+
+            return [CompletionItem(name, help=COMMANDS[name][1]) for name in names]
+        return click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

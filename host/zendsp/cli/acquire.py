@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from zendsp.cli.common import emit, open_target, progress, target_options
+from zendsp.cli.completing import variables
+
+if TYPE_CHECKING:
+    from zendsp.link import Target
+    from zendsp.recording import Recording
 
 PICTURES = (".png", ".svg", ".pdf")
+STOPPING_S = 5.0  # for the loop to end a recording that is interrupted
 
 
 @click.command("acquire")
-@click.argument("channels", nargs=-1, required=True)
+@click.argument("channels", nargs=-1, required=True, shell_complete=variables)
 @click.option("-s", "--seconds", type=float, required=True, help="How long, in the target's time.")
 @click.option(
     "-o",
@@ -60,8 +68,9 @@ def command(
 ) -> None:
     """Record CHANNELS (variables, elements, built-in signals) and save them with all circumstances.
 
-    Exit status 1 where the program stopped or crashed before the end; what was recorded until then
-    is saved all the same.
+    Exit status 1 where the program stopped or crashed before the end, 130 after Ctrl-C; what was
+    recorded until then is saved all the same. Where it cannot be written there, it is written to
+    the folder for temporary files, and exit status 1.
 
     Example:  zendsp acquire q tau -s 2 -o run.mat
     """
@@ -95,11 +104,17 @@ def command(
                 recording = t.acquire_load(note or ended)
             except AcquisitionError:  # nothing was recorded
                 raise error from None
-    recording.save(out)
+        except KeyboardInterrupt as error:
+            ended = "interrupted"
+            try:
+                recording = _until_now(t, note, pause=start)
+            except AcquisitionError:
+                raise error from None
+    written = save_somewhere(recording, out)
     if plot is not None:
         recording.plot(path=plot)
     body = {
-        "file": str(out),
+        "file": str(written),
         "rows": len(recording),
         "columns": recording.columns,
         "lost": recording.lost,
@@ -108,9 +123,49 @@ def command(
     emit(
         body,
         as_json,
-        f"{len(recording)} rows of {len(recording.columns)} signals to {out}, {recording.lost}"
-        " lost",
+        f"{len(recording)} rows of {len(recording.columns)} signals to {written},"
+        f" {recording.lost} lost",
     )
+    if ended == "interrupted":
+        raise KeyboardInterrupt
     if ended:
         click.echo(f"zendsp: {ended}", err=True)
         raise click.exceptions.Exit(1)
+    if written != out:
+        raise click.exceptions.Exit(1)
+
+
+def _until_now(target: Target, note: str, *, pause: bool) -> Recording:
+    """End the acquisition and bring home what there is; pause what was started with it."""
+    target.acquire_stop()
+    if pause:
+        target.pause()
+    return target.acquire_finish(STOPPING_S, note)
+
+
+def save_somewhere(recording: Recording, out: Path) -> Path:
+    """Save a recording, which cannot be made again, elsewhere where it cannot be saved there; that
+    is said on standard error.
+
+    Parameters
+    ----------
+    recording : Recording
+    out : path
+
+    Returns
+    -------
+    path
+        Where it is.
+    """
+    from zendsp.errors import RecordingError
+
+    try:
+        return recording.save(out)
+    except RecordingError as error:
+        try:
+            elsewhere = recording.save(Path(tempfile.mkdtemp(prefix="zendsp-")) / out.name)
+        except (RecordingError, OSError):
+            raise error from None
+        click.echo(f"zendsp: {error}; it is in {elsewhere} instead", err=True)
+        return elsewhere
+

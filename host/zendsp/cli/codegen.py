@@ -29,7 +29,7 @@ def command(model: Path, out: Path | None, effects_only: bool, sign_speed: float
     Include the file in a control program after isr.h and call ModelInit() in UserInit: every number
     is then a parameter that can be changed while the program runs.
 
-    Example:  zendsp model2c examples/models/imi_planar.toml --out model.c
+    Example:  zendsp model2c imi_planar.toml --out model.c
     """
     from zendsp.physics import compensation, load_model, model_code
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 import msgspec
 
+from zendsp.cli import completing
 from zendsp_protocol.texts import shown
 from zendsp_protocol.values import Packed, from_wire
 
@@ -35,6 +36,7 @@ def target_options(function: F) -> F:
             default="",
             envvar="ZENDSP_TARGET",
             metavar="NAME",
+            shell_complete=completing.targets,
             help="Which target (else $ZENDSP_TARGET, or the only one on this machine).",
         ),
     )
@@ -46,8 +48,12 @@ def target_options(function: F) -> F:
 @contextmanager
 def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
     """Connect to the target that the options name, and at the end say on standard error if it is
-    tripped or its program crashed.
+    tripped or its program crashed. In ``zendsp shell`` its one link is taken.
     """
+    held = _held(name, endpoint)
+    if held is not None:
+        yield held
+        return
     from zendsp.errors import ZendspError
     from zendsp.link import connect
     from zendsp.link.programs import trouble
@@ -61,6 +67,13 @@ def open_target(name: str, endpoint: str | None) -> Iterator[Target]:
                 with suppress(ZendspError):
                     if said := trouble(target.status()):
                         click.echo(f"zendsp: {target.name}: {said}", err=True)
+
+
+def _held(name: str, endpoint: str | None) -> Target | None:
+    """The target of the shell that the command was typed in, if it is the one that is meant."""
+    context = click.get_current_context(silent=True)
+    held: Target | None = context.find_root().obj if context is not None else None
+    return held if held is not None and name in ("", held.name) and not endpoint else None
 
 
 def emit(value: Any, as_json: bool, text: Callable[[], str] | str = "") -> None:

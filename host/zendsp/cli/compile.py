@@ -8,10 +8,11 @@ from typing import Any
 import click
 
 from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.completing import programs
 
 
 @click.command("compile")
-@click.argument("file")
+@click.argument("file", shell_complete=programs)
 @click.option(
     "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
 )

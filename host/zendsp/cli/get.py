@@ -5,10 +5,11 @@ from __future__ import annotations
 import click
 
 from zendsp.cli.common import emit, open_target, plain, show, target_options
+from zendsp.cli.completing import variables
 
 
 @click.command("get")
-@click.argument("names", nargs=-1)
+@click.argument("names", nargs=-1, shell_complete=variables)
 @target_options
 def command(names: tuple[str, ...], target: str, connect: str | None, as_json: bool) -> None:
     """Read variables, all from one sample; without NAMES, all of them.

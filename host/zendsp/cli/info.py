@@ -34,7 +34,8 @@ def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> st
         described = f"{status.machine} (joints and variables are known when a program is loaded)"
     else:
         joints = ", ".join(f"{j.name} ({j.unit})" for j in machine.joints)
-        described = f"{machine.name}: {machine.text}; {joints}"
+        what = f"{machine.name}: {machine.text}" if machine.text else machine.name
+        described = f"{what.removesuffix('.')}; {joints}"
     lines = [
         (
             f"target     {info.name} on {info.hostname}, process {info.pid}, zendsp"

@@ -6,10 +6,11 @@ import click
 
 from zendsp.cli.common import emit, open_target, target_options
 from zendsp.cli.compile import compiled
+from zendsp.cli.completing import programs
 
 
 @click.command("load")
-@click.argument("file")
+@click.argument("file", shell_complete=programs)
 @click.option(
     "--flag", "flags", multiple=True, help="Further flag for the compiler; may be repeated."
 )

@@ -28,7 +28,7 @@ def data_folder(given: Path | None) -> Path:
     if not named:
         raise click.UsageError(
             "real recordings are needed: give --data FOLDER or set ZENDSP_DATA to the folder that"
-            " holds emps/, single_pendulum/, tx40/"
+            " holds emps/, single_pendulum/, tx40/, kuka_kr300/"
         )
     return Path(named)
 

@@ -6,10 +6,11 @@ import click
 
 from zendsp.cli.common import emit, open_target, parse_assignments, progress, target_options
 from zendsp.cli.compile import compiled
+from zendsp.cli.completing import programs
 
 
 @click.command("run")
-@click.argument("file", required=False)
+@click.argument("file", required=False, shell_complete=programs)
 @click.option(
     "--set",
     "assignments",

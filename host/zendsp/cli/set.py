@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import click
 
+from zendsp.cli import completing
 from zendsp.cli.common import emit, open_target, parse_assignments, target_options
 
 
 @click.command("set")
-@click.argument("assignments", nargs=-1, required=True, metavar="NAME=VALUE...")
+@click.argument(
+    "assignments",
+    nargs=-1,
+    required=True,
+    metavar="NAME=VALUE...",
+    shell_complete=completing.assignments,
+)
 @click.option(
     "--no-wait", is_flag=True, help="Do not wait for the sample at which they take effect."
 )

@@ -89,7 +89,7 @@ def command(
     In fast time and deterministic; the recording has the form of an acquisition. Exit status 1
     where the code does not compile.
 
-    Example:  zendsp simulate inverse_dynamics.c --model examples/models/imi_planar.toml --reference
+    Example:  zendsp simulate inverse_dynamics.c --model imi_planar.toml --reference
     circle.mat --out circle_sim.mat
     """
     import numpy as np

@@ -1,4 +1,4 @@
-"""``zendsp tui``: Console, Execute and Reference in the terminal, or in a browser on loopback."""
+"""``zendsp tui``: Console, Execute, Reference and Diagnose in the terminal, or in a browser."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from zendsp.errors import LinkError
 )
 @click.option(
     "--screen",
-    type=click.Choice(["console", "execute", "reference"]),
+    type=click.Choice(["console", "execute", "reference", "diagnose"]),
     default="console",
     show_default=True,
     help="Screen to begin with.",
@@ -82,7 +82,8 @@ def command(
     port: int,
     screenshots: Path | None,
 ) -> None:
-    """Tune, drive and watch a machine: IMIConsole, IMIExecute and IMIReference in the terminal.
+    """Tune, drive, watch and diagnose a machine: IMIConsole, IMIExecute, IMIReference and the
+    diagnosis in the terminal.
 
     TARGET is the name of a running target; without it, Ctrl+O chooses one. F9 is STOP, everywhere.
 

@@ -8,10 +8,11 @@ import time
 import click
 
 from zendsp.cli.common import emit, open_target, show, target_options
+from zendsp.cli.completing import variables
 
 
 @click.command("watch")
-@click.argument("channels", nargs=-1, required=True)
+@click.argument("channels", nargs=-1, required=True, shell_complete=variables)
 @click.option(
     "--interval",
     type=click.FloatRange(min=0.001),
@@ -54,7 +55,10 @@ def command(
             if not newest:
                 newest = _first(view)
                 due = time.monotonic() + interval  # from the first rows on
-            line = "  ".join(f"{name} {show(value):>10}" for name, value in newest.items())
+            line = "  ".join(
+                f"{name} {show(value):>10} {unit}".rstrip()
+                for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=True)
+            )
             if rewrite:
                 click.echo(f"\r\x1b[K{line}", nl=False)
             else:

@@ -110,8 +110,8 @@ def _record(
     train.save(out / "train.mat")
     heldout.save(out / "heldout.mat")
     narrator.say(
-        f"recorded {len(train)} samples of {motion.duration:.1f} s, and {len(heldout)} of another"
-        f" motion, held out; {train.lost + heldout.lost} lost"
+        f"recorded {len(train)} samples, a motion of {motion.duration:.1f} s and the rest after it;"
+        f" and {len(heldout)} of another, held out; {train.lost + heldout.lost} lost"
     )
     narrator.chapter("2  The loop hides it")
     with narrator.step("simulating the same run with the nominal model"):
@@ -173,9 +173,8 @@ def _say_findings(d: Diagnosis, narrator: Narrator) -> None:
     told_of = d.findings[0].joint if d.findings else 0
     for region in [r for r in d.regions if told_of in (0, r.joint)][:1]:
         narrator.say(
-            f"where: joint {region.joint}, {region.variable} {region.interval[0]:.3g} …"
-            f" {region.interval[1]:.3g}: {100 * region.share:.0f} % of the mismatch in"
-            f" {100 * region.time_share:.0f} % of the time"
+            f"where: joint {region.joint}, {region}: {100 * region.share:.0f} % of the mismatch"
+            f" in {100 * region.time_share:.0f} % of the time"
         )
     for f in d.findings:
         narrator.say(f"what: {f.sentence} (confidence {100 * f.confidence:.0f} %)")

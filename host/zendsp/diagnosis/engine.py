@@ -34,6 +34,8 @@ from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
+from zendsp.diagnosis.decide.torque_sensor import sided
+from zendsp.diagnosis.decide.transmission import by_one_sensor, measured_transmissions, said
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
@@ -149,12 +151,15 @@ def _diagnose(
     notes += check_excitation(fit)
     tell("calibrating the given model")
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
-    beneath, bare = bodies.model, parts
+    measured = measured_transmissions(parts, bodies.model, jobs)
+    known = tuple(t for m in measured for t in m.terms)
+    notes += [note for m in measured for note in m.notes]
+    beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     parts = _with_bodies(bare, beneath)
     searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
-        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims)))
+        beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
         parts = _with_bodies(bare, beneath)
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
     tell("looking for what passes fast")
@@ -180,6 +185,8 @@ def _diagnose(
     findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
     rejected = (*rejected_bodies(bodies, claims), *rejected)
     findings += tuple(ripple.finding for ripple in fine)
+    findings += tuple(finding for m in measured for finding in m.findings)
+    findings = sided(findings, parts, bodies.model)
     kinds = {d.kind for d in decisions}
     verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
     improved = whole.improved if findings else whole.calibrated
@@ -190,6 +197,9 @@ def _diagnose(
     proposal = propose(fit_signals, given, whole, searches, findings, decisions, seed)
     tell("asking what could have been seen")
     seen = detectable(parts, given, decisions, jobs)
+    alone = by_one_sensor(parts, bodies.model, decisions)
+    seen += (*(d for m in measured for d in m.detectable), *alone)
+    notes += said(alone)
     return Diagnosis(
         verdict=verdict,
         findings=findings,

@@ -9,6 +9,7 @@ from typing import Any
 
 from zendsp.diagnosis.measure.where import Missing, Region
 from zendsp.physics.model import Model
+from zendsp_protocol.views import html_table, sentence
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ class Next:
     separates: tuple[str, ...] = ()
 
 
-@dataclass
+@dataclass(repr=False)
 class Diagnosis:
     """The outcome. ``verdict``: "complete", "missing" or "unexplained"."""
 
@@ -188,6 +189,7 @@ class Diagnosis:
                         "joint": r.joint,
                         "variable": r.variable,
                         "interval": [r.interval[0], r.interval[1]],
+                        "unit": r.unit,
                         "share": round(r.share, 4),
                         "time_share": round(r.time_share, 4),
                     }
@@ -221,6 +223,38 @@ class Diagnosis:
             "seconds": round(self.seconds, 3),
         }
         return report
+
+    def __repr__(self) -> str:
+        found = ", ".join(
+            f"{f.effect} at joint {f.joint} ({100 * f.confidence:.0f} %)" for f in self.findings
+        )
+        return f"<Diagnosis {self.verdict}{f': {found}' if found else ''}; {self.seconds:.1f} s>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the findings as sentences, their numbers, and the fit."""
+        said = "".join(
+            sentence(f"{f.sentence} (confidence {100 * f.confidence:.0f} %)") for f in self.findings
+        )
+        if self.unexplained:
+            said += sentence(self.unexplained)
+        rows = [
+            (f.effect, f.joint, name, f"{e.value:.4g} ± {e.std:.2g} {e.unit}".removesuffix(" 1"))
+            for f in self.findings
+            for name, e in f.parameters.items()
+        ]
+        numbers = html_table(("effect", "joint", "parameter", "value"), rows) if rows else ""
+        fit = html_table(
+            (f"RMS error [{self.unit}]", "given", "calibrated", "improved", "sensor"),
+            [
+                (name, *(f"{x:.3g}" for x in (t.given, t.calibrated, t.improved)),
+                 f"{self.noise_floor:.2g}")
+                for name, t in (
+                    ("recordings of the fit", self.estimation),
+                    ("untouched", self.test or self.heldout),
+                )
+            ],
+        )
+        return sentence(f"verdict: {self.verdict}") + said + numbers + fit
 
     def __str__(self) -> str:
         lines = [f"verdict: {self.verdict}"]

@@ -13,6 +13,7 @@ from typing import Any
 import tomli_w
 
 from zendsp.errors import RecordingError
+from zendsp_protocol.views import html_table, sentence
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Estimate:
         return f"{text} {self.unit}".rstrip()
 
 
-@dataclass
+@dataclass(repr=False)
 class Result:
     """One experiment's outcome.
 
@@ -64,6 +65,18 @@ class Result:
     recordings: list[str] = field(default_factory=list)
     figure: str = ""
     target: str = ""
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name} {e}" for name, e in list(self.values.items())[:3])
+        more = ", …" if len(self.values) > 3 else ""
+        return f"<Result {self.name} on {self.machine}: {values}{more}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: what was found, every value, and what to be careful about."""
+        said = "".join(sentence(text) for text in (self.title, *self.findings))
+        rows = [(name, str(e)) for name, e in (self.values | self.mechanism).items()]
+        careful = "".join(sentence(f"careful: {text}") for text in self.warnings)
+        return said + html_table(("", "value"), rows) + careful
 
     def text(self) -> str:
         """The result as TOML."""

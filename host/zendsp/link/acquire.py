@@ -106,8 +106,8 @@ class Recorder(Transfers):
         status: m.Status = self.request("status")
         if status.state != ProgramState.RUNNING and not start:
             raise Refused(
-                f"nothing to record: the program is {status.state}; start it first, or give"
-                " start=True"
+                f"nothing to record: the program is {status.state}; start it first, or with the"
+                " recording (--start, start=True)"
             )
         ring_s = self._configure_shot(
             channels, seconds, decimation, trigger, take, status.clock == "real"

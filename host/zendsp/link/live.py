@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from zendsp.errors import LinkError, ZendspError
-from zendsp.link.link import Listener
+from zendsp.link.link import Listener, background
 from zendsp.link.requests import Requests, Room
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.views import curves, sentence
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,6 +31,8 @@ else:
     np = Lazily("numpy")
 
 WAITING = 4096  # messages that may wait for the thread that takes them
+SHOWN = 600  # points of a curve in a notebook
+PICTURE_S = 0.2  # between pictures in a notebook
 BACKLOG = 256  # blocks that an iterator may lag behind before the oldest are dropped
 
 
@@ -189,6 +192,37 @@ class LiveView:
             return np.empty(0), np.empty((0, len(self.columns)))
         return np.concatenate(times)[-self._rows_kept :], np.concatenate(rows)[-self._rows_kept :]
 
+    def __repr__(self) -> str:
+        state = "closed" if self._closed else f"{self.received} rows, {self.lost} lost"
+        return f"<LiveView {', '.join(self.columns)}: {state}>"
+
+    def _repr_html_(self) -> str:
+        """The last ``history`` s as curves, a few hundred points of each."""
+        t, data = self.window()
+        step = max(1, len(t) // SHOWN)
+        names = [
+            f"{name} [{unit}]" if unit else name
+            for name, unit in zip(self.columns, self.units, strict=True)
+        ]
+        columns = [(name, data[::step, k].tolist()) for k, name in enumerate(names)]
+        return curves(t[::step].tolist(), columns) + sentence(repr(self))
+
+    def _ipython_display_(self) -> None:
+        """Draw it in a notebook, and go on drawing until it is closed."""
+        from IPython.display import display
+
+        def picture() -> dict[str, str]:
+            return {"text/html": self._repr_html_(), "text/plain": repr(self)}
+
+        shown = display(picture(), raw=True, display_id=True)  # type: ignore[no-untyped-call]
+
+        def draw() -> None:
+            while not self._closed:
+                time.sleep(PICTURE_S)
+                shown.update(picture(), raw=True)
+
+        background("live-picture", draw)
+
     def close(self) -> None:
         """End the subscription; the stream on the target ends with its last viewer."""
         if self._closed:
@@ -217,7 +251,7 @@ class LiveViews(Room):
 
     def live(
         self,
-        channels: Sequence[str],
+        *channels: str | Sequence[str],
         decimation: int = 1,
         interval: float = 0.001,
         history: float = 10.0,
@@ -227,8 +261,9 @@ class LiveViews(Room):
 
         Parameters
         ----------
-        channels : sequence of str
-            Variables, elements ``"q[0]"``, or built-in signals.
+        *channels : str, or sequence of str
+            Variables, elements ``"q[0]"``, or built-in signals. As the last expression of a
+            notebook's cell the view draws itself until it is closed.
         decimation : int
             Every how many samples a row is taken.
         interval : float, s
@@ -240,6 +275,6 @@ class LiveViews(Room):
             Called with each :class:`LiveBlock` in a thread of the view's own; a slow one loses
             rows.
         """
-        names = [channels] if isinstance(channels, str) else list(channels)
+        names = [n for c in channels for n in ([c] if isinstance(c, str) else c)]
         arguments = {"channels": names, "decimation": decimation, "interval": interval}
         return LiveView(self._requests, arguments, history, callback)

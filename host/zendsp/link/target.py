@@ -17,6 +17,7 @@ from zendsp.link.requests import Requests
 from zendsp.link.tables import Tables
 from zendsp.link.variables import Variables
 from zendsp_protocol import messages as m
+from zendsp_protocol.views import html_table, sentence
 
 _ROOMS = (
     "variables",
@@ -49,6 +50,14 @@ class _of(Generic[Given, Result]):
             return self._method
         bound: Callable[..., Result] = getattr(getattr(target, self._room), self._method.__name__)
         return bound
+
+
+def _short(value: Any) -> str:
+    """A value in a few digits; of an array, the first elements."""
+    items = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(items, list):
+        return " ".join(_short(item) for item in items[:4]) + (" …" if len(items) > 4 else "")
+    return f"{items:.6g}" if isinstance(items, float) else str(items)
 
 
 def _quoted(name: str) -> str:
@@ -260,6 +269,23 @@ class Target:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Names for ``target["<Tab>`` at a prompt."""
+        return [*self.variables(), *self.builtins()] if self.alive else []
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: how the target does, and the program's variables now."""
+        if not self.alive:
+            return sentence(repr(self))
+        status = self.status()
+        shown = sentence(repr(self)) + status._repr_html_()
+        infos = [v for v in self.variables().values() if v.kind != "table"]
+        if not infos or status.state in ("empty", "crashed"):
+            return shown
+        values = self.read([v.name for v in infos]).values
+        rows = [(v.name, _short(values[v.name]), v.unit, v.description) for v in infos]
+        return shown + html_table(("variable", "value", "unit", "description"), rows)
 
     def __repr__(self) -> str:
         state = "" if self.alive else ", not reachable"

@@ -68,30 +68,13 @@ def compensation(
     --------
     >>> from zendsp.physics.model import Quantity, Term
     >>> text = compensation([Term("coulomb", 1, {"level": Quantity(0.05)})])
-    >>> "comp_share * (comp_coulomb1_level * comp_sign(vel[0]))" in text
+    >>> "comp_now * (comp_coulomb1_level * comp_sign(vel[0]))" in text
     True
     """
-    whole = model or Model("found", None, "rotary", {}, terms=tuple(terms))
     if model is not None:
-        kinds = kinds or [model.joint_kind(j + 1) for j in range(model.joints)]
-        actuator, title = actuator or model.actuator, title or model.name
-    others = tuple(t for t in whole.terms if not any(t is chosen for chosen in terms))
-    made = lines(
-        kernel_terms(whole.with_terms((*terms, *others)))[: len(terms)],
-        "comp",
-        kinds=kinds,
-        actuator=actuator,
-    )
-    variables = [
-        Variable("comp_share", 1.0, "", "part of the compensation that is added, 0 to 1"),
-        Variable(
-            "comp_sign_speed",
-            sign_speed,
-            "rad/s",
-            "speed over which dry friction changes its sign; 0: at once",
-        ),
-        *(v for line in made for v in line.variables),
-    ]
+        title = title or model.name
+    made = _compensating(terms, kinds, actuator, model)
+    variables = [*_settings(sign_speed), *(v for line in made for v in line.variables)]
     defined, declared = declare(variables)
     notes = [f"   {text}" for text in sentences]
     notes += [
@@ -114,6 +97,71 @@ def compensation(
     )  # fmt: skip
 
 
+def compensation_values(terms: Sequence[Term], model: Model) -> dict[str, float]:
+    """The numbers of a compensation by the names that :func:`compensation` gives them.
+
+    A running program that was built with the same effects takes them by one synchronous update.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+    model : Model
+        The whole model that the terms are part of.
+
+    Returns
+    -------
+    dict of str to float
+
+    Examples
+    --------
+    >>> from zendsp.physics import parse_model
+    >>> bench = parse_model({"name": "bench", "mechanism": {"kind": "rotary",
+    ...     "parameters": {"inertia": 0.01}},
+    ...     "effect": [{"kind": "coulomb", "joint": 1, "level": 0.05}]})
+    >>> compensation_values(bench.terms, bench)
+    {'comp_coulomb1_level': 0.05}
+    """
+    made = _compensating(terms, (), None, model)
+    return {v.name: v.value for line in made for v in line.variables}
+
+
+# Settings of every compensation; all its other parameters are numbers of effects.
+SETTINGS = ("comp_share", "comp_fade", "comp_limit", "comp_sign_speed")
+
+
+def _settings(sign_speed: float) -> list[Variable]:
+    return [
+        Variable("comp_share", 1.0, "", "part of the compensation that is added", 0.0, 1.0),
+        Variable("comp_fade", 0.5, "s", "time in which it fades in or out", 0.0, 60.0),
+        Variable("comp_limit", 0.5, "", "most that is added, part of the torque limit", 0.0, 1.0),
+        Variable(
+            "comp_sign_speed",
+            sign_speed,
+            "rad/s",
+            "speed over which dry friction changes its sign; 0: at once",
+        ),
+    ]
+
+
+def _compensating(
+    terms: Sequence[Term],
+    kinds: Sequence[str],
+    actuator: Actuator | None,
+    model: Model | None,
+) -> list[Line]:
+    whole = model or Model("found", None, "rotary", {}, terms=tuple(terms))
+    if model is not None:
+        kinds = kinds or [model.joint_kind(j + 1) for j in range(model.joints)]
+        actuator = actuator or model.actuator
+    others = tuple(t for t in whole.terms if not any(t is chosen for chosen in terms))
+    return lines(
+        kernel_terms(whole.with_terms((*terms, *others)))[: len(terms)],
+        "comp",
+        kinds=kinds,
+        actuator=actuator,
+    )
+
+
 _COMPENSATION = """{about}
  *
  *     #include "isr.h"
@@ -125,21 +173,37 @@ _COMPENSATION = """{about}
 
 {defined}
 
+static double comp_now;    /* share that acts: follows comp_share within comp_fade seconds */
+static uint64_t comp_tick; /* sample in which it was last moved */
+
 {sign}
 
 static inline void CompensationInit(void) {{
 {declared}
 }}
 
+/* Once a sample: the share moves towards comp_share. In a program's first sample it is there. */
+static inline void comp_step(void) {{
+    if (FIRST_SAMPLE)
+        comp_now = comp_share;
+    if (comp_tick != SAMPLE_TICK) {{
+        const double most = comp_fade > 0.0 ? SAMPLE_PERIOD / comp_fade : 1.0;
+        comp_now += fmax(-most, fmin(most, comp_share - comp_now));
+        comp_tick = SAMPLE_TICK;
+    }}
+}}
+
 /* Torque to add to the command `torque` of a joint (from 0); position, speed and acceleration of all joints, SI units. */
 static inline double Compensation(int32_t joint, const double *pos, const double *vel, const double *acc, double torque) {{
     double wanted = torque;
     (void)pos, (void)vel, (void)acc;
+    comp_step();
     switch (joint) {{
 {cases}    default:
         break;
     }}
-{inverse}    return wanted - torque;
+{inverse}    const double most = TORQUE_MAX(joint) > 0.0 ? comp_limit * TORQUE_MAX(joint) : INFINITY;
+    return fmax(-most, fmin(most, wanted - torque));
 }}
 """  # noqa: E501
 
@@ -158,14 +222,14 @@ def _cases(made: Sequence[Line]) -> str:
         out += f"    case {joint}:\n"
         for line in made:
             if line.joint == joint and not line.inverse:
-                out += f"        wanted += comp_share * ({line.expression}); /* {line.comment} */\n"
+                out += f"        wanted += comp_now * ({line.expression}); /* {line.comment} */\n"
         out += "        break;\n"
     return out
 
 
 def _inverse(made: Sequence[Line]) -> str:
     return "".join(
-        f"    if (joint == {line.joint})\n        wanted += comp_share * ({line.expression} -"
+        f"    if (joint == {line.joint})\n        wanted += comp_now * ({line.expression} -"
         f" wanted); /* {line.comment} */\n"
         for line in made
         if line.inverse

@@ -4,6 +4,7 @@ declared variables.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +32,8 @@ class Variable:
     value: float
     unit: str
     text: str
+    low: float = -math.inf
+    high: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,10 @@ def _line(term: Term, label: str, prefix: str, kinds: Sequence[str], actuator: A
     return Line(j, body.replace("sgn(", f"{sign}("), inverse, tuple(variables), comment)
 
 
+def _bound(value: float, none: str) -> str:
+    return number(value) if math.isfinite(value) else none
+
+
 def declare(variables: Sequence[Variable]) -> tuple[str, str]:
     """Definitions of the variables, and their PARAMETER lines for UserInit.
 
@@ -210,7 +217,8 @@ def declare(variables: Sequence[Variable]) -> tuple[str, str]:
     """
     defined = "\n".join(f"static double {v.name};" for v in variables)
     declared = "\n".join(
-        f'    PARAMETER({v.name}, {number(v.value)}, "{v.unit}", NO_MIN, NO_MAX, "{v.text}");'
+        f'    PARAMETER({v.name}, {number(v.value)}, "{v.unit}", {_bound(v.low, "NO_MIN")},'
+        f' {_bound(v.high, "NO_MAX")}, "{v.text}");'
         for v in variables
     )
     return defined, declared

@@ -23,6 +23,7 @@ WINDOW_S = 0.05  # over which position is smoothed for a first idea of speed and
 EXPLAINS = 0.3  # share of the command's variance: below that no first idea is given
 MATTERS = 0.02  # share that gravity must add
 SATURATED = 20  # samples at the largest command: it was cut off there
+WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
 LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
 # of several columns that could be the command
 PREFERRED = ("tau", "torque", "effort", "force", "u")
@@ -117,6 +118,10 @@ def draft_model(table: Table, name: str = "") -> Draft:
     )
     for note in table.notes:
         page.line(comment=note)
+    for group in (position, command):
+        bad = 0 if group is None else int(np.sum(~np.isfinite(group.values)))
+        if group is not None and bad:
+            page.line(ask=f"{group.names[0]} has {bad} values that are no finite numbers: why?")
     page.line(
         "name ="
         f" {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}"
@@ -220,6 +225,23 @@ def _sample_time(page: _Page, clock: Group | None) -> float:
     return shown
 
 
+def _like_degrees(position: Group) -> bool:
+    """Whether one turn is a whole number of steps where it has 360 units, and none where it has
+    2 pi.
+    """
+
+    def whole(turn: float) -> bool:
+        return abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4)
+
+    steps = [find_resolution(_finite(column)) for column in position.values.T]
+    return all(s and whole(360.0 / s) and not whole(2 * np.pi / s) for s in steps)
+
+
+def _finite(column: Array) -> Array:
+    kept: Array = column[np.isfinite(column)]
+    return kept
+
+
 def _mechanism(
     page: _Page, position: Group, command: Group | None, step: float, linear: bool
 ) -> None:
@@ -231,6 +253,11 @@ def _mechanism(
         if position.unit in ("rad", "m")
         else f"{position.names[0]} has no unit: does it turn (rad) or slide (m)?"
     )
+    if ask and _like_degrees(position):
+        ask = (
+            f"{position.names[0]} has no unit and looks like degrees: write '{position.names[0]}"
+            " [deg]' in its head, and begin anew"
+        )
     page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, ask)
     if joints > 1:
         page.line(
@@ -379,13 +406,13 @@ def _actuator(page: _Page, command: Group | None, step: float, joints: int) -> N
 def _sensor(page: _Page, position: Group, linear: bool) -> None:
     page.line()
     page.line("[sensor]")
-    steps = [find_resolution(position.values[:, j]) for j in range(position.values.shape[1])]
+    steps = [find_resolution(_finite(column)) for column in position.values.T]
     unit = "m" if linear else "rad"
     if all(steps):
         said = f"{unit} per count, as the numbers are spaced"
         turns = [2 * np.pi / s for s in steps]
         if not linear and all(
-            abs(turn - round(turn)) < 0.02 * max(1.0, turn / 1e4) for turn in turns
+            abs(turn - round(turn)) < WHOLE * max(1.0, turn / 1e4) for turn in turns
         ):
             said += (
                 f": {', '.join(str(round(turn)) for turn in dict.fromkeys(turns))} counts a turn"

@@ -33,6 +33,8 @@ ENDLESS = 1e30  # a variance that says nothing
 NEAR = 0.02  # of a bound, and a number counts as lying at it
 # rad: no position sensor's zero is set better; prior standard deviation 0.3 of it
 ZERO_ERROR = 2e-3
+# s between the samples of a first look: sixteen a radian at the fastest observer that is tried
+FIRST_LOOK = 4e-3
 
 
 @dataclass(frozen=True)
@@ -178,6 +180,16 @@ class Data:
     def joints(self) -> int:
         """Number of joints."""
         return len(self.records[0])
+
+    def thinned(self) -> Data:
+        """The same recordings with samples as rare as a first look at a hypothesis needs them."""
+        return replace(
+            self,
+            records=tuple(
+                tuple(r.thinned(int(FIRST_LOOK / r.sample_time + 1e-6)) for r in rec)
+                for rec in self.records
+            ),
+        )
 
     def at_bandwidth(self, joint: int, value: float) -> Data:
         """The same recordings with another observer on one joint (1-based)."""
@@ -361,30 +373,36 @@ def fit(
             known = [prior[prior > 0] * (at - centre)[prior > 0] for at in points]
             return np.concatenate([columns, np.stack(known, axis=1)])
 
-        def jacobian(at: Array, base: Array) -> Array:
+        def jacobian(at: Array, base: Array | None = None) -> tuple[Array, Array]:
+            """Residual and Jacobian at a point; without ``base``, its residual, one pass of the
+            kernel takes the point beside its neighbours.
+            """
             step = coarse * np.maximum(np.abs(at), size)
             step = np.where(at + step > high, -step, step)
-            points = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
+            ahead = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
             back = (
                 [np.clip(at - step[i] * np.eye(len(at))[i], low, high) for i in range(len(at))]
                 if central
                 else []
             )
-            if not points:
-                return np.zeros((len(base), 0))
-            columns = evaluate([*points, *back])
+            here = [at] if base is None else []
+            points = [*here, *ahead, *back]
+            columns = evaluate(points) if points else np.zeros((0, 0))
+            if base is None:
+                base, columns = columns[:, 0].copy(), columns[:, 1:]
+            if not ahead:
+                return base, np.zeros((len(base), 0))
             behind = columns[:, len(at) :] if central else base[:, None]
             widths = np.array(
                 [
                     (p - q)[i]
-                    for i, (p, q) in enumerate(zip(points, back or [at] * len(at), strict=True))
+                    for i, (p, q) in enumerate(zip(ahead, back or [at] * len(at), strict=True))
                 ]
             )
-            return np.asarray((columns[:, : len(at)] - behind) / widths)
+            return base, np.asarray((columns[:, : len(at)] - behind) / widths)
 
-        r = evaluate([x])[:, 0]
-        cost, damping, done = float(r @ r), 1e-3, not len(handles)
-        jac, count = jacobian(x, r), 0
+        r, jac = jacobian(x)
+        cost, damping, done, count = float(r @ r), 1e-3, not len(handles), 0
         while not done and count < iterations:
             count += 1
             # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
@@ -408,7 +426,13 @@ def fit(
                         a = normal[np.ix_(use, use)] + value * np.diag(diagonal[use])
                         step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
                     trials.append(np.clip(x + step, low, high))
-                tried = zip(dampings, trials, np.ascontiguousarray(evaluate(trials).T), strict=True)
+                slope: Array | None = None
+                if len(trials) == 1 and not brief:  # most first steps are taken
+                    first, slope = jacobian(trials[0])
+                    rows = first[None]
+                else:
+                    rows = np.ascontiguousarray(evaluate(trials).T)
+                tried = zip(dampings, trials, rows, strict=True)
                 better = next((t for t in tried if float(t[2] @ t[2]) < cost), None)
                 if better:
                     break
@@ -419,8 +443,10 @@ def fit(
             damping, x, r = better
             cost, damping = float(r @ r), max(damping / 8, 1e-9)
             done = (before - cost) / max(before, 1e-300) < tolerance
-            if not brief or not (done or count == iterations):
-                jac = jacobian(x, r)
+            if slope is not None:
+                jac = slope
+            elif not brief or not (done or count == iterations):
+                jac = jacobian(x, r)[1]
     covariance = robust_covariance(jac, r, block_count(data))
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)

@@ -18,7 +18,7 @@ from zendsp.physics.effects.base import Along, Facts, Scale
 from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.native import LANES, native
 from zendsp.physics.rigid import Basis
-from zendsp.physics.signals import Measurement, Motion
+from zendsp.physics.signals import Measurement, Motion, means, thin_measurement
 
 Array = npt.NDArray[np.float64]
 
@@ -50,9 +50,11 @@ class JointRecord:
     slides: bool = False  # a linear joint
     # optional ones by their role in [columns], (n,)
     columns: Mapping[str, Array] = field(default_factory=dict)
+    every: int = 1  # samples of the recording that one stands for, see ``thinned``
     _gains: dict[float, tuple[Array, Array, Array]] = field(default_factory=dict)
     _integral: Array | None = None
     _facts: Facts | None = None
+    _thinned: JointRecord | None = None
 
     @property
     def n(self) -> int:
@@ -84,6 +86,7 @@ class JointRecord:
         if key not in self._gains:
             lib, n = native(), self.n
             white = self.measurement.resolution**2 / 12 + self.measurement.noise**2
+            white /= self.every
             variance = self.measurement.variance
             reference = white if white > 0 else float(np.median(variance[variance > 0]))
             k1, k2, w = np.empty(n), np.empty(n), np.empty(n)
@@ -100,6 +103,48 @@ class JointRecord:
             self._gains[key] = (k1, k2, w)
         return self._gains[key]
 
+    def thinned(self, every: int) -> JointRecord:
+        """The record with one sample in place of so many, for a first look at a hypothesis.
+
+        A measurement is the weighted mean of what its samples say, brought to the time of the
+        first along the smoothed motion: no information of the sensor is lost. Commands and motion
+        are means over the time for which they are held.
+        """
+        if every < 2:
+            return self
+        if self._thinned is None or self._thinned.every != every:
+            facts(self)  # those of the whole recording hold
+            some = slice(0, self.n // every * every, every)
+            states = means(self.motion.states, every)
+            states[:, 0] = self.motion.states[:, 0]  # where a prediction begins
+            self._thinned = replace(
+                self,
+                sample_time=every * self.sample_time,
+                command=means(self.command, every),
+                measurement=thin_measurement(self.measurement, self.motion.states[0], every),
+                motion=replace(
+                    self.motion,
+                    states=states,
+                    variances=np.ascontiguousarray(self.motion.variances[:, some]),
+                ),
+                basis={
+                    key: Basis(means(b.inertia, every), means(b.bias, every))
+                    for key, b in self.basis.items()
+                },
+                others=means(self.others, every),
+                position=np.ascontiguousarray(self.position[some]),
+                columns={key: means(column, every) for key, column in self.columns.items()},
+                every=every,
+                _gains={},
+                _integral=None,
+                _thinned=None,
+            )
+        return self._thinned
+
+    def __getstate__(self) -> dict[str, Any]:
+        """To another process goes what the rest follows from."""
+        return {**self.__dict__, "_gains": {}, "_integral": None, "_thinned": None}
+
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
         """Inertia and known torque along the record for the mechanism parameters of a model, each
         (n,).
@@ -111,8 +156,8 @@ class JointRecord:
             bias += value * basis.bias
         if self.links is not None and (terms := body_terms(model)):
             change = self.links.change(terms, self.joint - 1)
-            inertia += change.inertia
-            bias += change.bias
+            inertia += means(change.inertia, self.every)
+            bias += means(change.bias, self.every)
         return np.maximum(inertia, 1e-9 * self.scale.inertia), bias
 
     def reference_inertia(self, model: Model, inertia: Array) -> float:
@@ -326,8 +371,13 @@ def run_many(
     """
     lib, n = native(), record.n
     places: dict[bytes, int] = {}
-    place = [places.setdefault(_numbers(record, model), len(places)) for model in models]
+    packed = [pack(model.at(record.joint)) for model in models]
+    place = [
+        places.setdefault(_numbers(record, model, table), len(places))
+        for model, (_, table) in zip(models, packed, strict=True)
+    ]
     unlike = [models[place.index(i)] for i in range(len(places))]
+    tables = [packed[place.index(i)] for i in range(len(places))]
     out = np.empty((n, len(unlike)))
     for begin in range(0, len(unlike), LANES):
         some = unlike[begin : begin + LANES]
@@ -337,7 +387,8 @@ def run_many(
         m = lib.ffi.new("zk_model[]", LANES)
         known: dict[tuple[float, ...], tuple[Array, Array]] = {}
         alive = [
-            _fill(m[i], record, model, bandwidth, inner, known) for i, model in enumerate(some)
+            _fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
+            for i, model in enumerate(some)
         ]
         for i in range(len(some), LANES):
             m[i] = m[0]  # idle
@@ -348,8 +399,8 @@ def run_many(
     return out if len(unlike) == len(models) else out[:, place]
 
 
-def _numbers(record: JointRecord, model: Model) -> bytes:
-    """All numbers of a model that one joint's prediction depends on."""
+def _numbers(record: JointRecord, model: Model, table: Array) -> bytes:
+    """All numbers of a model that one joint's prediction depends on; ``table``: of its effects."""
     j = record.joint
     numbers = [mechanism_value(model, key, j) for key in record.basis]
     numbers += [
@@ -359,7 +410,7 @@ def _numbers(record: JointRecord, model: Model) -> bytes:
     ]
     numbers += [model.actuator.delay, per_joint(model.sensor.offset, j, 0.0)]
     numbers += _body_numbers(model)
-    return pack(model.at(j))[1].tobytes() + np.array(numbers).tobytes()
+    return table.tobytes() + np.array(numbers).tobytes()
 
 
 def _body_numbers(model: Model) -> tuple[float, ...]:
@@ -374,13 +425,14 @@ def _fill(
     bandwidth: float,
     inner: int,
     known: dict[tuple[float, ...], tuple[Array, Array]] | None = None,
+    packed: tuple[npt.NDArray[np.int32], Array] | None = None,
 ) -> list[Any]:
     """Fill a zk_model; what it points to must outlive the call, and is returned. ``known``: inertia
-    and bias by mechanism values.
+    and bias by mechanism values; ``packed``: the joint's effects, where they are packed already.
     """
     lib, n = native(), record.n
     p, ffi = lib.doubles, lib.ffi
-    kinds, table = pack(model.at(record.joint))
+    kinds, table = packed or pack(model.at(record.joint))
     values = tuple(
         1.0 if key == "fixed" else mechanism_value(model, key, record.joint) for key in record.basis
     ) + _body_numbers(model)

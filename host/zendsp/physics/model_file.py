@@ -26,6 +26,7 @@ from zendsp.physics.model import (
     Term,
 )
 from zendsp.physics.robot import joint_kinds, stated
+from zendsp.physics.shipped import find_model
 from zendsp.spelling import unknown_keys
 
 OF_MJCF = ("joints", "take")
@@ -137,7 +138,7 @@ def load_model(path: str | Path) -> Model:
     Parameters
     ----------
     path : str or Path
-        A TOML file as in docs/diagnosis.md.
+        A TOML file as in docs/models.md, or the name of one that comes with zendsp.
 
     Returns
     -------
@@ -149,8 +150,9 @@ def load_model(path: str | Path) -> Model:
         Where the file cannot be read or a key is not what the contract says; the message names the
         key.
     """
+    path = find_model(path)
     try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: cannot be read: {error}") from error
     except tomllib.TOMLDecodeError as error:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from zendsp.errors import ModelError
+
 
 def model_folder() -> Path:
     """Folder of the given models: within the installed package, else ``examples/models`` of the
@@ -21,4 +23,34 @@ def model_folder() -> Path:
             return folder
     raise FileNotFoundError(
         f"no example models in {' or '.join(map(str, places))}: install zendsp again"
+    )
+
+
+def find_model(name: str | Path) -> Path:
+    """Return the path of a model file, or of the one of this name that comes with zendsp.
+
+    Parameters
+    ----------
+    name : path
+        A file, or the name of one that is shipped: ``imi_planar.toml``.
+
+    Raises
+    ------
+    ModelError
+        There is neither; the message lists what is shipped.
+
+    Examples
+    --------
+    >>> find_model("imi_planar.toml").is_file()
+    True
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    shipped = {each.name: each for each in sorted(model_folder().glob("*.toml"))}
+    if str(name) in shipped:
+        return shipped[str(name)]
+    raise ModelError(
+        f"{path}: cannot be read: no such file, and no shipped model; give the path of a model"
+        f" file, or one of {', '.join(shipped)}; 'zendsp model new' begins one"
     )

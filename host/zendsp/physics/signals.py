@@ -122,6 +122,50 @@ def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0)
     return Measurement(value, half, variance, resolution, noise)
 
 
+def means(series: Array, every: int) -> Array:
+    """Means over so many samples each, (..., n // every)."""
+    if every < 2:
+        return series
+    count = series.shape[-1] // every
+    groups = series[..., : count * every].reshape(*series.shape[:-1], count, every)
+    return np.ascontiguousarray(groups.mean(axis=-1))
+
+
+def thin_measurement(measurement: Measurement, q: Array, every: int) -> Measurement:
+    """One measurement in place of so many: their weighted mean, at the time of the first.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    q : ndarray, shape (n,)
+        The smoothed motion, along which each is brought to the time of the first.
+    every : int
+
+    Returns
+    -------
+    Measurement
+        Where none of them says more than an interval, the first as it stands.
+    """
+    count = len(q) // every
+    value, half, variance, path = (
+        a[: count * every].reshape(count, every)
+        for a in (measurement.value, measurement.half, measurement.variance, q)
+    )
+    says = (half == 0) & (variance > 0)
+    weight = np.where(says, 1.0 / np.where(says, variance, 1.0), 0.0)
+    total = weight.sum(axis=1)
+    any_says = total > 0
+    per = 1.0 / np.where(any_says, total, 1.0)
+    off = (weight * (value - path)).sum(axis=1) * per
+    return Measurement(
+        np.where(any_says, path[:, 0] + off, value[:, 0]),
+        np.where(any_says, 0.0, half[:, 0]),
+        np.where(any_says, per, variance[:, 0]),
+        measurement.resolution,
+        measurement.noise,
+    )
+
+
 def smooth(measurement: Measurement, sample_time: float, known_acceleration: Array) -> Motion:
     """The motion behind the measurements, given the acceleration that is already known.
 

@@ -101,8 +101,8 @@ def simulate(
     Examples
     --------
     >>> import zendsp
-    >>> rec = zendsp.simulate("pd.c", "examples/models/imi_planar.toml", seconds=2.0)  # doctest: +SKIP
-    """  # noqa: E501
+    >>> rec = zendsp.simulate("pd.c", "imi_planar.toml", seconds=2.0)  # doctest: +SKIP
+    """
     model = load_model(model) if not isinstance(model, Model) else model
     planned = load_reference(reference) if isinstance(reference, str | Path) else reference
     if planned is not None and planned.joints != joint_count(model):

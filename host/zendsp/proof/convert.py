@@ -36,6 +36,17 @@ FILES = {
         "tx40/curr_data.csv.gz": "f4592f4ba4db42f5d7625688986be25b575ca34d0504b27979ca6b0276bd3af9",
         "tx40/tx40.urdf": "8d678db7e0ff23f5004050cefe2bbda6ca7e00c1b0e707b05f792e7522900453",
     },
+    "kuka_kr300": {
+        "kuka_kr300/A.npz": (
+            "6245d546c58879c52dca4f90ed6fcfd0966acd7ef2dabb10dd91618f6c8112d9"
+        ),
+        "kuka_kr300/B.npz": (
+            "4ba8900d061fb59a01a19ab5438fa9dba6130bca391d9dc2693a9845675fe77f"
+        ),
+        "kuka_kr300/kr300.urdf": (
+            "df69b0751fd89dbe9cf5e5df82f16814934ea231cc7f90f0c69fc1c358a3d839"
+        ),
+    },
 }
 SOURCES = {
     "emps": "Janot, Gautier, Brunot 2019, nonlinearbenchmark.org (EMPS)",
@@ -45,6 +56,10 @@ SOURCES = {
     "tx40": (
         "github.com/thanhndv212/figaroh-examples, staubli_tx40 (Apache-2.0); compress the tables"
         " with gzip, take the visual and collision elements out of the URDF"
+    ),
+    "kuka_kr300": (
+        "github.com/JonasWeigand/Robot_Identification (MIT) at 9e403c07: per axis q_motor, q_link,"
+        " torque_joint and q_ref of the two recordings as arrays, the table of bodies as a URDF"
     ),
 }
 _EMPS = "https://drive.google.com/uc?export=download&id=1zwoXYa9-3f8NQ0ohzmjpF7UxbNgRTHkS"
@@ -158,6 +173,8 @@ def convert(machine: str, data: Path, out: Path) -> Recordings:
     if machine == "emps":  # its files are recordings already
         train, held = (data / name for name in FILES["emps"])
         return Recordings((train,), (held,))
+    if machine == "kuka_kr300":
+        return kuka(data, out)
     return pendulum(data, out) if machine == "single_pendulum" else tx40(data, out)
 
 
@@ -194,3 +211,17 @@ def tx40(data: Path, out: Path) -> Recordings:
     np.savez_compressed(path, t=np.arange(len(q)) * 1e-3, q_motor=q, tau_motor=tau)
     shutil.copyfile(urdf, out / "tx40.urdf")
     return Recordings((path,), ())
+
+
+def kuka(data: Path, out: Path) -> Recordings:
+    """Both recordings as they are, beside the URDF; the second encoders of axes 1 to 3 only."""
+    made = []
+    for name in ("A", "B"):
+        table = np.load(data / "kuka_kr300" / f"{name}.npz")
+        path = out / f"kuka_{name}.npz"
+        kept = {key: table[key] for key in ("t", "q_motor", "q_ref", "torque_joint")}
+        link = np.where(np.arange(6) < 3, table["q_link"], np.nan)
+        np.savez_compressed(path, **kept, q_link=link)
+        made.append(path)
+    shutil.copyfile(data / "kuka_kr300" / "kr300.urdf", out / "kr300.urdf")
+    return Recordings((made[0],), (made[1],))

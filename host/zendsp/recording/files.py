@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
@@ -58,7 +59,8 @@ def save(recording: Samples, path: Path) -> Path:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # nothing is there where the folder is none
+            temporary.unlink(missing_ok=True)
     return path
 
 

@@ -9,7 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from zendsp.recording.samples import Channel, ParameterChange, Samples
+from zendsp_protocol.views import curves, sentence
+
+SHOWN = 400  # blocks of rows whose lowest and highest values a notebook draws
 
 if TYPE_CHECKING:
     import pandas
@@ -64,6 +69,22 @@ class Recording(Samples):
     >>> rec["q"].shape, rec["q[1]"].shape, rec.columns
     ((100, 2), (100,), ('q[0]', 'q[1]', 'u'))
     """  # noqa: E501
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the first curves, with every spike, and a sentence."""
+        step = max(1, len(self) // SHOWN)
+        rows = len(self) // step * step
+        blocks = self.data[:rows].reshape(-1, step, self.data.shape[1])
+        ends = np.stack((blocks.min(axis=1), blocks.max(axis=1)), axis=1)  # of each block
+        shown = ends.reshape(-1, self.data.shape[1]) if step > 1 else self.data
+        t = np.repeat(self.t[:rows:step], 2) if step > 1 else self.t
+        names = [
+            f"{name} [{unit}]" if unit else name
+            for name, unit in zip(self.columns, self.column_units, strict=True)
+        ]
+        columns = [(name, shown[:, k].tolist()) for k, name in enumerate(names)]
+        note = sentence(self.note) if self.note else ""
+        return curves(t.tolist(), columns) + sentence(repr(self)[1:-1]) + note
 
     def save(self, path: str | Path) -> Path:
         """Write the recording; the suffix chooses: ``.mat`` (v5), ``.npz``, ``.parquet``, ``.csv``,

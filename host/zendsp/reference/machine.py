@@ -19,6 +19,7 @@ from zendsp.reference.core import Array, Reference
 from zendsp.reference.dynamics import Dynamics, make_dynamics
 from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
 from zendsp.spelling import unknown_keys
+from zendsp_protocol.views import html_table, sentence
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
 
@@ -62,6 +63,28 @@ class Machine:
     limits: Limits
     parameters: Mapping[str, Any]
     headroom: float = 1.0
+
+    def __repr__(self) -> str:
+        return f"<Machine {self.name}: {self.title}, {self.joints} joints>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the limits of each joint."""
+        own = self.limits
+        rows = [
+            (j + 1, f"{a:g} … {b:g}", f"{v:g}", f"{c:g}", f"{f:g}")
+            for j, (a, b, v, c, f) in enumerate(
+                zip(
+                    own.position_min,
+                    own.position_max,
+                    own.speed,
+                    own.acceleration,
+                    own.torque,
+                    strict=True,
+                )
+            )
+        ]
+        units = ("position [rad]", "speed [rad/s]", "acceleration [rad/s²]", "torque [N m]")
+        return sentence(repr(self)[1:-1]) + html_table(("joint", *units), rows)
 
     @property
     def allowed(self) -> Limits:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from textual.binding import Binding, BindingType
 
-SCREENS = ("console", "execute", "reference")
+SCREENS = ("console", "execute", "reference", "diagnose")
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,14 @@ def _table() -> tuple[Action, ...]:
             "f4",
             "Reference",
             "Plan a motion; needs no target.",
+            priority=True,
+        ),
+        A(
+            "app",
+            "show('diagnose')",
+            "f5",
+            "Diagnose",
+            "Find the physics that the model leaves out of what was recorded.",
             priority=True,
         ),
         A("app", "help", "f1,question_mark", "Help", "Show every key of this screen.", footer=True),
@@ -292,7 +300,7 @@ def _table() -> tuple[Action, ...]:
             "Simulate",
             "Simulate the last run, its source and its reference, with the model of the machine.",
         ),
-        A("console", "diagnose", "D", "Diagnose", "Look for missing physics in the last run."),
+        A("console", "diagnose", "D", "Diagnose", "Open the last run on Diagnose."),
         # -- execute
         # ------------------------------------------------------------------------------------------
         A(
@@ -368,7 +376,7 @@ def _table() -> tuple[Action, ...]:
             "Simulate",
             "Simulate this run with the model of the machine.",
         ),
-        A("execute", "diagnose", "D", "Diagnose", "Look for missing physics in this run."),
+        A("execute", "diagnose", "D", "Diagnose", "Open this run on Diagnose."),
         # -- reference
         # ------------------------------------------------------------------------------------------
         A("reference", "machine", "m", "Machine", "Choose the machine whose limits count."),
@@ -397,6 +405,48 @@ def _table() -> tuple[Action, ...]:
             "Open a saved reference, with its parameters where they are known.",
         ),
         A("reference", "execute", "x", "Execute", "Save and open it on Execute.", footer=True),
+        # -- diagnose
+        # ------------------------------------------------------------------------------------------
+        A(
+            "diagnose",
+            "start",
+            "s",
+            "Start",
+            "Compare the marked recordings with the model and name what it lacks.",
+            footer=True,
+        ),
+        A("diagnose", "cancel", "ctrl+c,escape", "Cancel", "End the diagnosis that runs."),
+        A("diagnose", "model", "m", "Model", "Choose the model file.", footer=True),
+        A(
+            "diagnose",
+            "use",
+            "space",
+            "Use",
+            "Use the marked recording for the fit, hold it out to judge on, or leave it out.",
+            footer=True,
+        ),
+        A("diagnose", "add", "a", "Add", "Add the recording of a file."),
+        A("diagnose", "report", "v", "Report", "Open the report in a browser."),
+        A(
+            "diagnose",
+            "compensate",
+            "c",
+            "Compensate",
+            "Fade the compensation of what was found in or out of the running program, or prepare"
+            " the program for it.",
+            footer=True,
+        ),
+        A(
+            "diagnose",
+            "next",
+            "n",
+            "Next motion",
+            "Open the proposed motion on Execute; its run is diagnosed together with the others.",
+            footer=True,
+        ),
+        A("diagnose", "save", "w", "Save model", "Save the improved model as a file."),
+        A("diagnose", "earlier", "o", "Open", "Open an earlier diagnosis.", footer=True),
+        A("diagnose", "compare", "d", "Compare", "Differences of this diagnosis and another."),
     )
 
 

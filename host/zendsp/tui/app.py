@@ -1,4 +1,4 @@
-"""The terminal application: three screens over one session, one table of actions."""
+"""The terminal application: four screens over one session, one table of actions."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from zendsp.tui.colours import THEMES
 from zendsp.tui.dialogs import Choose, Message, Option
 from zendsp.tui.dialogs.base import Dialog
 from zendsp.tui.port import Port
+from zendsp.tui.runs import Run
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.session import Session
 from zendsp.tui.stopper import with_stop
@@ -29,7 +30,7 @@ HELD_S = 5.0  # that keys wait for a dialog that is on its way
 
 
 class ZendspApp(App[None]):
-    """Console, Execute and Reference.
+    """Console, Execute, Reference and Diagnose.
 
     Parameters
     ----------
@@ -91,12 +92,14 @@ class ZendspApp(App[None]):
         self._expected = 0.0  # until when keys wait for a dialog
         self._held: list[events.Key] = []
         self._screens: dict[str, LabScreen] = {}
+        self._awaited: tuple[Path, Callable[[Run], None]] | None = None
 
     # -- life
     # ----------------------------------------------------------------------------------------------
 
     async def on_mount(self) -> None:
         from zendsp.tui.screens.console import ConsoleScreen
+        from zendsp.tui.screens.diagnose import DiagnoseScreen
         from zendsp.tui.screens.execute import ExecuteScreen
         from zendsp.tui.screens.reference import ReferenceScreen
 
@@ -104,7 +107,12 @@ class ZendspApp(App[None]):
             self.register_theme(theme)
         self.theme = self._theme_name
         self.session.start()
-        makers = {"console": ConsoleScreen, "execute": ExecuteScreen, "reference": ReferenceScreen}
+        makers = {
+            "console": ConsoleScreen,
+            "execute": ExecuteScreen,
+            "reference": ReferenceScreen,
+            "diagnose": DiagnoseScreen,
+        }
         for name, maker in makers.items():
             self.add_mode(name, lambda name=name,
                 maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
@@ -115,6 +123,8 @@ class ZendspApp(App[None]):
             self.session.connect(self._target)
         elif self._begin:
             self._connect([f"machine {self._begin}"])
+        elif self._find is not None:
+            self.run_worker(self._look_around, thread=True, group="discovery")
 
     def on_unmount(self) -> None:
         self.session.close()
@@ -149,6 +159,23 @@ class ZendspApp(App[None]):
         """Choose a target."""
         self.expect_dialog()
         self.run_worker(self._ask_target, thread=True, exclusive=True, group="discovery")
+
+    def _look_around(self) -> None:
+        """Say what there is to begin with."""
+        assert self._find is not None
+        try:
+            found = self._find()
+        except ZendspError as error:
+            self.session.events.add(f"discovery: {error}", "warning")
+            return
+        for name, text in found:
+            self.session.events.add(f"target {name} answers ({text}): Ctrl+O connects")
+        if not found:
+            self.session.events.add(
+                "no target answers: Ctrl+O starts a simulated machine, F4 plans a motion,"
+                " F5 diagnoses a file"
+            )
+        self.session.tell_found([name for name, _ in found])
 
     def _ask_target(self) -> None:
         try:
@@ -229,8 +256,8 @@ class ZendspApp(App[None]):
         )
 
     def expect_dialog(self) -> None:
-        """Hold back the keys from now on until a dialog is there to take them, for :data:`HELD_S`
-        at the most.
+        """Hold back the keys from now on until a dialog or an input line is there to take them,
+        for :data:`HELD_S` at the most.
         """
         self._expected = time.monotonic() + HELD_S
 
@@ -239,20 +266,23 @@ class ZendspApp(App[None]):
         self._expected = 0.0
         self._held.clear()
 
-    async def hand_over(self, dialog: Dialog[Any]) -> None:
-        """Hand the dialog what was typed before it was there; later keys wait in this task's queue
-        meanwhile.
+    async def hand_over(self, dialog: Dialog[Any] | None = None) -> None:
+        """Hand what was typed to the dialog, or to the input that has the focus now; later keys
+        wait in this task's queue meanwhile.
         """
         self._expected = 0.0
-        dialog.opened = True
+        if dialog is not None:
+            dialog.opened = True
         held, self._held = self._held, []
         for key in held:
             await super().on_event(key)
 
     async def on_event(self, event: events.Event) -> None:
-        """Keep keys for a dialog that is on its way."""
-        if isinstance(event, events.Key) and not event.is_forwarded and self._dialog_comes():
-            self._held.append(event)
+        """Keep keys for a dialog that is on its way: also those that no widget wanted and that
+        come back here as commands, since a terminal hands on many keys at once.
+        """
+        if isinstance(event, events.Key) and self._dialog_comes():
+            self._held.append(events.Key(event.key, event.character))
             return
         await super().on_event(event)
 
@@ -283,6 +313,28 @@ class ZendspApp(App[None]):
         """Open a planned reference on Execute."""
         self.chosen = (path,)
         self.call_later(self.action_show, "execute")
+
+    def diagnose(self, run: Run) -> None:
+        """Open a run on Diagnose."""
+        from zendsp.tui.screens.diagnose import DiagnoseScreen
+
+        screen = self._screens["diagnose"]
+        assert isinstance(screen, DiagnoseScreen)
+        screen.take_run(run)
+        self.call_later(self.action_show, "diagnose")
+
+    def await_run(self, reference: Path, then: Callable[[Run], None]) -> None:
+        """Do something with the next run of a reference, on Diagnose."""
+        self._awaited = (reference, then)
+
+    def run_made(self, run: Run) -> None:
+        """Somebody has perhaps waited for this run."""
+        if self._awaited is None or run.references != (self._awaited[0].name,):
+            return
+        (_, then), self._awaited = self._awaited, None
+        if run.outcome == "complete":
+            self.call_later(self.action_show, "diagnose")
+            self.call_later(then, run)
 
     def source_texts(self) -> dict[str, str]:
         """Return the source being worked on, by file name; empty where there is none."""

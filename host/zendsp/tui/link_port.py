@@ -137,7 +137,9 @@ class LinkPort:
         def take(block: LiveBlock) -> None:
             sink(block.tick + decimation * np.arange(len(block.t)), block.data, 1.0 / rate)
 
-        view = self.target.live(names, decimation, LIVE_INTERVAL_S, history=0.1, callback=take)
+        view = self.target.live(
+            names, decimation=decimation, interval=LIVE_INTERVAL_S, history=0.1, callback=take
+        )
         return view.close
 
     # -- program

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from zendsp.reference import Machine, Reference, forward_kinematics
 from zendsp.tui.scope import Channel, History, Scope
-from zendsp.tui.scope.path import Curve
+from zendsp.tui.scope.path import Axes, Curve
 
 Floats = npt.NDArray[np.float64]
 QUANTITIES = ("position", "velocity", "acceleration", "torque")
@@ -99,8 +99,8 @@ def peaks_of(
     return lines
 
 
-def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[str, str], bool]:
-    """Return the curves, the names of the axes and whether both have one scale: the tip's path,
+def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], Axes]:
+    """Return the curves, and how they are framed: the tip's path,
     else the phase plane.
     """
     if machine.kind == "planar2r":
@@ -115,7 +115,7 @@ def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[
             Curve("arm at start", arm, 7),
             Curve("path of the tip", tip, 1),
         ]
-        return curves, ("x [m]", "y [m]"), True
+        return curves, Axes()
     if machine.kind == "dh":
         return _spatial_path(machine, reference)
     step = max(reference.samples // 2000, 1)
@@ -125,7 +125,7 @@ def path_of(machine: Machine, reference: Reference) -> tuple[list[Curve], tuple[
         )
         for j in range(min(reference.joints, 8))
     ]
-    return curves, (f"q [{reference.unit}]", f"qd [{reference.unit}/s]"), False
+    return curves, Axes((f"q [{reference.unit}]", f"qd [{reference.unit}/s]"), equal=False)
 
 
 def joint_positions(machine: Machine, q: Floats) -> Floats:
@@ -164,7 +164,7 @@ def joint_positions(machine: Machine, q: Floats) -> Floats:
 
 def _spatial_path(
     machine: Machine, reference: Reference
-) -> tuple[list[Curve], tuple[str, str], bool]:
+) -> tuple[list[Curve], Axes]:
     """Path of the tip seen along the axis in which it moves least."""
     places = joint_positions(machine, np.asarray(reference.q)[:: max(reference.samples // 2000, 1)])
     tip = places[:, -1]
@@ -175,4 +175,4 @@ def _spatial_path(
         Curve("arm at start", places[0][:, [across, up]], 7),
         Curve("path of the tip", tip[:, [across, up]], 1),
     ]
-    return curves, (f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]"), True
+    return curves, Axes((f"{'xyz'[across]} [m]", f"{'xyz'[up]} [m]"))

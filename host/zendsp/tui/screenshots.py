@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from textual.pilot import Pilot
 
 from zendsp.reference import make_reference, save_reference
@@ -18,7 +19,7 @@ from zendsp.tui.link_port import open_port, start_machine
 from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp.tui.svg import portable
 
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0  # for a diagnosis on a busy machine
 
 
 async def _until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
@@ -129,6 +130,52 @@ async def _reference(folder: Path, work: Path) -> list[Path]:
     return made
 
 
+def _bench(work: Path) -> tuple[Path, Path]:
+    """A recording of a joint with friction and a ripple, and a model without."""
+    from zendsp.physics import model_text, parse_model, simulate_loop
+
+    known = {
+        "name": "bench",
+        "sample_time": 0.004,
+        "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}},
+        "sensor": {"position_resolution": 1e-5},
+        "columns": {"time": "t", "position": "q", "command": "u"},
+    }
+    real = {
+        **known,
+        "controller": {"kind": "pd", "kp": [4.0], "kd": [0.2], "cutoff": 40.0},
+        "columns": {**known["columns"], "reference": "r"},  # type: ignore[dict-item]
+        "effect": [
+            {"kind": "coulomb", "joint": 1, "level": 0.05},
+            {"kind": "ripple", "joint": 1, "order": 7.0, "amplitude": 0.03, "phase": 0.4},
+        ],
+    }
+    t = 0.004 * np.arange(3000)
+    motion = sum(0.4 * np.sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
+    made = simulate_loop(parse_model(real), np.asarray(motion)[:, None])
+    table = np.column_stack([made.t, made["q"], made["u"]])
+    run, model = work / "bench.csv", work / "bench.toml"
+    np.savetxt(run, table, delimiter=",", header="t,q,u", comments="")
+    model.write_text(model_text(parse_model(known)))
+    return run, model
+
+
+async def _diagnose(folder: Path, work: Path) -> list[Path]:
+    from zendsp.tui.screens.diagnose import DiagnoseScreen
+
+    run, model = _bench(work)
+    app = ZendspApp(open_port, folder=work, first="diagnose")
+    async with app.run_test(size=(160, 48)) as pilot:
+        screen = app.screen
+        assert isinstance(screen, DiagnoseScreen)
+        screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
+        screen.fill()
+        await pilot.press("s")
+        await _until(pilot, lambda: screen.shown is not None)
+        await pilot.pause(1.0)
+        return [_write(app, folder / "diagnose.svg")]
+
+
 def _write(app: ZendspApp, path: Path) -> Path:
     path.write_text(portable(app.export_screenshot(title=path.stem)))
     return path
@@ -155,6 +202,7 @@ def take_screenshots(folder: Path) -> list[Path]:
 
         async def everything() -> list[Path]:
             made = await _reference(folder, work)
+            made += await _diagnose(folder, work)
             made += await _console(folder, work, (160, 48), "console")
             made += await _console(folder, work, (80, 24), "console-80x24")
             return made + await _execute(folder, work)

@@ -104,6 +104,11 @@ class Session:
         self._ready_stopper(name)
         self._wake.set()
 
+    def tell_found(self, names: Sequence[str]) -> None:
+        """Show which targets answer, as long as none is connected."""
+        if self.snapshot.link == "none":
+            self.snapshot = replace(self.snapshot, here=tuple(names))
+
     def adopt(self, port: Port, name: str) -> None:
         """Talk to a target that is already open, for example one that was started here."""
         self._drop()

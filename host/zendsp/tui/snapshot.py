@@ -54,6 +54,7 @@ class Snapshot:
 
     link: str = "none"  # "none" | "connecting" | "up" | "lost"
     target: str = ""
+    here: tuple[str, ...] | None = None  # targets that answer while none is connected, once known
     machine: str = ""
     joints: int = 0
     # of the loop: "empty" | "loaded" | "running" | "paused" | "stopped" | "crashed"

@@ -56,7 +56,7 @@ def latency(seconds: float) -> str:
 
 
 class Tabs(Widget):
-    """The names of the three screens; a click opens one."""
+    """The names of the four screens; a click opens one."""
 
     DEFAULT_CSS = "Tabs { height: 1; width: 1fr; }"
 
@@ -178,7 +178,7 @@ class StatusBar(Widget):
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link != "up":
             words = {
-                "none": "no target: Ctrl+O connects",
+                "none": f"no target: Ctrl+O {_offer(s)}",
                 "connecting": f"connecting to {s.target} …",
                 "lost": f"LINK LOST to {s.target}: reconnecting …",
             }
@@ -204,7 +204,7 @@ class StatusBar(Widget):
         bad = Style(color=self.app.theme_variables["error"], bold=True)
         line = Text(" ", no_wrap=True, overflow="ellipsis")
         if s.link in ("none", "connecting"):
-            return line.append("Reference works without a target", Style(dim=True))
+            return line.append("Reference and Diagnose work without a target", Style(dim=True))
 
         def item(name: str, value: str, alarm: bool = False) -> None:
             line.append(f"{name} ", Style(dim=True))
@@ -222,3 +222,10 @@ class StatusBar(Widget):
         item("lost", str(s.lost), s.lost > 0)
         item("link", latency(s.latency_s))
         return line
+
+
+def _offer(s: Snapshot) -> str:
+    """What Ctrl+O would do, as far as it is known which targets answer."""
+    if s.here is None:
+        return "connects"
+    return f"connects to {', '.join(s.here)}" if s.here else "starts a simulated machine"

@@ -29,6 +29,11 @@ class Workspace:
         return self.root / "runs"
 
     @property
+    def diagnoses(self) -> Path:
+        """One folder for each diagnosis."""
+        return self.root / "diagnoses"
+
+    @property
     def sets(self) -> Path:
         """Parameter sets, JSON."""
         return self.root / "sets"

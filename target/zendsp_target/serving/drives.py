@@ -305,15 +305,17 @@ class Drives:
         return "homing"
 
     def enable(self, mode: str) -> str:
-        """homed → enabled, in torque or velocity mode."""
+        """homed → enabled, in torque or velocity mode; while automatic this switches the power on
+        too. What is refused changes nothing.
+        """
         if mode not in ("torque", "velocity"):
             raise Refused(f"drive mode {mode!r}: expected 'torque' or 'velocity'")
-        if not self._explicit:
-            self._explicit = True
-            self._off()
         failing = [c for c in self.conditions(self._runtime.status()) if not c.met]
         if failing:
             raise Refused(_refusal("enabling", failing))
+        if not self._explicit:
+            self._explicit = self._powered = True
+            self._off()
         self._runtime.set_ramp(self._ramp_s)
         self._runtime.set_drive(mode)
         self._enabled = True
@@ -333,7 +335,8 @@ class Drives:
             self._off()
         self._enabled = False
         self._runtime.acknowledge()
-        return "acknowledged; enable the drives before anything moves"
+        first = "enable the drives" if self._explicit else "start the program"
+        return f"acknowledged; {first} before anything moves"
 
     def auto(self) -> str:
         """Leave the explicit sequence: drives on at start, off at pause."""

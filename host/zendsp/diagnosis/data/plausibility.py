@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
+from zendsp.diagnosis.data.series import repeats
 from zendsp.errors import RecordingError
 from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import TREES, Model, per_joint
@@ -44,6 +45,7 @@ class Slow:
     qdd: Array
     command: Array
     at_edge: npt.NDArray[np.bool_]
+    sample_time: float  # s, between the thinned samples
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,8 @@ class Regression:
     torque of the friction columns over the RMS torque.
 
     ``share``: RMS of the model's rigid-body torque over that of the command; ``excess``: torque
-    missing at the largest commands over that command.
+    missing at the largest commands over that command. ``alike``: so many samples of what is left
+    over are one fact.
     """
 
     slope: float
@@ -62,6 +65,7 @@ class Regression:
     friction: float
     excess: float
     excess_t: float
+    alike: float
 
 
 def look(positions: Array, commands: Array, sample_time: float, noise: Array) -> Slow:
@@ -105,7 +109,7 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
         ]
     )
     u = gaussian_filter1d(commands, width, axis=1, mode="nearest")
-    return Slow(q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use])
+    return Slow(q[:, use], qd[:, use], qdd[:, use], u[:, use], solid[:, use], step * sample_time)
 
 
 def _torques(model: Model, states: Sequence[Array]) -> Array:
@@ -174,6 +178,7 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
         friction=float(np.mean(rub * qd)) / max(float(np.mean(np.abs(qd))) * size, 1e-300),
         excess=excess,
         excess_t=excess_t,
+        alike=repeats(left, slow.sample_time),
     )
 
 
@@ -245,13 +250,14 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
 
 def _sign(name: str, found: Regression) -> None:
     sure = found.r2 > 0.6
-    if sure and found.share > 0.05 and found.slope < -0.2 and found.slope < -10 * found.error:
+    error = found.error * math.sqrt(found.alike)
+    if sure and found.share > 0.05 and found.slope < -0.2 and found.slope < -10 * error:
         raise RecordingError(
             f"{name}: the joint accelerates against its command (its inertia comes out as"
             f" {found.slope:.2g} of the model's): the sign of the command or of the position is"
             " flipped"
         )
-    if sure and -FULL < found.friction < -0.3 and found.slope < 0.3:
+    if sure and -FULL < found.friction < -0.3 and found.slope + 4 * error < 0.3:
         raise RecordingError(
             f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the"
             " torque along the motion): the sign of the command or of the position is flipped"

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
+from zendsp.diagnosis.data.sensors import SENSED, judged, read_sensed
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
@@ -145,6 +146,13 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
         if role in columns and _has(get, columns[role])
     }
     extra = {role: _optional(name, role, get, columns[role], n, joints) for role in sorted(wanted)}
+    for role in SENSED:
+        if role in columns:
+            if _has(get, [item for item in _names(columns[role]) if item]):
+                shape = (n, joints)
+                extra[role] = read_sensed(name, role, get, columns[role], shape)
+            else:
+                notes.append(f"{name}: {role} was not used: no column {columns[role]!r}")
     if repeated:
         notes.append(f"{name}: {repeated} rows repeat the row before, its time included; left out")
     resolution = np.array(
@@ -175,6 +183,9 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     if model.robot.servos:
         command, told = _through_servos(name, command, position, resolution, sample_time, model)
         notes += told
+    for role in [role for role in SENSED if role in extra]:
+        extra[role], said = judged(role, extra[role], position, command, sample_time)
+        notes += [f"{name}: {words}" for words in said]
     signals = Signals(
         name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra
     )
@@ -217,8 +228,12 @@ def with_same_columns(
 
 
 def joint_columns(signals: Signals, joint: int) -> dict[str, Array]:
-    """The optional columns of one joint (from 0) by their role, (n,) each."""
-    return {role: np.ascontiguousarray(values[:, joint]) for role, values in signals.extra.items()}
+    """The optional columns that one joint (from 0) has, by their role, (n,) each."""
+    return {
+        role: np.ascontiguousarray(values[:, joint])
+        for role, values in signals.extra.items()
+        if np.isfinite(values[:, joint]).all()
+    }
 
 
 def unused_effects(signals: Sequence[Signals], model: Model) -> list[str]:
@@ -335,6 +350,11 @@ def _has(get: Any, column: Any) -> bool:
     except RecordingError:
         return False
     return True
+
+
+def _names(spec: Any) -> list[str]:
+    """The names of a column specification."""
+    return [str(item) for item in spec] if isinstance(spec, list) else [str(spec)]
 
 
 def _column_name(spec: Any, index: int) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.reading import Parts
+from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
@@ -268,23 +269,14 @@ def dependence(scored: Scored, test: Data, joint: int) -> float:
     """By how much fewer independent samples a recording has than samples, from the innovations'
     correlation in time; 1 or more.
     """
-    total, worst = 0.0, 1.0
+    worst = 1.0
     for rec in test.records:
         record = rec[joint - 1]
         r = run(
             record, scored.model, scored.data.bandwidth[joint - 1], inner=test.inner
         ).innovations
         r = np.clip(r[record.counted], -1e3, 1e3)
-        most = min(len(r) // 4, round(0.25 / record.sample_time))
-        energy = float(r @ r)
-        if most < 2 or energy <= 0:
-            continue
-        size = 1 << int(np.ceil(np.log2(2 * len(r))))
-        spectrum = np.abs(np.fft.rfft(r, size)) ** 2
-        correlation = np.fft.irfft(spectrum, size)[1:most] / energy
-        end = int(np.argmax(correlation < 0)) if (correlation < 0).any() else len(correlation)
-        worst = max(worst, 1.0 + 2.0 * float(np.sum(correlation[:end])))
-        total += energy
+        worst = max(worst, repeats(r, record.sample_time))
     return worst
 
 

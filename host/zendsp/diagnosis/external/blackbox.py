@@ -18,12 +18,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import Signals, read_signals, split, with_same_columns
 from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
@@ -41,7 +41,7 @@ from zendsp.diagnosis.external.output_error import (
     with_term,
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
-from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions
+from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import get_effect, library
@@ -177,6 +177,7 @@ def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, lis
                 torque,
                 np.zeros_like(torque),
                 {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command},
+                units(output.model, i + 1),
             )
             out.setdefault(i + 1, []).append(item)
     return out
@@ -292,7 +293,7 @@ def _diagnose(
         missing=before,
         remaining=after,
         details={
-            "draw": lambda folder: draw(test, base.model, current.model, folder),
+            "charts": lambda: error_charts(test, base.model, current.model),
             "benches": (train, test),
         },
     )
@@ -458,36 +459,34 @@ def _next(findings: Sequence[Finding]) -> Next | None:
     )
 
 
-def draw(
-    test: Sequence[Bench], calibrated: Model, improved: Model, folder: Path
-) -> list[tuple[str, str, Path]]:
-    """The held-out recording and both simulations' errors, one picture a joint."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    done = []
+def error_charts(test: Sequence[Bench], calibrated: Model, improved: Model) -> list[Chart]:
+    """The held-out recording and both simulations' errors, one chart a joint."""
     b = test[0]
     errors_of = [
-        (b.error(m), label, colour)
-        for m, label, colour in (
-            (calibrated, "calibrated", "#b4451f"),
-            (improved, "improved", "#1f5fa8"),
+        (b.error(m), label, role)
+        for m, label, role in (
+            (calibrated, "calibrated", "before"),
+            (improved, "improved", "after"),
         )
     ]
-    for i in range(len(b.records)):
-        figure, axis = plt.subplots(figsize=(7.2, 3.0), layout="constrained")
-        for error, label, colour in errors_of:
-            axis.plot(b.signals.time, error[:, i], color=colour, lw=0.8, label=label)
-        axis.set(
-            xlabel="time [s]",
-            ylabel=f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
-            title=f"Joint {i + 1}: held-out recording, measured minus simulated",
+    time = np.asarray(b.signals.time, dtype=np.float64)
+    return [
+        Chart(
+            "fit",
+            f"Joint {i + 1}: error on the held-out recording",
+            f"error_joint{i + 1}",
+            (
+                Panel(
+                    "time [s]",
+                    f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
+                    tuple(
+                        Series("line", role, time, error[:, i], label)
+                        for error, label, role in errors_of
+                    ),
+                    f"Joint {i + 1}: held-out recording, measured minus simulated",
+                ),
+            ),
+            joint=i + 1,
         )
-        axis.legend(frameon=False)
-        path = folder / f"error_joint{i + 1}.png"
-        figure.savefig(path)
-        plt.close(figure)
-        done.append(("fit", f"Joint {i + 1}: error on the held-out recording", path))
-    return done
+        for i in range(len(b.records))
+    ]

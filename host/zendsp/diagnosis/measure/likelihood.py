@@ -97,14 +97,31 @@ def fastest(data: Data) -> float:
     return min(FASTEST, 0.5 / data.records[0][0].sample_time)
 
 
+def fitted_deviance(data: Data, fitted: Fit, joints: Sequence[int]) -> float:
+    """As ``deviance`` of a fit to these data, from the innovations that it ended with."""
+    parts: dict[int, list[Array]] = {j: [] for j in joints}
+    at = 0
+    for rec in data.records:
+        for j in joints:
+            parts[j].append(fitted.residual[at : at + rec[j - 1].n])
+            at += rec[j - 1].n
+    return sum(deviance_of(data, j, np.concatenate(parts[j])) for j in joints)
+
+
 def tune_bandwidth(
-    data: Data, model: Model, joints: Sequence[int], *, down_only: bool = False
+    data: Data,
+    model: Model,
+    joints: Sequence[int],
+    *,
+    down_only: bool = False,
+    known: float | None = None,
 ) -> tuple[Data, float]:
     """Bandwidth of each joint's observer that maximises the likelihood of a model, by doubling and
-    halving.
+    halving; of one joint, the deviance may be ``known`` where it begins.
     """
+    total = 0.0
     for j in joints:
-        best = deviance(data, model, (j,))
+        best = known if known is not None and len(joints) == 1 else deviance(data, model, (j,))
         for factor in (0.5,) if down_only else (0.5, 2.0):
             moved = False
             while SLOWEST <= data.bandwidth[j - 1] * factor <= fastest(data):
@@ -115,7 +132,8 @@ def tune_bandwidth(
                 data, best, moved = trial, value, True
             if moved:
                 break
-    return data, deviance(data, model, joints)
+        total += best
+    return data, total
 
 
 def fit_scored(
@@ -150,10 +168,10 @@ def fit_scored(
     best: Scored | None = None
     for _ in range(rounds):
         result = fit(data, model, handles, joints=joints, iterations=iterations, jobs=jobs)
-        value = deviance(data, result.model, joints)
+        value = fitted_deviance(data, result, joints)
         if best is None or value < best.deviance:
             best = Scored(result, data, value, tuple(joints))
-        tuned, tuned_value = tune_bandwidth(data, result.model, joints)
+        tuned, tuned_value = tune_bandwidth(data, result.model, joints, known=value)
         if tuned.bandwidth == data.bandwidth or not tuned_value < value - 2.0:
             break
         data, model = tuned, result.model
@@ -172,5 +190,5 @@ def rescored(scored: Scored, data: Data, *, jobs: int = 2, iterations: int = 6) 
         jobs=jobs,
     )
     return replace(
-        scored, fit=result, data=data, deviance=deviance(data, result.model, scored.joints)
+        scored, fit=result, data=data, deviance=fitted_deviance(data, result, scored.joints)
     )

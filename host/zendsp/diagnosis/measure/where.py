@@ -7,7 +7,7 @@ The torque that a model lacks is what corrects an observer that keeps the model 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from zendsp.diagnosis.measure.discrepancy import BANDS, kept, lacking, noise
 from zendsp.physics.fit import Data
-from zendsp.physics.model import Model
+from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
 
@@ -33,6 +33,11 @@ class Region:
     interval: tuple[float, float]
     share: float
     time_share: float
+    unit: str = ""  # of the interval
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return f"{self.variable} {low:.3g} … {high:.3g} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -45,6 +50,7 @@ class Missing:
     torque: Array
     std: Array
     variables: dict[str, Array]
+    units: dict[str, str] = field(default_factory=dict)
 
 
 def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
@@ -60,10 +66,22 @@ def mismatch(data: Data, model: Model, joint: int) -> list[Missing]:
         time = record.t0 + np.arange(record.n, dtype=np.float64) * record.sample_time
         std = np.full(record.n, np.sqrt(noise(record, model, BANDS[0])))
         variables = {"velocity": qd, "position": q, "acceleration": qdd, "command": record.command}
-        out.append(
-            Missing(time[use], torque[use], std[use], {n: v[use] for n, v in variables.items()})
-        )
+        within = {n: v[use] for n, v in variables.items()}
+        out.append(Missing(time[use], torque[use], std[use], within, units(model, joint)))
     return out
+
+
+def units(model: Model, joint: int) -> dict[str, str]:
+    """Return the unit of each variable at one joint."""
+    length = "m" if model.joint_kind(joint) == "linear" else "rad"
+    plain = abs(per_joint(model.actuator.gain, joint, 1.0)) == 1.0 and not model.actuator.matrix
+    command = model.actuator.unit or (model.torque_unit(joint) if plain else "")
+    return {
+        "position": length,
+        "velocity": f"{length}/s",
+        "acceleration": f"{length}/s²",
+        "command": command,
+    }
 
 
 def energy(missing: Missing) -> Array:
@@ -107,6 +125,7 @@ def regions(missing: Missing, joint: int) -> list[Region]:
                 (float(edges[a]), float(edges[b + 1])),
                 float(share[a : b + 1].sum()),
                 float(time[a : b + 1].sum()),
+                missing.units.get(name, ""),
             )
         )
     return sorted(found, key=lambda r: r.time_share - r.share)

@@ -1,5 +1,5 @@
-"""Writes the report folder: report.json, report.html, figures, model.toml and calibrated.toml,
-compensation.c, next_reference.mat.
+"""Writes the report folder: report.json, report.html, figures and their numbers, model.toml and
+calibrated.toml, compensation.c, next_reference.mat.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from zendsp.diagnosis.chart import SUFFIX, save_chart
 from zendsp.diagnosis.result import Diagnosis
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import model_text
@@ -23,7 +24,7 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
     out : path
         Folder, made where it does not exist.
     pictures : bool
-        Also report.html and its figures (matplotlib is imported only then).
+        Also report.html, its figures and their numbers (matplotlib is imported only then).
 
     Returns
     -------
@@ -43,10 +44,16 @@ def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Pat
         reference = Reference(q, period, kind="separating", unit=d.unit)
         save_reference(reference, folder / "next_reference.mat", check=False)
     if pictures:
-        from zendsp.diagnosis.report.figures import draw_all
+        from zendsp.diagnosis.report.drawing import draw_all
+        from zendsp.diagnosis.report.figures import charts
         from zendsp.diagnosis.report.html import page
 
-        figures = d.details["draw"](folder) if "draw" in d.details else draw_all(d, folder)
+        drawn = charts(d)
+        for old in folder.glob(f"*{SUFFIX}"):  # of another diagnosis
+            old.unlink()
+        for chart in drawn:
+            save_chart(chart, folder)
+        figures = draw_all(drawn, folder)
         (folder / "report.html").write_text(page(d, figures), encoding="utf-8")
     return folder
 

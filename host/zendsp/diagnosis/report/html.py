@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.decide.findings import number
-from zendsp.diagnosis.report.summary import WORDS, headline
+from zendsp.diagnosis.report.summary import WORDS, headline, percent
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable
 
 STYLE = """
@@ -91,16 +91,16 @@ def _untouched(d: Diagnosis) -> str:
             f" sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
         )
     times = t.calibrated / t.improved if t.improved > 0 else float("inf")
+    smaller = f"{times:.0f}" if times >= 10.0 else f"{times:.2g}"
     return (
         f"<p><b>Untouched recordings:</b> RMS position error {t.calibrated:.3g} → {t.improved:.3g}"
-        f" {d.unit} ({times:.2g} times smaller); the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
+        f" {d.unit} ({smaller} times smaller); the sensor alone {d.noise_floor:.2g} {d.unit}.</p>"
     )
 
 
 def _left(d: Diagnosis) -> str:
     items = [
-        f"joint {x.joint}: {100 * x.share:.2g} % of its torque ({100 * x.interval[0]:.2g} …"
-        f" {100 * min(x.interval[1], 9.99):.2g} %)"
+        f"joint {x.joint}: {percent(x.share)} of its torque (at most {percent(x.interval[1])})"
         for x in d.discrepancy
     ]
     return f"<p><b>What nothing named explains:</b> {'; '.join(items)}.</p>" if items else ""
@@ -162,8 +162,9 @@ def _where(d: Diagnosis) -> str:
     ]
     for r in d.regions:
         rows.append(
-            f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}<td"
-            f" class=n>{100 * r.share:.0f} %<td class=n>{100 * r.time_share:.0f} %"
+            f"<tr><td>{r.joint}<td>{r.variable}<td>{r.interval[0]:.4g} … {r.interval[1]:.4g}"
+            f" {escape(r.unit)}<td class=n>{100 * r.share:.0f} %"
+            f"<td class=n>{100 * r.time_share:.0f} %"
         )
     spans = ", ".join(f"{a:.2f}–{b:.2f} s" for a, b in d.times)
     return f"<table>{''.join(rows)}</table><p>In time: {spans or 'spread evenly'}.</p>"

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from zendsp.diagnosis.result import Diagnosis
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zendsp.diagnosis.result import Diagnosis
+
+LEAST = 1e-4  # of a torque: less is not told from nothing
+MOST = 9.99
 
 WORDS = {
     "dry_friction": "dry friction",
@@ -18,18 +25,33 @@ WORDS = {
 
 def headline(d: Diagnosis) -> str:
     """The verdict in one sentence: the mechanism first."""
-    if d.verdict == "complete":
+    return verdict_sentence(d.verdict, [(f.mechanism, f.effect, f.joint) for f in d.findings])
+
+
+def verdict_sentence(verdict: str, found: Sequence[tuple[str, str, int]]) -> str:
+    """The verdict in one sentence.
+
+    Parameters
+    ----------
+    verdict : str
+    found : sequence of (mechanism, effect, joint)
+
+    Returns
+    -------
+    str
+    """
+    if verdict == "complete":
         return "Complete: nothing is missing that these recordings could show."
-    if d.verdict == "unexplained":
+    if verdict == "unexplained":
         return (
             "Unexplained: something is missing that no known effect describes; no physics is"
             " claimed."
         )
     joints: dict[int, list[str]] = {}
-    for f in d.findings:
-        word = f"{WORDS.get(f.mechanism, f.effect)} ({f.effect})"
-        if word not in joints.setdefault(f.joint, []):
-            joints[f.joint].append(word)
+    for mechanism, effect, joint in found:
+        word = f"{WORDS.get(mechanism, effect)} ({effect})"
+        if word not in joints.setdefault(joint, []):
+            joints[joint].append(word)
     where = [f"{' and '.join(words)} at joint {j}" for j, words in joints.items()]
     return f"Missing physics: {'; '.join(where)}."
 
@@ -58,8 +80,8 @@ def summary(d: Diagnosis) -> str:
         )
     for r in d.regions[:2]:
         lines.append(
-            f"mismatch: joint {r.joint}, {r.variable} {r.interval[0]:.3g} … {r.interval[1]:.3g}:"
-            f" {100 * r.share:.0f} % of it in {100 * r.time_share:.0f} % of the time"
+            f"mismatch: joint {r.joint}, {r}: {100 * r.share:.0f} % of it in"
+            f" {100 * r.time_share:.0f} % of the time"
         )
     if d.refinements:
         lines.append(
@@ -67,10 +89,9 @@ def summary(d: Diagnosis) -> str:
         )
     for x in d.discrepancy[:7]:
         if d.verdict != "complete" or x.interval[1] < 1.0:
-            high = f"{100 * min(x.interval[1], 9.99):.2g}"
             lines.append(
-                f"nothing named explains: joint {x.joint}, {100 * x.share:.2g} % of its torque (at"
-                f" most {high} %)"
+                f"nothing named explains: joint {x.joint}, {percent(x.share)} of its torque (at"
+                f" most {percent(x.interval[1])})"
             )
     if d.verdict == "complete" and d.detectable:
         small = sorted(d.detectable, key=lambda x: -x.share)[:3]
@@ -84,3 +105,14 @@ def summary(d: Diagnosis) -> str:
         lines += ["", *[f"note: {n}" for n in d.notes]]
     lines.append(f"({d.seconds:.1f} s)")
     return "\n".join(lines)
+
+
+def percent(share: float) -> str:
+    """Return a share of a torque as people read it.
+
+    Examples
+    --------
+    >>> percent(0.0), percent(0.0351)
+    ('below 0.01 %', '3.5 %')
+    """
+    return f"{100 * min(share, MOST):.2g} %" if share >= LEAST else f"below {100 * LEAST:g} %"

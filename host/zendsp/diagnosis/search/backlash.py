@@ -15,7 +15,13 @@ import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
-from zendsp.diagnosis.measure.likelihood import SLOWEST, Scored, deviance, deviances, tune_bandwidth
+from zendsp.diagnosis.measure.likelihood import (
+    SLOWEST,
+    Scored,
+    deviances,
+    fitted_deviance,
+    tune_bandwidth,
+)
 from zendsp.diagnosis.search.hypothesis import with_numbers
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
@@ -84,7 +90,7 @@ def descend(scored: Scored, joint: int, jobs: int) -> Scored:
         bandwidth /= 2
         slow = _refitted(scored, scored.data.at_bandwidth(joint, bandwidth), model, joint, jobs)
         model = slow.model
-        data, value = tune_bandwidth(slow.data, model, (joint,))
+        data, value = tune_bandwidth(slow.data, model, (joint,), known=slow.deviance)
         idle += 1
         if value < best.deviance:
             best, idle = Scored(slow.fit, data, value, (joint,)), 0
@@ -142,7 +148,7 @@ def _refitted(scored: Scored, data: Data, model: Model, joint: int, jobs: int) -
     result = fit(
         data, model, scored.fit.handles, joints=(joint,), iterations=8, tolerance=1e-3, jobs=jobs
     )
-    return Scored(result, data, deviance(data, result.model, (joint,)), (joint,))
+    return Scored(result, data, fitted_deviance(data, result, (joint,)), (joint,))
 
 
 def _values(model: Model, joint: int) -> dict[str, float]:

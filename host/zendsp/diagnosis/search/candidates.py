@@ -48,7 +48,7 @@ def screened(
     handles = joint_handles(data, model, joint)
     here = data.bandwidth[joint - 1]
     best: dict[object, tuple[float, Candidate]] = {}
-    around = data.at_bandwidth(joint, max(8.0, here / 4) if here > 8.0 else here)
+    around = data.thinned().at_bandwidth(joint, max(8.0, here / 4) if here > 8.0 else here)
     result = fit(around, model, handles, joints=(joint,), iterations=3, jobs=jobs)
     for candidate in Screen(around, result, joint, (joint,)).candidates(only, jobs):
         if _absorbed(candidate.effect, model, joint):
@@ -151,6 +151,14 @@ def coarse(data: Data) -> Data:
     """
     steps = [min(data.inner, math.ceil(rec[0].sample_time / COARSE - 1e-6)) for rec in data.records]
     return replace(data, inner=max(1, *steps))
+
+
+def first_look(data: Data, model: Model, joint: int) -> Data:
+    """The recordings for a first look at a model: coarse, and thinned where no resonance of a
+    transmission needs every sample.
+    """
+    fast = any(get_effect(t.effect).family == "transmission" for t in model.at(joint))
+    return coarse(data if fast else data.thinned())
 
 
 def scan(

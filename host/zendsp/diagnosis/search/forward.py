@@ -23,7 +23,7 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.diagnosis.search.backlash import refine
-from zendsp.diagnosis.search.candidates import coarse, screened, simulated, starts_of
+from zendsp.diagnosis.search.candidates import first_look, screened, simulated, starts_of
 from zendsp.diagnosis.search.hypothesis import (
     SUFFICIENT,
     UNSETTLED,
@@ -302,7 +302,7 @@ class Searcher:
         )
         joints = (self.joint,)
         base = fit(
-            slow,
+            first_look(slow, current.model, self.joint),
             current.model,
             current.fit.handles,
             joints=joints,
@@ -315,7 +315,7 @@ class Searcher:
 
         def slowly(rival: Rival) -> Rival:
             result = fit(
-                slow,
+                first_look(slow, rival.scored.model, self.joint),
                 rival.scored.model,
                 rival.scored.fit.handles,
                 joints=joints,
@@ -336,6 +336,7 @@ class Searcher:
     def _quick(self, current: Scored, group: list[Candidate]) -> Rival | None:
         """A short fit from each start; the best is followed to slower observers."""
         best: Rival | None = None
+        known: float | None = None
         data = current.data
         if get_effect(group[0].effect).slow and data.bandwidth[self.joint - 1] > SETTLED:
             data = data.at_bandwidth(self.joint, SETTLED)
@@ -344,7 +345,7 @@ class Searcher:
             handles = joint_handles(data, model, self.joint)
             rounds = 3 if len(group) > 1 else 6
             result = fit(
-                coarse(data),
+                first_look(data, model, self.joint),
                 model,
                 handles,
                 joints=(self.joint,),
@@ -363,7 +364,7 @@ class Searcher:
             handles = best.scored.fit.handles
             more = 10 if best.effect == "backlash" else 5
             result = fit(
-                coarse(current.data),
+                first_look(current.data, best.scored.model, self.joint),
                 best.scored.model,
                 handles,
                 joints=(self.joint,),
@@ -373,8 +374,10 @@ class Searcher:
                 brief=True,
             )
         else:
-            result = best.scored.fit
-        data, value = tune_bandwidth(current.data, result.model, (self.joint,), down_only=True)
+            result, known = best.scored.fit, best.scored.deviance
+        data, value = tune_bandwidth(
+            current.data, result.model, (self.joint,), down_only=True, known=known
+        )
         return replace(best, scored=Scored(result, data, value, (self.joint,)))
 
     def _rival(self, candidate: Candidate, scored: Scored) -> Rival:

@@ -101,8 +101,14 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
 
 
 def usable(effect: Effect, records: Sequence[JointRecord]) -> bool:
-    """Whether every recording has the optional columns that an effect reads."""
-    return all(column in record.columns for column in effect.reads for record in records)
+    """Whether every recording has the optional columns that an effect reads, and none that shows
+    the effect directly.
+    """
+    return all(
+        all(column in record.columns for column in effect.reads)
+        and not any(column in record.columns for column in effect.shown_by)
+        for record in records
+    )
 
 
 class Screen:
@@ -294,7 +300,7 @@ class Screen:
     def _least(self, effect: Effect, name: str) -> float:
         """A number so small that it hardly acts."""
         size, record = effect.parameter(name).size, self.records[0]
-        return record.sample_time if size == "time" else 1e-3 * record.scale.of(size)
+        return facts(record).sample_time if size == "time" else 1e-3 * record.scale.of(size)
 
     def _add_replaced(self, effect: Effect, values: dict[str, float]) -> dict[str, float]:
         size = self.records[0].scale

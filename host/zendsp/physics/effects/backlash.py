@@ -71,6 +71,7 @@ EFFECT = Effect(
     loosens_inertia=True,
     family="transmission",
     sole=True,
+    shown_by=("position_load",),
     why_not="within the gap no torque reaches the load",
     rivals=("elasticity", "presliding"),
 )

@@ -294,6 +294,9 @@ class Effect:
         At most one effect of its family at a joint.
     reads : tuple of str
         Optional columns of a recording without which it cannot be used.
+    shown_by : tuple of str
+        Optional columns that show it directly: where a joint has one, it is measured or excluded
+        there and the search does not guess it.
     replaces : tuple of str
         Terms of a given model that this effect contains as a special case.
     needs : tuple of str
@@ -345,6 +348,7 @@ class Effect:
     same_as: tuple[str, ...] = ()
     sole: bool = False
     reads: tuple[str, ...] = ()
+    shown_by: tuple[str, ...] = ()
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()

@@ -54,6 +54,7 @@ EFFECT = Effect(
     loosens_inertia=True,
     family="transmission",
     sole=True,
+    shown_by=("position_load",),
     why_not="its motion is not that of the motor: control both sides, or filter the resonance",
     rivals=("backlash", "delay"),
 )

@@ -17,5 +17,6 @@ EFFECT = Effect(
     over="command",
     grid={"level": of_command(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)},
     loosens_inertia=True,
+    shown_by=("current",),
     why_not="no command passes the limit: plan below it",
 )

@@ -71,5 +71,6 @@ EFFECT = Effect(
     replaces=("elasticity",),
     needs=("elasticity",),
     rivals=("elasticity", "backlash"),
+    shown_by=("position_load",),
     why_not="its motion is not that of the motor: control both sides, or filter the resonance",
 )

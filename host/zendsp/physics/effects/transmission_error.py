@@ -48,5 +48,6 @@ EFFECT = Effect(
     column=_column,
     hidden=True,
     rivals=("ripple", "sensor_harmonic", "elasticity"),
+    shown_by=("position_load",),
     why_not="the load's motion is not the motor's: correct the reference by the error",
 )

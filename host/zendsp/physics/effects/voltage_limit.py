@@ -43,5 +43,6 @@ EFFECT = Effect(
     essence=("slope",),
     loosens_inertia=True,
     rivals=("saturation", "viscous"),
+    shown_by=("current",),
     why_not="no command passes the limit: plan below it",
 )

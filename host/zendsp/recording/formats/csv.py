@@ -38,7 +38,7 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
     with path.open("w", newline="") as file:
         file.write(f"{MARK}{circumstances}\n")
         csv.writer(file, lineterminator="\n").writerow(header)
-        np.savetxt(file, np.column_stack([recording.t, recording.data]), fmt="%.17g", delimiter=",")
+        np.savetxt(file, np.column_stack([recording.t, recording.data]), fmt="%s", delimiter=",")
 
 
 def read(path: Path) -> Raw:

@@ -117,6 +117,20 @@ class Choose(Dialog[list[str]]):
         elif event.character == "/" and rows.has_focus:
             event.stop()
             self.query_one(Input).focus()
+        elif rows.has_focus and self._typed(event):
+            event.stop()
+
+    def _typed(self, event: events.Key) -> bool:
+        """Take a key for the filter, while arrows and ⏎ stay with the list."""
+        field = self.query_one(Input)
+        if event.key == "backspace":
+            field.value = field.value[:-1]
+        elif event.character is not None and event.is_printable:
+            field.value += event.character
+        else:
+            return False
+        field.cursor_position = len(field.value)
+        return True
 
     @on(OptionList.OptionSelected)
     def _selected(self, event: OptionList.OptionSelected) -> None:

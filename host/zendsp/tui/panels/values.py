@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Variable
 
+COUNTS = 1e7  # a whole number below it is shown whole
 
 def show_value(value: Any, most: int = 4) -> str:
     """Return a value for a table cell; a long array shows its first elements and its length."""
@@ -24,10 +26,16 @@ def show_value(value: Any, most: int = 4) -> str:
         return number(float(value))
     items = np.ravel(np.asarray(value))
     if items.dtype.kind == "f" and len(items) > 1:
-        text = " ".join(f"{v:.3g}" for v in items[:most])
+        text = " ".join(_element(float(v)) for v in items[:most])
     else:
         text = " ".join(show_value(v.item()) for v in items[:most])
     return f"{text} …" if len(items) > most else text
+
+
+def _element(value: float) -> str:
+    """Return one of several numbers in a cell: counts whole, all else with three digits."""
+    whole = value.is_integer() and abs(value) < COUNTS
+    return str(int(value)) if whole or abs(value) < sys.float_info.min else f"{value:.3g}"
 
 
 def show_exact(value: Any) -> str:

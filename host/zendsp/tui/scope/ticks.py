@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 STEPS = (1.0, 2.0, 5.0)
 
@@ -66,9 +67,11 @@ def number(value: float) -> str:
     """
     if not math.isfinite(value):
         return "—"
-    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+    if abs(value) < sys.float_info.min:  # what a filter that dies away leaves
+        return "0"
+    if not 1e-4 <= abs(value) < 1e6:
         return f"{value:.3e}"
-    return f"{value + 0.0:.5g}" if value else "0"
+    return f"{value:.5g}"
 
 
 def short(value: float) -> str:

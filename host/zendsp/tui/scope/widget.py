@@ -19,6 +19,7 @@ from textual.widget import Widget
 
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
+from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.settings import MOST_CHANNELS, WINDOWS, Channel, ScopeSettings
@@ -190,7 +191,7 @@ class Scope(Widget, can_focus=True):
     def _draw(self) -> None:
         width, height = self.size
         legend = self._legend_rows(width)
-        readout = 1 if self.settings.cursors else 0
+        readout = 2 if self.settings.cursors else 0
         rows = max(height - len(legend) - readout - 1, 1)
         columns = max(width - GUTTER, 1)
         t, y = self._data()
@@ -206,7 +207,9 @@ class Scope(Widget, can_focus=True):
         strips += self._plot_strips(self.picture, width, rows)
         strips.append(self._time_axis(self.picture, width))
         if readout:
-            strips.append(self._text([(self.readout(t, y), self._pens[CURSOR])], width))
+            pen = self._pens[CURSOR]
+            strips.append(self._text([(self.readout(t, y), pen)], width))
+            strips.append(self._text([(self.statistics(t, y), pen)], width))
         self._strips = strips
 
     def _plot_strips(self, picture: Picture, width: int, rows: int) -> list[Strip]:
@@ -331,6 +334,22 @@ class Scope(Widget, can_focus=True):
             f"{text} A {short(a - picture.zero)} s {short(ya)}  B {short(b - picture.zero)} s"
             f" {short(yb)}"
         )
+
+    def statistics(self, t: Floats, y: Floats) -> str:
+        """Return what the selected channel does between the cursors."""
+        s, picture = self.settings, self.picture
+        if picture is None or not self.channels or not len(t):
+            return ""
+        span = picture.end - picture.start
+        a, b = picture.start + s.cursor_a * span, picture.start + s.cursor_b * span
+        found = measure(t, y[:, s.selected], a, b)
+        text = (
+            f" A…B mean {short(found.mean)}  rms {short(found.rms)}  σ {short(found.deviation)}"
+            f"  {short(found.low)} … {short(found.high)}"
+        )
+        if np.isfinite(found.rise):
+            text += f"  rise {duration(found.rise)}  over {100.0 * found.overshoot:.3g} %"
+        return text
 
     def _text(self, parts: Sequence[tuple[str, Style]], width: int) -> Strip:
         return Strip([Segment(text, style) for text, style in parts]).adjust_cell_length(

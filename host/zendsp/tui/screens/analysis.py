@@ -1,14 +1,10 @@
-"""What opens the simulation and the diagnosis of a run: worker processes whose words appear line by
-line.
+"""What opens the simulation and the diagnosis of a run; the simulation is a worker process whose
+words appear line by line.
 """
 
 from __future__ import annotations
 
-import asyncio
 import json
-import os
-import signal
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -23,12 +19,12 @@ from textual.widgets import Button, RichLog, Static
 from zendsp.errors import ZendspError
 from zendsp.physics.shipped import model_folder
 from zendsp.recording import Recording
+from zendsp.tui.command import Command
 from zendsp.tui.dialogs import Field, Form
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.runs import DATA, SIMULATED, Run, list_runs, store_run
+from zendsp.tui.runs import SIMULATED, Run, list_runs, store_run
 from zendsp.tui.screens.base import LabScreen
-
-CALL = "import sys; from zendsp.cli import main; main()"
+from zendsp.tui.workspace import Workspace
 
 
 class ProcessView(Dialog[bool]):
@@ -49,7 +45,6 @@ class ProcessView(Dialog[bool]):
         super().__init__()
         self._title, self._arguments, self._folder = title, list(arguments), folder
         self._finish = finish  # what is done with the result; returns a sentence about it
-        self._process: asyncio.subprocess.Process | None = None
         self._began = time.monotonic()
         self.status: int | None = None
 
@@ -63,6 +58,9 @@ class ProcessView(Dialog[bool]):
                 yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
+        log = self.query_one(RichLog)
+        width = max(self.size.width - 12, 60)
+        self._command = Command(self._arguments, self._folder, log.write, width)
         self.run_worker(self._run(), exclusive=True)
         self.set_interval(1.0, self._show_time)
 
@@ -74,38 +72,17 @@ class ProcessView(Dialog[bool]):
 
     async def _run(self) -> None:
         log = self.query_one(RichLog)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        width = str(max(self.size.width - 12, 60))
-        self._process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-c",
-            CALL,
-            *self._arguments,
-            cwd=self._folder,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT,
-            env={**os.environ, "COLUMNS": width, "NO_COLOR": "1", "ZENDSP_PROGRESS": "lines"},
-            start_new_session=True,
-        )
-        assert self._process.stdout is not None
-        async for line in self._process.stdout:
-            log.write(line.decode(errors="replace").rstrip("\n"))
-        self.status = await self._process.wait()
-        if self.status == 0 and self._finish is not None:
+        status = await self._command.run()
+        if status == 0 and self._finish is not None:
             try:
                 log.write(self._finish())
             except (ZendspError, OSError) as error:
                 log.write(str(error))
-        log.write("— done —" if self.status == 0 else f"— ended with status {self.status} —")
+        log.write("— done —" if status == 0 else f"— ended with status {status} —")
+        self.status = status
 
     def on_unmount(self) -> None:
-        process = self._process
-        if process is not None and process.returncode is None:
-            try:
-                os.killpg(process.pid, signal.SIGTERM)
-            except ProcessLookupError:
-                return
+        self._command.end()
 
     @on(Button.Pressed, "#close")
     def _close(self) -> None:
@@ -120,7 +97,7 @@ class AnalysisActions(LabScreen):
         return next((r for r in list_runs(self.lab.workspace.runs) if r.outcome != SIMULATED), None)
 
     def action_diagnose(self) -> None:
-        """Ask for the model, then diagnose the run."""
+        """Show the run on Diagnose."""
         run = self.meant_run()
         if run is None:
             self.say(
@@ -128,12 +105,7 @@ class AnalysisActions(LabScreen):
                 "warning",
             )
             return
-        out = run.folder / "diagnosis"
-        self._with_model(
-            "Diagnose",
-            run,
-            lambda model: ["diagnose", str(run.folder / DATA), "--model", model, "--out", str(out)],
-        )
+        self.lab.diagnose(run)
 
     def action_simulate(self) -> None:
         """Ask for the model, then simulate the run: its source, its reference."""
@@ -174,15 +146,8 @@ class AnalysisActions(LabScreen):
         """Ask for the model file (the last one given, one here named like the machine, or the
         shipped one) and start the worker.
         """
-        near = [
-            p
-            for pattern in ("*.toml", "models/*.toml", "examples/models/*.toml")
-            for p in sorted(self.lab.workspace.root.glob(pattern))
-        ]
-        shipped = _shipped(run.machine)
-        fitting = [p for p in near if p.stem == run.machine] + ([shipped] if shipped else []) + near
-        default = self.lab.model or (str(fitting[0]) if fitting else "")
-        fields = [Field("model", "Model file", default, check=_existing, hint="TOML, see docs")]
+        default = self.lab.model or next(map(str, models_for(run.machine, self.lab.workspace)), "")
+        fields = [Field("model", "Model file", default, check=existing, hint="TOML, see docs")]
 
         def go(answer: Mapping[str, str] | None) -> None:
             if answer:
@@ -254,6 +219,18 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
     return words, keep
 
 
+def models_for(machine: str, workspace: Workspace) -> list[Path]:
+    """Return the model files of a folder and those that come with zendsp: first what fits a machine
+    by its name.
+    """
+    patterns = ("*.toml", "models/*.toml", "examples/models/*.toml")
+    near = [p for pattern in patterns for p in sorted(workspace.root.glob(pattern))]
+    shipped = _shipped(machine)
+    return [p for p in near if p.stem == machine] + ([shipped] if shipped else []) + [
+        p for p in near if p.stem != machine
+    ]
+
+
 def _shipped(machine: str) -> Path | None:
     """Return the model that comes with zendsp for a machine, if there is one."""
     try:
@@ -263,7 +240,8 @@ def _shipped(machine: str) -> Path | None:
     return path if path.is_file() else None
 
 
-def _existing(text: str) -> str:
+def existing(text: str) -> str:
+    """Check that a text names a file; its full path."""
     path = Path(text.strip()).expanduser()
     if not path.is_file():
         raise ValueError("no such file")

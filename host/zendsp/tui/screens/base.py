@@ -1,4 +1,4 @@
-"""What the three screens share: the status bar above, the footer below, and a look at the snapshot
+"""What the four screens share: the status bar above, the footer below, and a look at the snapshot
 at 30 Hz.
 """
 
@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from rich.text import Text
@@ -22,11 +23,12 @@ if TYPE_CHECKING:
     from zendsp.tui.port import Port
 
 T = TypeVar("T")
+HANGING = "\n" + 24 * " "  # under the explanation of a key
 WIDE = 116  # columns from which panels stand side by side
 
 
 class LabScreen(Screen[None]):
-    """One of Console, Execute, Reference."""
+    """One of Console, Execute, Reference, Diagnose."""
 
     NAME: ClassVar[str] = ""
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (WIDE, "-broad")]  # noqa: RUF012
@@ -97,11 +99,14 @@ class LabScreen(Screen[None]):
         """Return every key of this screen and those that work everywhere."""
         c: dict[str, Any] = self.app.theme_variables
         text = Text()
+        # of the dialog: its frame, its scroll bar and the columns before the explanation
+        room = max(20, min(96, int(0.96 * self.app.size.width)) - 6 - len(HANGING))
         for scope, title in ((self.NAME, self.NAME.capitalize()), ("app", "Everywhere")):
             text.append(f"{title}\n", f"bold {c['accent']}")
             for a in actions(scope):
                 text.append(f"  {a.shown_key:>6} ", f"bold {c['primary']}")
                 text.append(f"{a.label:<14}", "bold")
-                text.append(f" {a.help}\n")
+                lines = wrap(a.help, room)
+                text.append(f" {HANGING.join(lines)}\n")
             text.append("\n")
         return text

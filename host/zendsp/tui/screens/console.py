@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from textual import events
 from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 
@@ -98,7 +99,13 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
 
     def action_filter(self) -> None:
         """Filter the table."""
+        self.lab.expect_dialog()
         self.variables.open_filter()
+
+    def on_descendant_focus(self, event: events.DescendantFocus) -> None:
+        """The filter line takes what was typed before it was there."""
+        if event.widget.id == "filter":
+            self.app.call_later(self.lab.hand_over)
 
     def action_events(self) -> None:
         """Show events in the place of variables on a small terminal."""

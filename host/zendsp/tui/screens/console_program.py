@@ -91,11 +91,15 @@ class ProgramActions(LabScreen):
 
     def action_open_source(self) -> None:
         """Choose a C file."""
-        files = self.lab.workspace.sources() + self.lab.examples()
+        shipped = self.lab.examples()
+        files = self.lab.workspace.sources() + shipped
         if not files:
             self.say(f"no C file in {self.lab.workspace.root} or one folder below", "warning")
             return
-        options = [Option(str(p), p.name, str(p.parent)) for p in files]
+        options = [
+            Option(str(p), p.name, "comes with zendsp" if p in shipped else str(p.parent))
+            for p in files
+        ]
         self.app.push_screen(
             Choose("Source", options),
             lambda keys: self._take_source(Path(keys[0])) if keys else None,

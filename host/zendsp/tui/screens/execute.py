@@ -308,6 +308,7 @@ class ExecuteScreen(RunActions):
             "good" if run.outcome == "complete" else "warning",
         )
         self.fill_runs(run.folder)
+        self.lab.run_made(run)
 
     # -- choosing
     # ----------------------------------------------------------------------------------------------

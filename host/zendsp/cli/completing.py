@@ -1,0 +1,89 @@
+"""What the shell offers behind a word: targets, variables, programs. Fast, and silent where nothing
+answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+from click.shell_completion import CompletionItem
+
+if TYPE_CHECKING:
+    from zendsp.link import Target
+
+
+def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Names of the targets of this user on this computer; nobody is asked over a network."""
+    from zendsp.link.registered import local_entries
+
+    names = sorted({entry.name for entry in local_entries()})
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+@contextmanager
+def _asked(ctx: click.Context) -> Iterator[Target]:
+    """The target that the line so far names; in ``zendsp shell``, the one that is open."""
+    from zendsp.link import connect
+
+    held: Target | None = ctx.find_root().obj
+    name = ctx.params.get("target") or ""
+    if held is not None and name in ("", held.name):
+        yield held
+        return
+    with connect(name, ctx.params.get("connect")) as target:
+        yield target
+
+
+def variables(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Variables of the running program and built-in signals; behind a comma, the next one."""
+    from zendsp.errors import ZendspError
+
+    before, comma, begun = incomplete.rpartition(",")
+    try:
+        with _asked(ctx) as target:
+            found = {**target.variables(), **target.builtins()}
+    except ZendspError:
+        return []
+    return [
+        CompletionItem(f"{before}{comma}{info.name}", help=_words(info.unit, info.description))
+        for info in found.values()
+        if info.name.startswith(begun) and info.kind != "table"
+    ]
+
+
+def assignments(
+    ctx: click.Context, param: click.Parameter, incomplete: str
+) -> list[CompletionItem]:
+    """Parameters that can be set, as ``NAME=``."""
+    from zendsp.errors import ZendspError
+
+    try:
+        with _asked(ctx) as target:
+            found = target.variables()
+    except ZendspError:
+        return []
+    return [
+        CompletionItem(f"{info.name}=", help=_words(info.unit, info.description))
+        for info in found.values()
+        if info.kind == "parameter" and info.name.startswith(incomplete)
+    ]
+
+
+def programs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """C files here beside the programs that come with zendsp; else any file."""
+    from pathlib import Path
+
+    from zendsp_isr.sources import shipped_programs
+
+    shipped = (path.name for path in shipped_programs())
+    here = sorted(path.name for path in Path.cwd().glob("*.c"))
+    fitting = [n for n in dict.fromkeys((*here, *shipped)) if n.startswith(incomplete)]
+    # a shell that is told to look for files itself shows nothing else
+    return [CompletionItem(n) for n in fitting] or [CompletionItem(incomplete, type="file")]
+
+
+def _words(unit: str, text: str) -> str:
+    return f"[{unit}] {text}" if unit else text

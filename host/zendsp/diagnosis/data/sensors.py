@@ -1,0 +1,144 @@
+"""The sensors beside the position: what each column is worth, and why one is not used.
+
+A column that says nothing of its own (a constant, a difference of the position, a multiple of the
+command) becomes NaN at that joint, and a note says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
+
+from zendsp.errors import RecordingError
+
+Array = npt.NDArray[np.float64]
+
+SENSED = ("velocity", "current", "position_load", "torque_measured")
+SAME = 1e-3  # of its RMS: a velocity that is nearer to a difference of positions is one
+SCALED = 0.05  # of its slope: a velocity that is further from the position's has another unit
+FOLLOWS = 0.01  # of its RMS below 25 Hz: a current that is nearer to the command follows it
+AVERAGED = 0.02  # s, the mean that takes noise and sampling out of a comparison
+
+
+def read_sensed(name: str, role: str, get: Callable[[str], Any], spec: Any, shape: Any) -> Array:
+    """One of ``SENSED`` from a recording, (n, joints); NaN at joints without: a column of NaN, or
+    an empty name.
+
+    Raises
+    ------
+    RecordingError
+        Another number of rows or columns, or some values that are not finite.
+    """
+    n, joints = shape
+    parts = []
+    for item in spec if isinstance(spec, list) else [spec]:
+        part = np.asarray(get(str(item)), float) if item else np.full(n, np.nan)
+        parts.append(part[:, None] if part.ndim == 1 else part)
+    same = all(len(part) == n for part in parts)
+    values = np.concatenate(parts, axis=1) if same else np.zeros((0, 0))
+    if values.shape != (n, joints):
+        got = values.shape if same else tuple(len(part) for part in parts)
+        raise RecordingError(
+            f"{name}: {role} {spec!r} has shape {got}; expected {n} rows and {joints} columns, one"
+            ' a joint ("" for a joint without)'
+        )
+    for j in range(joints):
+        bad = ~np.isfinite(values[:, j])
+        if bad.any() and not bad.all():
+            raise RecordingError(
+                f"{name}: {role} of joint {j + 1} has {int(bad.sum())} values that are not finite"
+                f" numbers (first in row {int(np.argmax(bad)) + 1}); expected none, or NaN"
+                " throughout for a joint without this sensor"
+            )
+    return values
+
+
+def judged(
+    role: str, values: Array, position: Array, command: Array, sample_time: float
+) -> tuple[Array, list[str]]:
+    """A sensor's columns with NaN where they are not used, and a note for each of these.
+
+    Parameters
+    ----------
+    role : str
+        One of ``SENSED``.
+    values, position, command : ndarray, shape (n, joints)
+    sample_time : float
+        s.
+    """
+    out = values.copy()
+    reasons: dict[str, list[int]] = {}
+    for j in range(values.shape[1]):
+        x = values[:, j]
+        if not np.isfinite(x).all():
+            continue
+        if float(np.ptp(x)) <= 1e-12 * max(1.0, float(np.max(np.abs(x)))):
+            why = "it is constant"
+        elif role == "velocity":
+            why = _velocity(x, position[:, j], sample_time)
+        elif role == "current":
+            why = _current(x, command[:, j], sample_time)
+        else:
+            continue
+        if why:
+            out[:, j] = np.nan
+            reasons.setdefault(why, []).append(j + 1)
+    notes = []
+    for why, joints in reasons.items():
+        where = f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(str, joints))}"
+        notes.append(f"{role} of {where} was not used: {why}")
+    return out, notes
+
+
+def _mean(x: Array, sample_time: float) -> Array:
+    width = max(1, round(AVERAGED / sample_time))
+    return np.asarray(uniform_filter1d(uniform_filter1d(x, width), width))
+
+
+def _velocity(x: Array, q: Array, sample_time: float) -> str:
+    """Why a velocity is not used; the fit predicts positions, so there is always a reason."""
+    size = float(np.sqrt(np.mean(x**2)))
+    steps = np.diff(q) / sample_time
+    ways = (np.gradient(q, sample_time), np.r_[steps, steps[-1]], np.r_[steps[0], steps])
+    if min(float(np.sqrt(np.mean((x - w)[1:-1] ** 2))) for w in ways) < SAME * size:
+        return "it is the difference of the position column"
+    a, b = _mean(x, sample_time), _mean(ways[0], sample_time)
+    slope = float(a @ b) / max(float(b @ b), 1e-300)
+    apart = float(np.sqrt(np.mean((a - slope * b) ** 2))) / max(size, 1e-300)
+    if apart < SAME:
+        return "below 25 Hz it is the difference of the position column"
+    if abs(slope - 1.0) > SCALED:
+        return (
+            f"it is {slope:.3g} times the velocity of the position column: another unit, or the"
+            " motor's before its gear?"
+        )
+    return (
+        f"it is the position's velocity to {100 * apart:.2g} % below 25 Hz, and the fit predicts"
+        " positions"
+    )
+
+
+def _current(x: Array, u: Array, sample_time: float) -> str:
+    """Why a current is not used; empty where it shows that the drive does what it is told."""
+    if not np.any(u):
+        return "there is no command beside it"
+    basis = np.stack([u, np.ones_like(u)], axis=1)
+    exact = x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]
+    size = float(np.std(x))
+    if float(np.std(exact)) < 1e-6 * size:
+        return "it is the command times a constant, no measurement of its own"
+    slow = np.stack([_mean(u, sample_time), np.ones_like(u)], axis=1)
+    y = _mean(x, sample_time)
+    left = y - slow @ np.linalg.lstsq(slow, y, rcond=None)[0]
+    apart = float(np.std(left)) / max(float(np.std(y)), 1e-300)
+    if apart > FOLLOWS:
+        return (
+            f"it differs from the command by {100 * apart:.2g} % below 25 Hz, so the drive does not"
+            " do what it is told; name it as [columns] command, with the torque constant as"
+            " [actuator] gain, to see the mechanics alone"
+        )
+    return ""

@@ -1,0 +1,22 @@
+"""What a series of dependent samples is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+WITHIN = 0.25  # s, over which samples are asked for what they repeat
+
+
+def repeats(r: npt.NDArray[np.float64], sample_time: float) -> float:
+    """By how much fewer independent samples a series has than samples, from its correlation within
+    0.25 s; 1 or more.
+    """
+    most = min(len(r) // 4, round(WITHIN / sample_time))
+    energy = float(r @ r)
+    if most < 2 or energy <= 0:
+        return 1.0
+    size = 1 << int(np.ceil(np.log2(2 * len(r))))
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(r, size)) ** 2, size)[1:most] / energy
+    end = int(np.argmax(correlation < 0)) if (correlation < 0).any() else len(correlation)
+    return max(1.0, 1.0 + 2.0 * float(np.sum(correlation[:end])))

@@ -1,0 +1,154 @@
+"""What a joint torque sensor tells apart: friction before and after it, and an actuator's gain from
+a load.
+
+Before the sensor the drive's torque accelerates the motor and overcomes its friction; after it the
+sensed torque moves the load and overcomes the load's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from zendsp.diagnosis.data.reading import Parts
+from zendsp.diagnosis.data.series import repeats
+from zendsp.diagnosis.decide.decide import PLAIN, SURE
+from zendsp.diagnosis.measure.torsion import OF_MOTOR, Array, has_bodies, held_drive
+from zendsp.diagnosis.measure.torsion import STILL as STANDING
+from zendsp.diagnosis.result import Finding
+from zendsp.physics.joint import JointRecord
+from zendsp.physics.model import Model
+
+FRICTION = ("dry_friction", "fluid_friction")
+ONE_SIDE = 0.2  # of the other side's: less is not said to be there
+GAIN = 0.05  # standard deviation of a gain beyond which nothing is said of it
+
+Number = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Dry and viscous friction before and after a torque sensor, and what the actuator gives of
+    what it is told; each with its standard deviation.
+    """
+
+    dry: tuple[Number, Number]
+    viscous: tuple[Number, Number]
+    gain: Number
+
+    @property
+    def side(self) -> str:
+        """``"before"``, ``"after"`` or ``"both"``, by the dry friction; by the viscous one where
+        there is no dry.
+        """
+        for (before, b), (after, a) in (self.dry, self.viscous):
+            sure = before > SURE * b, after > SURE * a
+            if any(sure):
+                if not sure[1] or after < ONE_SIDE * before:
+                    return "before"
+                return "after" if not sure[0] or before < ONE_SIDE * after else "both"
+        return ""
+
+
+def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
+    """Friction on the two sides of a joint's torque sensor; None where it has none."""
+    records = [rec[joint - 1] for rec in parts.fit.records]
+    if any("torque_measured" not in r.columns for r in records):
+        return None
+    rows = [_rows(r, model, joint) for r in records]
+    before = _fit([(r["drive"] - r["sensed"], [r["qdd"], r["qd"], r["s"]], r) for r in rows])
+    moving = [] if has_bodies(model) else ["qdd"]
+    after = _fit(
+        [(r["sensed"] - r["bodies"], [*(r[m] for m in moving), r["qd"], r["s"]], r) for r in rows]
+    )
+    gain = _fit([(r["sensed"], [r["drive"], r["qdd"], r["qd"], r["s"]], r) for r in rows])
+    k = len(moving)
+    return Sides((before[2], after[k + 1]), (before[1], after[k]), gain[0])
+
+
+def _rows(record: JointRecord, model: Model, joint: int) -> dict[str, Any]:
+    """Low-passed signals of one recording where the joint moves."""
+    fs = 1.0 / record.sample_time
+    sos = butter(4, min(OF_MOTOR, 0.2 * fs), fs=fs, output="sos")
+    _, qd, qdd = record.motion.states
+    inertia, bias = record.inertia_and_bias(model)
+    fast = STANDING * max(float(np.quantile(np.abs(qd), 0.98)), 1e-12)
+    use = np.abs(qd) > fast
+    edge = max(2, round(0.05 * fs))
+    use[:edge] = use[-edge:] = False
+    signals = {
+        "drive": held_drive(record, model, joint),
+        "sensed": record.columns["torque_measured"],
+        "bodies": inertia * qdd + bias if has_bodies(model) else np.zeros(record.n),
+        "qd": qd,
+        "qdd": qdd,
+        "s": np.tanh(qd / fast),
+    }
+    out: dict[str, Any] = {k: sosfiltfilt(sos, x)[use] for k, x in signals.items()}
+    return {**out, "sample_time": record.sample_time}
+
+
+def _fit(parts: Sequence[tuple[Array, list[Array], dict[str, Any]]]) -> list[Number]:
+    """Least squares with a zero for each recording: coefficients with standard deviations."""
+    left, right = [], []
+    for y, columns, _ in parts:
+        a = np.stack(columns, axis=1)
+        left.append(a - a.mean(axis=0))
+        right.append(y - y.mean())
+    a, b = np.concatenate(left), np.concatenate(right)
+    norms = np.linalg.norm(a, axis=0)
+    norms[norms == 0] = 1.0
+    x = np.linalg.lstsq(a / norms, b, rcond=1e-9)[0] / norms
+    residual = [r - m @ x for m, r in zip(left, right, strict=True)]
+    alike = max(repeats(e, p[2]["sample_time"]) for e, p in zip(residual, parts, strict=True))
+    total = sum(float(e @ e) for e in residual)
+    variance = total / max(len(b) - len(x), 1) * alike
+    spread = np.sqrt(variance * np.diag(np.linalg.pinv((a / norms).T @ (a / norms)))) / norms
+    return [(float(v), float(s)) for v, s in zip(x, spread, strict=True)]
+
+
+def sided(findings: Sequence[Finding], parts: Parts, model: Model) -> tuple[Finding, ...]:
+    """The findings, with the side of the torque sensor that friction acts on, and without rivals
+    that the sensor excludes.
+    """
+    known: dict[int, Sides | None] = {}
+    out = []
+    for f in findings:
+        if f.joint not in known:
+            known[f.joint] = sides_of(parts, model, f.joint)
+        sides = known[f.joint]
+        out.append(f if sides is None else _with_sides(f, sides, model.torque_unit(f.joint)))
+    return tuple(out)
+
+
+def _with_sides(f: Finding, sides: Sides, unit: str) -> Finding:
+    if f.mechanism in FRICTION and sides.side:
+        words = {
+            "before": "before the torque sensor, on the motor's side",
+            "after": "after the torque sensor, on the load's side",
+            "both": "on both sides of the torque sensor",
+        }[sides.side]
+        (before, _), (after, _) = sides.dry
+        details = {
+            "side": sides.side,
+            "dry_before": sides.dry[0][0],
+            "dry_after": sides.dry[1][0],
+            "viscous_before": sides.viscous[0][0],
+            "viscous_after": sides.viscous[1][0],
+        }
+        text = f"{f.sentence} It acts {words}: dry friction {before:.2g} and {after:.2g} {unit}."
+        had = f.numbers.get("details", {})
+        return replace(f, sentence=text, numbers={**f.numbers, "details": {**had, **details}})
+    gain, std = sides.gain
+    if std < GAIN and "torque_gain" in f.indistinguishable and abs(gain - 1.0) < PLAIN * std:
+        left = tuple(name for name in f.indistinguishable if name != "torque_gain")
+        text = (
+            f"{f.sentence} By the torque sensor the actuator gives {gain:.3g} of what it is told:"
+            " it is no torque gain."
+        )
+        return replace(f, indistinguishable=left, sentence=text)
+    return f

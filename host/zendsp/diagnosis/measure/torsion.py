@@ -1,0 +1,376 @@
+"""Torsion: the difference of two sensors on the two sides of a transmission, and its causes.
+
+torsion = load - motor = zero - lag q̇ - c T - …: a compliance c times the torque T that is
+transmitted, a step with direction, a gap, an error over the angle. What the pair of sensors may do
+by itself is taken out of each recording: its zero, a time by which one column is late, and, where a
+turn was not completed, a disc that is off centre.
+
+The transmitted torque is that of the rigid bodies behind the transmission where the model has
+bodies, otherwise the actuator's less what accelerates the motor (whose inertia is fitted too).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+from scipy.signal import butter, sosfiltfilt
+
+from zendsp.diagnosis.data.series import repeats
+from zendsp.diagnosis.measure.discrepancy import deviation
+from zendsp.diagnosis.measure.evidence import BLOCK, Evidence
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.model import Model, per_joint
+from zendsp.physics.signals import find_resolution, noise_beside_quantisation
+
+Array = npt.NDArray[np.float64]
+
+# Hz, of the low-pass that torsion and regressors share: a load follows its motor stiffly below
+OF_BODIES = 10.0
+OF_MOTOR = 32.0  # the same, where the motor's own torque is taken and no stiffness is assumed
+STILL = 0.02  # of the highest speed: slower, friction and the side of a gap are not determined
+BENT = 0.1  # of the RMS torque: over so much of it a gap is crossed
+RATE = 8.0  # rows kept for each period of the low-pass
+ORDERS = 4000  # of an error over the angle, at most so many are tried
+ROUNDS = 2  # of the motor's own inertia and its dry friction by turns
+STEP = 0.1  # of the joint's inertia: first tries of what is the motor's
+SHARES = tuple(STEP * (i + 0.5) for i in range(10))
+
+
+@dataclass(frozen=True)
+class Twist:
+    """Torsion of one joint along one recording, (n,), rad or m; lowpass at ``band`` Hz where not 0.
+
+    ``torque`` is what is transmitted, as far as it is known; ``noise`` the standard deviation of
+    the two sensors' own noise within the band.
+    """
+
+    torsion: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    drive: Array
+    torque: Array
+    sample_time: float
+    noise: float
+    band: float
+    kept: npt.NDArray[np.bool_]
+    judging: npt.NDArray[np.bool_]  # rows that are evidence; the others only give zeros
+    extra: dict[str, Array] = field(default_factory=dict)
+
+
+def has_bodies(model: Model) -> bool:
+    """Whether the model says what is behind the transmissions: links, not a joint's whole inertia.
+    """
+    return model.kind not in ("rotary", "linear", "python")
+
+
+def white(y: Array) -> float:
+    """Standard deviation of a position sensor's noise, quantisation included."""
+    step = find_resolution(y)
+    return float(np.hypot(step / np.sqrt(12), noise_beside_quantisation(y, step)))
+
+
+def twists(data: Data, model: Model, joint: int) -> list[Twist]:
+    """The raw torsion of a joint (1-based) along each recording that has a ``position_load``."""
+    out = []
+    for rec in data.records:
+        record = rec[joint - 1]
+        q, qd, qdd = record.motion.states
+        load = record.columns["position_load"]
+        drive = held_drive(record, model, joint)
+        torque = of_bodies(record, model) if has_bodies(model) else drive
+        still = STILL * float(np.quantile(np.abs(qd), 0.98))
+        edge = max(2, round(0.05 / record.sample_time))
+        kept = np.abs(qd) > still
+        kept[:edge] = kept[-edge:] = False
+        noise = float(np.hypot(white(record.position), white(load)))
+        out.append(
+            Twist(
+                load - record.position, q, qd, qdd, drive, torque, record.sample_time, noise, 0.0,
+                kept, np.ones(record.n, bool),
+            )
+        )
+    return out
+
+
+def held_drive(record: JointRecord, model: Model, joint: int) -> Array:
+    """Torque of the drive at each row, (n,): the command is held from row to row, so the mean of
+    before and after.
+    """
+    held = 0.5 * (record.command + np.r_[record.command[:1], record.command[:-1]])
+    return np.asarray(per_joint(model.actuator.gain, joint, 1.0) * held)
+
+
+def of_bodies(record: JointRecord, model: Model) -> Array:
+    """Torque that the bodies behind a transmission take, (n,), N m or N."""
+    inertia, bias = record.inertia_and_bias(model)
+    _, _, qdd = record.motion.states
+    return np.asarray(inertia * qdd + bias)
+
+
+def moved(twist: Twist, lag: float) -> Twist:
+    """The same with the second sensor's column earlier by ``lag`` s."""
+    t = np.arange(len(twist.q)) * twist.sample_time
+    motor = twist.q  # smoothed: only the shift of the load's column is wanted
+    load = CubicSpline(t, twist.torsion + motor)
+    at = np.clip(t + lag, t[0], t[-1])
+    return replace(twist, torsion=np.asarray(load(at)) - motor)
+
+
+def lowpass(twist: Twist, band: float) -> Twist:
+    """The same below ``band`` Hz, thinned out, without phase."""
+    fs = 1.0 / twist.sample_time
+    band = min(band, 0.2 * fs)
+    sos = butter(4, band, fs=fs, output="sos")
+    step = max(1, round(fs / (RATE * band)))
+
+    def slow(x: Array) -> Array:
+        return np.asarray(sosfiltfilt(sos, x)[::step])
+
+    torsion = sosfiltfilt(sos, twist.torsion)
+    rate = np.gradient(torsion, twist.sample_time)[::step]
+    direction = np.tanh(twist.qd / (STILL * max(float(np.quantile(np.abs(twist.qd), 0.98)), 1e-12)))
+    return Twist(
+        np.asarray(torsion[::step]),
+        twist.q[::step],
+        slow(twist.qd),
+        slow(twist.qdd),
+        slow(twist.drive),
+        slow(twist.torque),
+        twist.sample_time * step,
+        twist.noise * float(np.sqrt(min(1.0, 2.0 * band / fs))),
+        band,
+        twist.kept[::step],
+        twist.judging[::step],
+        {"direction": slow(direction), "rate": np.asarray(rate)},
+    )
+
+
+def joined(first: Twist, second: Twist, judging: int) -> Twist:
+    """Two parts of one recording, whose sensors have one zero; ``judging``: the part (0 or 1) that
+    counts as evidence.
+    """
+
+    def both(one: Array, other: Array) -> Array:
+        return np.concatenate([one, other])
+
+    return Twist(
+        both(first.torsion, second.torsion),
+        both(first.q, second.q),
+        both(first.qd, second.qd),
+        both(first.qdd, second.qdd),
+        both(first.drive, second.drive),
+        both(first.torque, second.torque),
+        first.sample_time,
+        first.noise,
+        first.band,
+        np.concatenate([first.kept, second.kept]),
+        np.repeat([judging == 0, judging == 1], [len(first.q), len(second.q)]),
+    )
+
+
+def judged(twists: Sequence[Twist], residual: Sequence[Array]) -> list[Array]:
+    """The rows of a residual that count as evidence."""
+    return [r[t.judging[t.kept]] for t, r in zip(twists, residual, strict=True)]
+
+
+# --- regression
+
+
+def nuisance(twist: Twist, off_centre: bool) -> Array:
+    """What the two sensors may do by themselves, (n, columns) of the kept rows, orthonormal."""
+    columns = [np.ones_like(twist.q), twist.qd]
+    if off_centre:
+        columns += [np.sin(twist.q), np.cos(twist.q)]
+    matrix = np.stack(columns, axis=1)[twist.kept]
+    norms = np.linalg.norm(matrix, axis=0)
+    return np.asarray(np.linalg.qr(matrix / np.where(norms > 0, norms, 1.0))[0])
+
+
+def gap_shape(torque: Array) -> Array:
+    """-1 … 1: the side on which a gap is closed."""
+    size = float(np.sqrt(np.mean(torque**2)))
+    return np.asarray(np.tanh(torque / (BENT * max(size, 1e-300))))
+
+
+def columns_of(twist: Twist, terms: Sequence[str], scale: float) -> Array:
+    """Columns of some terms, (n, columns) of the kept rows.
+
+    ``spring``: torque and its damping; ``cubic``; ``gap``; ``step`` with direction; ``("sin", n)``
+    and ``("cos", n)`` are made by ``wave``.
+    """
+    made = {
+        "spring": [twist.torque, twist.extra.get("rate", twist.q)],
+        "cubic": [twist.torque * (twist.torque / scale) ** 2],
+        "gap": [gap_shape(twist.torque)],
+        "step": [twist.extra.get("direction", twist.q)],
+    }
+    listed = [column for term in terms for column in made[term]]
+    if not listed:
+        return np.zeros((int(twist.kept.sum()), 0))
+    return np.stack(listed, axis=1)[twist.kept]
+
+
+def wave(twist: Twist, order: float) -> Array:
+    """Sine and cosine of an order over the angle, (n, 2) of the kept rows."""
+    angle = order * twist.q[twist.kept]
+    return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A least-squares fit: coefficients with their covariance, and the residual of each recording.
+    """
+
+    x: Array
+    covariance: Array
+    residual: list[Array]
+
+
+def regress(
+    twists: Sequence[Twist], columns: Sequence[Array], off_centre: bool, known: Array | None = None
+) -> Linear:
+    """Fit torsion to columns, what the sensors do by themselves taken out of each recording;
+    ``known`` coefficients are only applied.
+    """
+    left, right = [], []
+    for twist, matrix in zip(twists, columns, strict=True):
+        q = nuisance(twist, off_centre)
+        y = twist.torsion[twist.kept]
+        left.append(matrix - q @ (q.T @ matrix))
+        right.append(y - q @ (q.T @ y))
+    a, b = np.concatenate(left), np.concatenate(right)
+    norms = np.linalg.norm(a, axis=0)
+    norms[norms == 0] = 1.0
+    if known is None:
+        x = np.linalg.lstsq(a / norms, b, rcond=1e-9)[0] / norms
+    else:
+        x = known
+    residual = [y - m @ x for m, y in zip(left, right, strict=True)]
+    r = np.concatenate(residual)
+    alike = max(repeats(e, t.sample_time) for e, t in zip(residual, twists, strict=True))
+    variance = float(r @ r) / max(len(r) - len(x), 1) * alike
+    inverse = np.linalg.pinv((a / norms).T @ (a / norms)) if len(x) else np.zeros((0, 0))
+    return Linear(x, variance * inverse / np.outer(norms, norms), residual)
+
+
+def evidence(
+    before: Sequence[Array], after: Sequence[Array], twists: Sequence[Twist]
+) -> tuple[Evidence, float]:
+    """Gain in log density of one set of residuals over another, and the logarithm of the e-value:
+    see ``measure/evidence.py``, whose rule this is.
+    """
+    points = []
+    before, after = judged(twists, before), judged(twists, after)
+    for parts in (before, after):
+        r = np.concatenate(parts)
+        scale = max(float(r @ r) / max(len(r), 1), 1e-300)
+        points.append([e**2 / scale + np.log(scale) for e in parts])
+    blocks = []
+    for b, a, twist in zip(*points, twists, strict=True):
+        size = max(2, round(BLOCK / twist.sample_time))
+        count = len(b) // size
+        if count:
+            blocks.append((b - a)[: count * size].reshape(count, size).sum(axis=1))
+    values = np.concatenate(blocks) if blocks else np.zeros(1)
+    gain, error = float(values.sum()), deviation(values)
+    z = gain / error if 0 < error < np.inf else 0.0
+    alike = max(repeats(e, t.sample_time) for e, t in zip(before, twists, strict=True))
+    return Evidence(gain, z, values), 0.5 * gain / alike
+
+
+def rms(parts: Sequence[Array]) -> float:
+    """Root mean square over recordings."""
+    r = np.concatenate(parts)
+    return float(np.sqrt(np.mean(r**2))) if len(r) else 0.0
+
+
+# --- the transmitted torque where only the joint's whole inertia is known
+
+
+def with_motor_torque(
+    fit: Sequence[Twist], others: Sequence[Sequence[Twist]], inertia: float, off_centre: bool
+) -> tuple[list[Twist], list[list[Twist]], float, float]:
+    """The transmitted torque from the motor's side: the drive's less what accelerates the motor and
+    its dry friction, both fitted with the spring.
+
+    Returns
+    -------
+    fit, others, motor inertia, its standard deviation
+    """
+
+    def columns(share: float, dry: float) -> list[Array]:
+        out = []
+        for t in fit:
+            torque = t.drive - share * inertia * t.qdd
+            side = gap_shape(torque - dry * t.extra["direction"])
+            parts = [torque, t.extra["direction"], t.extra["rate"], side]
+            out.append(np.stack(parts, axis=1)[t.kept])
+        return out
+
+    dry, best = 0.0, 0.5
+    for _ in range(ROUNDS):
+
+        def cost(share: float, dry: float = dry) -> float:
+            return rms(regress(fit, columns(share, dry), off_centre).residual)
+
+        first = min(SHARES, key=cost)
+        bounds = (max(0.0, first - STEP), min(1.0, first + STEP))
+        best = float(minimize_scalar(cost, bounds=bounds, method="bounded").x)
+        found = regress(fit, columns(best, dry), off_centre)
+        dry = max(0.0, -float(found.x[1] / found.x[0])) if found.x[0] < 0 else 0.0
+    apart = []
+    for t in fit:
+        side = gap_shape(t.drive - best * inertia * t.qdd - dry * t.extra["direction"])
+        parts = [t.drive, t.qdd, t.extra["direction"], t.extra["rate"], side]
+        apart.append(np.stack(parts, axis=1)[t.kept])
+    loose = regress(fit, apart, off_centre)
+    spread = float(np.sqrt(loose.covariance[1, 1]) / max(abs(loose.x[0]), 1e-300))
+
+    def with_torque(ts: Sequence[Twist]) -> list[Twist]:
+        return [
+            replace(t, torque=t.drive - best * inertia * t.qdd - dry * t.extra["direction"])
+            for t in ts
+        ]
+
+    return with_torque(fit), [with_torque(ts) for ts in others], best * inertia, spread
+
+
+def joint_inertia(data: Data, model: Model, joint: int) -> float:
+    """Inertia of a joint with all that the model has on it, kg m² or kg."""
+    return float(np.mean(effective_inertia(data.records[0][joint - 1], model)))
+
+
+# --- an error over the angle
+
+
+def strongest_order(twists: Sequence[Twist], residual: Sequence[Array]) -> float:
+    """The order over the angle that a residual repeats with most, at least one period within the
+    recordings; 0 where none can be told.
+
+    Rows are summed into places of the angle and transformed at once.
+    """
+    q = np.concatenate([t.q[t.kept] for t in twists])
+    r = np.concatenate(residual)
+    span = float(np.ptp(q))
+    fast = max(float(np.quantile(np.abs(t.qd[t.kept]), 0.9)) for t in twists)
+    lowest = 2 * np.pi / span
+    highest = min(0.8 * np.pi / (max(t.sample_time for t in twists) * fast), ORDERS * lowest / 8)
+    if not highest > 3 * lowest:
+        return 0.0
+    places = int(4 * highest * span / (2 * np.pi)) + 1
+    place = np.minimum((places * (q - q.min()) / span).astype(int), places - 1)
+    total = np.bincount(place, r, places)
+    size = 8 * places
+    power = np.abs(np.fft.rfft(total, size)) ** 2
+    orders = 2 * np.pi * np.arange(len(power)) / (size * span / places)
+    use = (orders >= 2 * lowest) & (orders <= highest)
+    if not use.any():
+        return 0.0
+    return float(orders[use][np.argmax(power[use])])

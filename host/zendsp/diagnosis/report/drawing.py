@@ -1,0 +1,148 @@
+"""Draws the charts of a report as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from zendsp.diagnosis.chart import Chart, Panel, Series
+
+COLOURS = {  # apart for colour-blind readers, and in grey
+    "before": "#b4451f",
+    "after": "#1f5fa8",
+    "data": "#9a9a9a",
+    "floor": "#3a7d44",
+    "law": "black",
+}
+SPAN = "#e8c39e"
+STYLE: Any = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.dpi": 110,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+}
+
+
+def draw(chart: Chart) -> Figure:
+    """Draw one chart.
+
+    Parameters
+    ----------
+    chart : Chart
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    n = len(chart.panels)
+    ratio = list(chart.ratio) or [1] * n
+    shape: dict[str, Any] = (
+        {"nrows": 1, "ncols": n, "width_ratios": ratio}
+        if chart.beside
+        else {"nrows": n, "ncols": 1, "height_ratios": ratio}
+    )
+    figure: Figure
+    with plt.rc_context(STYLE):
+        figure, grid = plt.subplots(
+            figsize=chart.size,
+            layout="constrained",
+            sharex=chart.same,
+            sharey=chart.same,
+            squeeze=False,
+            **shape,
+        )
+        axes: list[Axes] = list(grid.ravel())
+        for k, (axis, panel) in enumerate(zip(axes, chart.panels, strict=True)):
+            _fill(figure, axis, panel, inner=chart.same and k > 0)
+        if chart.title:
+            figure.suptitle(chart.title, fontsize=10)
+        _legend(figure, axes)
+    return figure
+
+
+def _fill(figure: Figure, axis: Axes, panel: Panel, *, inner: bool) -> None:
+    for begin, end in panel.spans:
+        axis.axvspan(begin, end, color=SPAN, alpha=0.4, lw=0)
+    if panel.band is not None:
+        axis.axhspan(*panel.band, color=COLOURS["floor"], alpha=0.2, lw=0)
+    if panel.mesh is not None:
+        m = panel.mesh
+        picture = axis.pcolormesh(m.x, m.y, m.values, cmap="magma_r")
+        figure.colorbar(picture, ax=axis, label=m.label)
+    for series in panel.series:
+        _series(axis, series)
+    if panel.level is not None:
+        value, label = panel.level
+        axis.axhline(value, color=COLOURS["floor"], ls="--", lw=1, label=label)
+    if panel.log:
+        axis.set_yscale("log")
+    if panel.limits is not None:
+        axis.set_ylim(*panel.limits)
+    axis.set(xlabel=panel.xlabel, ylabel="" if inner else panel.ylabel, title=panel.title)
+
+
+def _series(axis: Axes, s: Series) -> None:
+    colour, label = COLOURS[s.role], s.label or None
+    if s.kind == "line":
+        thin = 0.7 if len(s.x) > 300 else 1.2
+        axis.plot(s.x, s.y, color=colour, lw=thin, label=label)
+    elif s.kind == "dots":
+        axis.plot(s.x, s.y, ".", color=colour, ms=1.5, alpha=0.35, rasterized=True, label=label)
+    elif s.kind == "means":
+        axis.errorbar(s.x, s.y, s.spread, color=colour, fmt="o", ms=3, lw=0.8, label=label)
+    elif s.kind == "bars":
+        width = 0.8 if s.spread is None else s.spread
+        axis.bar(s.x, s.y, width=width, color=colour, alpha=0.8, label=label)
+    elif s.kind == "step":
+        axis.step(s.x, s.y, where="mid", color=colour, lw=1, label=label)
+    else:
+        raise ValueError(f"a series of kind {s.kind!r} cannot be drawn")
+
+
+def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
+    """Below the figure, where it covers no data."""
+    entries = {
+        label: handle
+        for axis in axes
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        loc="outside lower center",
+        ncols=4,
+        frameon=False,
+        fontsize=8,
+    )
+
+
+def draw_all(charts: Sequence[Chart], folder: Path) -> list[tuple[str, str, Path]]:
+    """Write a PNG for each chart.
+
+    Parameters
+    ----------
+    charts : sequence of Chart
+    folder : Path
+
+    Returns
+    -------
+    list of (section, caption, path)
+    """
+    done = []
+    for chart in charts:
+        figure = draw(chart)
+        path = folder / f"{chart.name}.png"
+        figure.savefig(path)
+        plt.close(figure)
+        done.append((chart.section, chart.caption, path))
+    return done

@@ -1,0 +1,81 @@
+"""A command of zendsp in a process of its own, whose words arrive line by line."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+# Politely: what computes for a minute must not take the CPU of a screen or of a loop.
+CALL = "import os; os.nice(10); from zendsp.cli import main; main()"
+
+
+class Command:
+    """One command of zendsp, to be awaited.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        After ``zendsp``.
+    folder : Path
+        Where it runs; made where it does not exist.
+    tell : callable
+        Receives each line that it says; stages of its progress among them.
+    width : int
+        Columns that it may use.
+    """
+
+    def __init__(
+        self,
+        arguments: Sequence[str],
+        folder: Path,
+        tell: Callable[[str], object],
+        width: int = 100,
+    ) -> None:
+        self.arguments, self.status = list(arguments), None
+        self._folder, self._tell, self._width = folder, tell, width
+        self._process: asyncio.subprocess.Process | None = None
+        self._ended = False
+
+    status: int | None  # of its end
+
+    async def run(self) -> int:
+        """Run it to its end; the exit status, negative where a signal ended it."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._process = process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-c",
+            CALL,
+            *self.arguments,
+            cwd=self._folder,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env={
+                **os.environ,
+                "COLUMNS": str(self._width),
+                "NO_COLOR": "1",
+                "ZENDSP_PROGRESS": "lines",
+            },
+            start_new_session=True,
+        )
+        if self._ended:  # before it had begun
+            self.end()
+        assert process.stdout is not None
+        async for line in process.stdout:
+            self._tell(line.decode(errors="replace").rstrip("\n"))
+        self.status = await process.wait()
+        return self.status
+
+    def end(self) -> None:
+        """End it and all that it has started."""
+        self._ended = True
+        process = self._process
+        if process is not None and process.returncode is None:
+            try:
+                os.killpg(process.pid, signal.SIGTERM)
+            except ProcessLookupError:
+                return

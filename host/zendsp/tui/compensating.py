@@ -1,0 +1,64 @@
+"""What a diagnosis found, as numbers for the running program, and how a program comes to take them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zendsp.physics import load_model
+from zendsp.physics.codegen import SETTINGS, compensation_values
+from zendsp.tui.diagnoses import Diagnosed
+
+FILE = "compensation.c"
+SHARE = "comp_share"
+LINES = """    #include "compensation.c"                         after isr.h
+    CompensationInit();                               in UserInit
+    tau[j] += Compensation(j, q, qd, qdd, tau[j]);    in UserISR_INT2, for each joint"""
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """The numbers of one diagnosis, by the names that its compensation.c gives them."""
+
+    values: Mapping[str, float]
+    source: Path  # compensation.c of the report
+
+    def fits(self, names: Iterable[str]) -> bool:
+        """Whether a program with these variables takes just these numbers."""
+        own = {n for n in names if n.startswith("comp_") and n not in SETTINGS}
+        return bool(self.values) and own == set(self.values)
+
+    def acts(self, present: Mapping[str, Any]) -> bool:
+        """Whether a program with these values adds it now."""
+        same = all(float(present.get(n, float("nan"))) == v for n, v in self.values.items())
+        return same and float(present.get(SHARE, 0.0)) > 0.0
+
+
+def compensation_of(d: Diagnosed) -> Compensation:
+    """Return what can be compensated of what was found.
+
+    Raises
+    ------
+    ZendspError
+        The improved model is not one that has C.
+    """
+    model = load_model(d.folder / "model.toml")
+    found = {(f["effect"], f["joint"]) for f in d.report["findings"]}
+    terms = [t for t in model.terms if (t.effect, t.joint) in found]
+    return Compensation(compensation_values(terms, model), d.folder / FILE)
+
+
+def not_compensated(source: Path) -> str:
+    """Return the lines of compensation.c that say what a torque cannot cancel, and why."""
+    lines = source.read_text(encoding="utf-8").splitlines()
+    said = (line.strip(" *") for line in lines)
+    return "\n".join(line for line in said if line.startswith("Not compensated:"))
+
+
+def has_room(sources: Mapping[str, str]) -> bool:
+    """Whether a program includes a compensation.c and calls it."""
+    text = "\n".join(sources.values())
+    return f'"{FILE}"' in text and "CompensationInit" in text

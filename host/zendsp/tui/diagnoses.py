@@ -1,0 +1,154 @@
+"""Diagnoses on disk: one folder each, the report of ``zendsp diagnose --out`` with a card.
+
+    diagnoses/20261120-061502-circle/
+        diagnosis.json    name, model, recordings
+        report.json …     docs/diagnosis.md
+        *.chart.json      the numbers behind each figure
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from zendsp.diagnosis.chart import SUFFIX, Chart, load_chart
+from zendsp.tui.workspace import file_name
+
+CARD = "diagnosis.json"
+NEXT = "next_reference.mat"
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """One diagnosis: its card, and its report when asked for."""
+
+    folder: Path
+    name: str
+    created: float  # Unix s
+    model: str
+    recordings: tuple[str, ...]
+    heldout: tuple[str, ...] = ()
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """report.json of the contract."""
+        value: dict[str, Any] = json.loads((self.folder / "report.json").read_text("utf-8"))
+        return value
+
+    @cached_property
+    def charts(self) -> tuple[Chart, ...]:
+        """Its figures as numbers, in the order of their names."""
+        return tuple(load_chart(p) for p in sorted(self.folder.glob(f"*{SUFFIX}")))
+
+    @property
+    def page(self) -> Path:
+        """The report to be read in a browser."""
+        return self.folder / "report.html"
+
+    @property
+    def next_reference(self) -> Path | None:
+        """The proposed motion, where one is proposed."""
+        path = self.folder / NEXT
+        return path if path.is_file() and self.report["next_recording"] else None
+
+
+def begin(root: Path, name: str) -> tuple[Path, Path]:
+    """Return a folder for a diagnosis to be made in, and where it goes once it is whole."""
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{file_name(name)}"
+    folder, n = root / stem, 2
+    while folder.exists():
+        folder, n = root / f"{stem}-{n}", n + 1
+    return root / f".{folder.name}.part", folder
+
+
+def keep(
+    made: Path,
+    folder: Path,
+    name: str,
+    model: str,
+    recordings: Sequence[str],
+    heldout: Sequence[str],
+) -> Diagnosed:
+    """Put the card beside a report and the folder in its place."""
+    card = Diagnosed(folder, name, time.time(), model, tuple(recordings), tuple(heldout))
+    values = {key: value for key, value in asdict(card).items() if key != "folder"}
+    (made / CARD).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    os.replace(made, folder)
+    return card
+
+
+def list_diagnoses(root: Path) -> list[Diagnosed]:
+    """Return the diagnoses, newest first; folders that are none are passed over."""
+    found = []
+    for path in root.glob(f"*/{CARD}"):
+        try:
+            card = json.loads(path.read_text("utf-8"))
+            for key in ("recordings", "heldout"):
+                card[key] = tuple(card[key])
+            one = Diagnosed(folder=path.parent, **card)
+        except (OSError, TypeError, KeyError, json.JSONDecodeError):
+            continue
+        if (one.folder / "report.json").is_file():
+            found.append(one)
+    return sorted(found, key=lambda d: d.created, reverse=True)
+
+
+def compare(one: Diagnosed, other: Diagnosed) -> str:
+    """Return what sets two diagnoses apart, the first on the left."""
+    rows: list[tuple[str, str, str]] = [
+        ("model", Path(one.model).name, Path(other.model).name),
+        ("recordings", _names(one), _names(other)),
+        ("verdict", one.report["verdict"], other.report["verdict"]),
+    ]
+    left, right = _findings(one.report), _findings(other.report)
+    for key in dict.fromkeys([*left, *right]):
+        rows.append((key, left.get(key, "—"), right.get(key, "—")))
+    for label, part, key in (
+        ("untouched, calibrated", "test", "calibrated"),
+        ("untouched, improved", "test", "improved"),
+    ):
+        rows.append((label, _error(one.report, part, key), _error(other.report, part, key)))
+    a, b = ({x["joint"]: x for x in d.report["discrepancy"]} for d in (one, other))
+    for joint in sorted({*a, *b}):
+        rows.append((f"left, joint {joint}", _left(a.get(joint)), _left(b.get(joint))))
+    wide = max(len(r[0]) for r in rows)
+    middle = max(len(r[1]) for r in rows)
+    head = f"{'':{wide}}  {one.name[:middle]:{middle}}  {other.name}"
+    return "\n".join([head, *(f"{a:{wide}}  {b:{middle}}  {c}" for a, b, c in rows)])
+
+
+def _names(d: Diagnosed) -> str:
+    return ", ".join(recording_name(r) for r in d.recordings)
+
+
+def recording_name(path: str) -> str:
+    """Return the name under which a person knows a recording: a run's folder, or the file."""
+    file = Path(path)
+    return file.parent.name if file.name == "recording.mat" else file.name
+
+
+def _findings(report: Mapping[str, Any]) -> dict[str, str]:
+    found = {}
+    for f in report["findings"]:
+        values = ", ".join(
+            f"{n} {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + p['unit']}"
+            for n, p in f["parameters"].items()
+        )
+        found[f"{f['effect']}, joint {f['joint']}"] = f"{values} ({100 * f['confidence']:.0f} %)"
+    return found
+
+
+def _error(report: Mapping[str, Any], part: str, key: str) -> str:
+    fit = report["fit"]
+    value = fit[part][key]
+    return "—" if value is None else f"{value:.3g} {fit['unit']}"
+
+
+def _left(item: Mapping[str, Any] | None) -> str:
+    return "—" if item is None or item["share"] is None else f"{100 * item['share']:.2g} %"

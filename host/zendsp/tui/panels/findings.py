@@ -1,0 +1,147 @@
+"""What a diagnosis says, as lines to choose from: each has a figure or words behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich.text import Text
+
+from zendsp.diagnosis.chart import Chart
+from zendsp.diagnosis.report.summary import verdict_sentence
+from zendsp.tui.diagnoses import Diagnosed
+
+LOOP = "loop"  # key of the line about the compensation
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line, and what is shown when it is chosen."""
+
+    key: str
+    text: Text
+    chart: Chart | None = None
+    words: str = ""
+
+
+def headline(report: Mapping[str, Any]) -> str:
+    """Return the verdict in one sentence."""
+    found = [(f["mechanism"], f["effect"], f["joint"]) for f in report["findings"]]
+    return verdict_sentence(report["verdict"], found)
+
+
+def entries(d: Diagnosed, theme: Mapping[str, str]) -> list[Entry]:
+    """Return every line of a diagnosis, findings first.
+
+    Parameters
+    ----------
+    d : Diagnosed
+    theme : mapping of str to str
+        Colours by name.
+    """
+    r, charts = d.report, d.charts
+    out = [_finding(k, f, charts, theme) for k, f in enumerate(r["findings"])]
+    if r["unexplained"]:
+        out.append(Entry("unexplained", Text(r["unexplained"], theme["warning"])))
+    out += _errors(r, charts)
+    for c in _of("where", charts):
+        out.append(Entry(c.name, _plain("where", f"{c.caption}, over time"), c, _where(r)))
+    out += _left(r, charts)
+    out.append(Entry("unseen", _plain("unseen", _unseen_line(r)), None, _unseen(r)))
+    if r["next_recording"]:
+        sentence = r["next_recording"]["sentence"]
+        hint = "\n\nn plays it on the target." if d.next_reference else ""
+        out.append(Entry("next", _plain("next", sentence), None, sentence + hint))
+    if r["notes"]:
+        words = "\n".join(f"· {note}" for note in r["notes"])
+        out.append(Entry("notes", _plain("notes", f"{len(r['notes'])} to read"), None, words))
+    return out
+
+
+def _plain(label: str, text: str) -> Text:
+    return Text(f"{label:<7}", "dim").append(text, "not dim")
+
+
+def _of(section: str, charts: Sequence[Chart]) -> list[Chart]:
+    """The charts of a section that can be drawn here, joint by joint."""
+    drawn = (c for c in charts if c.section == section and all(p.mesh is None for p in c.panels))
+    return sorted(drawn, key=lambda c: c.joint)
+
+
+def _finding(
+    k: int, f: Mapping[str, Any], charts: Sequence[Chart], theme: Mapping[str, str]
+) -> Entry:
+    text = Text(f"{100 * f['confidence']:3.0f} %  ", f"bold {theme['success']}")
+    text.append(f["sentence"], "bold")
+    words = [f["sentence"], ""]
+    words += [
+        f"{name:<16} {p['value']:.4g} ± {p['std']:.2g} {'' if p['unit'] == '1' else p['unit']}"
+        for name, p in f["parameters"].items()
+    ]
+    if f["indistinguishable"]:
+        words += ["", f"cannot be told from: {', '.join(f['indistinguishable'])}"]
+    if f["replaces"]:
+        words += ["", f"replaces: {', '.join(f['replaces'])}"]
+    chart = next((c for c in charts if c.finding == k), None)
+    return Entry(f"finding-{k}", text, chart, "\n".join(words))
+
+
+def _errors(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
+    fit = r["fit"]
+    t = fit["test"]
+    fell = (
+        f"error on untouched recordings {t['calibrated']:.3g} → {t['improved']:.3g}"
+        f" {fit['unit']}; the sensor alone {fit['noise_floor']:.2g}"
+        if r["findings"]
+        else f"error on untouched recordings {t['calibrated']:.3g} {fit['unit']};"
+        f" the sensor alone {fit['noise_floor']:.2g}"
+    )
+    made = [
+        Entry(c.name, _plain("fit", f"{fell}{f', joint {c.joint}' if c.joint > 1 else ''}"), c)
+        for c in _of("fit", charts)
+    ]
+    return made or [Entry("fit", _plain("fit", fell), None, fell)]
+
+
+def _where(r: Mapping[str, Any]) -> str:
+    return "\n".join(
+        f"joint {w['joint']}, {w['variable']} {w['interval'][0]:.3g} … {w['interval'][1]:.3g}:"
+        f" {100 * w['share']:.0f} % of the mismatch in {100 * w['time_share']:.0f} % of the time"
+        for w in r["where"]["state"]
+    )
+
+
+def _left(r: Mapping[str, Any], charts: Sequence[Chart]) -> list[Entry]:
+    """What nothing named explains."""
+    made = []
+    white = {c.joint: c for c in _of("white", charts)}
+    refined = [f"{f['sentence']} (improves the fit, not claimed)" for f in r["refinements"]]
+    for item in r["discrepancy"]:
+        joint, share, between = item["joint"], item["share"], item["interval"]
+        if share is None or None in between:
+            continue
+        line = (
+            f"joint {joint}: nothing named explains {100 * share:.2g} % of its torque"
+            f" ({100 * between[0]:.2g} … {100 * between[1]:.2g} %)"
+        )
+        words = "\n".join([line, "", *refined])
+        made.append(Entry(f"left-{joint}", _plain("left", line), white.get(joint), words))
+    return made
+
+
+def _unseen_line(r: Mapping[str, Any]) -> str:
+    joints = sorted({x["joint"] for x in r["detectable"]})
+    if not joints:
+        return "what could not have been seen is not known for these recordings"
+    return f"what could not have been seen: {len(r['detectable'])} effects have a smallest size"
+
+
+def _unseen(r: Mapping[str, Any]) -> str:
+    lines = ["Smaller ones these recordings would have missed (seen in 90 of 100 times):", ""]
+    lines += [
+        f"joint {x['joint']}  {x['effect']:<22} {x['size']:.2g} "
+        f"{'' if x['unit'] == '1' else x['unit']}"
+        for x in r["detectable"]
+    ]
+    return "\n".join(lines)

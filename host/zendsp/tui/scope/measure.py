@@ -1,0 +1,79 @@
+"""What lies between two cursors, in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+STEP_SHARE = 0.3  # of all that a curve does: a smaller way from A to B is no step
+SETTLED_SHARE = 0.1  # of the way: the last tenth of a step moves no more than that
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Statistics of one curve between the cursors; NaN where there is nothing to measure."""
+
+    mean: float = float("nan")
+    rms: float = float("nan")
+    deviation: float = float("nan")  # standard, about the mean
+    low: float = float("nan")
+    high: float = float("nan")
+    rise: float = float("nan")  # s from 10 to 90 % of the step from A to B
+    overshoot: float = float("nan")  # beyond the end, as a part of the step
+
+
+def measure(t: Floats, y: Floats, a: float, b: float) -> Measured:
+    """Measure one curve between two times.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        s, increasing.
+    y : ndarray, shape (n,)
+        NaN where there is no value.
+    a, b : float
+        s, in either order.
+
+    Returns
+    -------
+    Measured
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 1.0, 101)
+    >>> measure(t, 2.0 * t, 0.0, 1.0).mean
+    1.0
+    """
+    a, b = min(a, b), max(a, b)
+    inside = (t >= a) & (t <= b) & np.isfinite(y)
+    if int(inside.sum()) < 2:
+        return Measured()
+    at, part = t[inside], y[inside]
+    low, high = float(part.min()), float(part.max())
+    rise, overshoot = _step(at, part, high - low)
+    return Measured(
+        float(part.mean()),
+        float(np.sqrt(np.mean(part * part))),
+        float(part.std()),
+        low,
+        high,
+        rise,
+        overshoot,
+    )
+
+
+def _step(t: Floats, y: Floats, reach: float) -> tuple[float, float]:
+    """Rise time and overshoot, where the curve ends clearly elsewhere than it began."""
+    tenth = max(len(y) // 10, 1)
+    begin, end = float(y[0]), float(y[-tenth:].mean())
+    way = end - begin
+    settled = float(np.ptp(y[-tenth:])) <= SETTLED_SHARE * abs(way)
+    if reach == 0.0 or abs(way) < STEP_SHARE * reach or not settled:
+        return float("nan"), float("nan")
+    share = (y - begin) / way
+    first = t[int(np.argmax(share >= 0.1))]
+    last = t[int(np.argmax(share >= 0.9))]
+    return float(last - first), float(max(share.max() - 1.0, 0.0))

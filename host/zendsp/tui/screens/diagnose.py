@@ -1,0 +1,393 @@
+"""Diagnose: which physics does the model leave out of what was recorded? And what comes of it."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from rich.style import Style
+from rich.text import Text
+from textual import events, on
+from textual.app import ComposeResult
+from textual.containers import Container, Horizontal, Vertical, VerticalScroll
+from textual.widgets import Button, DataTable, OptionList, Static
+from textual.widgets.data_table import CellDoesNotExist
+from textual.widgets.option_list import Option
+
+from zendsp.tui.actions import bindings
+from zendsp.tui.command import Command
+from zendsp.tui.diagnoses import Diagnosed, begin, keep, list_diagnoses, recording_name
+from zendsp.tui.dialogs import Choose, Field, Form
+from zendsp.tui.dialogs import Option as Line
+from zendsp.tui.panels.figure import FigureView
+from zendsp.tui.panels.findings import LOOP, entries, headline
+from zendsp.tui.runs import DATA, SIMULATED, Run, list_runs
+from zendsp.tui.scope import Scope
+from zendsp.tui.screens.analysis import existing, models_for
+from zendsp.tui.screens.diagnose_loop import LoopActions
+from zendsp.tui.snapshot import Snapshot
+
+ROLES = ("", "fit", "held out")  # what a recording is used for, in the order of the key
+SPINNER = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
+BUTTONS = (
+    ("report", "Report v"),
+    ("compensate", "Compensate c"),
+    ("next", "Next n"),
+    ("save", "Save w"),
+    ("earlier", "Open o"),
+    ("compare", "Compare d"),
+)
+NOTHING = (
+    "s compares the recordings that are marked on the left with the model, and names what the model"
+    " lacks."
+)
+
+
+class DiagnoseScreen(LoopActions):
+    """What is given on the left, what was found on the right."""
+
+    NAME: ClassVar[str] = "diagnose"
+    BINDINGS = bindings("diagnose")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.model = ""
+        self.roles: dict[str, str] = {}  # recording -> what it is used for
+        self.added: list[str] = []  # recordings that are no runs of this folder
+        self.runs: list[Run] = []
+        self.command: Command | None = None
+        self.said: list[str] = []  # lines of the diagnosis that runs, or ran
+        self.shown: Diagnosed | None = None
+        self._marked_by_hand = False
+        self._began = 0.0
+        self._cancelled = False
+        self._painted: object = None
+
+    # -- layout
+    # ----------------------------------------------------------------------------------------------
+
+    def body(self) -> ComposeResult:
+        with Container(id="diagnose-body"):
+            with Vertical(id="given"):
+                with Vertical(id="given-box", classes="panel") as box:
+                    box.border_title = "Diagnosis"
+                    yield Static("", id="given-model", markup=False)
+                    with Horizontal(classes="line"):
+                        yield Button("Start s", id="do-start", variant="success", compact=True)
+                        yield Button("Cancel ^c", id="do-cancel", variant="warning", compact=True)
+                        yield Static("", id="stage", markup=False)
+                with Vertical(id="recordings-box", classes="panel") as box:
+                    box.border_title = "Recordings"
+                    yield DataTable(id="recordings", cursor_type="row")
+            with Vertical(id="found", classes="panel") as box:
+                box.border_title = "Findings"
+                yield Static("", id="verdict", markup=False)
+                yield OptionList(id="findings", markup=False, compact=True)
+                with Vertical(id="detail"):
+                    yield FigureView(id="figure")
+                    with VerticalScroll(id="words-box"):
+                        yield Static(NOTHING, id="words", markup=False)
+                    with Vertical(id="loop"):
+                        yield Static("", id="loop-words", markup=False)
+                        yield Scope(id="loop-scope")
+                with Horizontal(id="found-buttons"):
+                    for name, text in BUTTONS:
+                        yield Button(text, id=f"do-{name}", compact=True)
+
+    def ready(self) -> None:
+        self._detail("words-box")
+        self.fill()
+        self.query_one("#recordings", DataTable).focus()
+
+    @on(Button.Pressed)
+    def _pressed(self, event: Button.Pressed) -> None:
+        event.stop()
+        name = str(event.button.id).removeprefix("do-")
+        self.app.call_later(self.app.run_action, name, self)
+
+    @on(events.ScreenResume)
+    def _look_again(self) -> None:
+        """A run has perhaps been made meanwhile."""
+        if self.is_mounted:
+            self.fill()
+
+    # -- what is given
+    # ----------------------------------------------------------------------------------------------
+
+    def fill(self) -> None:
+        """List the recordings; the last run is marked where nothing is."""
+        found = [r for r in list_runs(self.lab.workspace.runs) if r.outcome != SIMULATED]
+        self.runs = found
+        here = {str(r.folder / DATA) for r in found} | set(self.added)
+        self.roles = {path: role for path, role in self.roles.items() if path in here}
+        if not self.roles and found and not self._marked_by_hand:
+            self.roles[str(found[0].folder / DATA)] = "fit"
+        if not self.model:
+            self.model = self.lab.model or next(map(str, self._models()), "")
+        table: DataTable[Text] = self.query_one("#recordings", DataTable)
+        at = table.cursor_row
+        table.clear(columns=True)
+        for name in ("use", "name", "time", "s", "machine"):
+            table.add_column(Text(name), key=name)
+        for path in self.added:
+            self._row(table, path, Path(path).name, "", "", "file")
+        for run in found:
+            when = time.strftime("%m-%d %H:%M", time.localtime(run.created))
+            path = str(run.folder / DATA)
+            self._row(table, path, run.name, when, f"{run.seconds:.1f}", run.machine)
+        table.move_cursor(row=min(at, table.row_count - 1))
+        self._painted = None
+
+    def _row(self, table: DataTable[Text], path: str, *cells: str) -> None:
+        role = self.roles.get(path, "")
+        colour = self.app.theme_variables["success" if role == "fit" else "accent"]
+        mark = Text(role, Style(color=colour, bold=True))
+        table.add_row(mark, *(Text(cell) for cell in cells), key=path)
+
+    def _models(self) -> list[Path]:
+        snapshot = self.lab.session.snapshot
+        machine = self.runs[0].machine if self.runs else snapshot.machine
+        return models_for(machine, self.lab.workspace)
+
+    def chosen(self, role: str) -> list[str]:
+        """Return the recordings of one use."""
+        return [path for path, use in self.roles.items() if use == role]
+
+    def take_run(self, run: Run, *, beside: Sequence[str] = ()) -> None:
+        """Mark a run for the fit, alone or beside other recordings."""
+        held = self.chosen("held out") if beside else []
+        self.roles = dict.fromkeys((*beside, str(run.folder / DATA)), "fit")
+        self.roles |= dict.fromkeys(held, "held out")
+        self.added += [p for p in beside if p not in self.added and Path(p).name != DATA]
+        self.fill()
+
+    @on(DataTable.RowSelected, "#recordings")
+    def action_use(self) -> None:
+        """Use the marked recording for the fit, hold it out, or leave it out."""
+        table = self.query_one("#recordings", DataTable)
+        try:
+            key = table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value
+        except CellDoesNotExist:
+            self.say("no recording yet: record on Console (r), or add a file (a)", "warning")
+            return
+        now = ROLES[(ROLES.index(self.roles.get(str(key), "")) + 1) % len(ROLES)]
+        self.roles.pop(str(key), None)
+        if now:
+            self.roles[str(key)] = now
+        self._marked_by_hand = True
+        self.fill()
+
+    def action_add(self) -> None:
+        """Ask for the file of a recording."""
+        fields = [Field("path", "Recording", "", check=existing, hint="MAT, CSV, NPZ, Parquet …")]
+        text = "Recorded by zendsp or anybody else; the model file names the columns."
+
+        def take(r: dict[str, str] | None) -> None:
+            if r and r["path"] not in self.added:
+                self.added.append(r["path"])
+                self.roles[r["path"]] = "fit"
+                self.fill()
+
+        self.app.push_screen(Form("Add a recording", fields, text, "Add"), take)  # type: ignore[arg-type]
+
+    def action_model(self) -> None:
+        """Choose the model file."""
+        options = [Line(str(p), p.name, str(p.parent)) for p in self._models()]
+        options.append(Line("", "another file …", "its path is asked for"))
+        text = "The model whose missing physics is of interest; zendsp model new writes one."
+
+        def take(keys: list[str] | None) -> None:
+            if keys and keys[0]:
+                self._take_model(keys[0])
+            elif keys:
+                form = Form("Model file", [Field("path", "Model file", "", check=existing)])
+                self.app.push_screen(form, lambda r: self._take_model(r["path"]) if r else None)
+
+        self.app.push_screen(Choose("Model", options, text=text), take)
+
+    def _take_model(self, path: str) -> None:
+        self.model = self.lab.model = path
+        self._painted = None
+
+    # -- the diagnosis
+    # ----------------------------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether one runs."""
+        return self.command is not None
+
+    def action_start(self) -> None:
+        """Diagnose in a process of its own."""
+        fit, held = self.chosen("fit"), self.chosen("held out")
+        if self.busy:
+            self.say("a diagnosis runs already; Ctrl+C ends it", "warning")
+        elif not fit:
+            self.say(
+                "mark a recording first (space): record one on Console (r), play a reference on"
+                " Execute, or add a file (a)",
+                "warning",
+            )
+        elif not self.model:
+            self.say("choose the model first (m); zendsp model new writes one", "warning")
+        else:
+            self._cancelled, self.said, self._began = False, [], time.monotonic()
+            self.shown, self.entries = None, []
+            self.query_one("#findings", OptionList).clear_options()
+            self.query_one("#verdict", Static).update("")
+            self._detail("words-box")
+            name = recording_name(fit[0])
+            made, folder = begin(self.lab.workspace.diagnoses, name)
+            words = ["diagnose", *fit, "--model", self.model, "--out", str(made)]
+            for path in held:
+                words += ["--heldout", path]
+            self.command = Command(words, self.lab.workspace.root, self._hear)
+            work = self._diagnose(self.command, made, folder, fit, held)
+            self.run_worker(work, group="diagnosis")
+
+    def _hear(self, line: str) -> None:
+        self.said.append(line)
+        if self.shown is None:
+            self.query_one("#words", Static).update("\n".join(self.said[-200:]))
+            self.query_one("#words-box", VerticalScroll).scroll_end(animate=False)
+
+    async def _diagnose(
+        self, command: Command, made: Path, folder: Path, fit: list[str], held: list[str]
+    ) -> None:
+        model = self.model
+        try:
+            status = await command.run()
+            if status == 0 and not self._cancelled:
+                self.open(keep(made, folder, recording_name(fit[0]), model, fit, held))
+                seconds = time.monotonic() - self._began
+                self.say(f"diagnosis: {headline(self.shown.report)} ({seconds:.0f} s)", "good")  # type: ignore[union-attr]
+            elif self._cancelled:
+                self._hear("— cancelled —")
+            else:
+                last = next((line for line in reversed(self.said) if line.strip()), "")
+                self.say(f"diagnosis failed: {last}", "error")
+        finally:
+            self.command = None
+            shutil.rmtree(made, ignore_errors=True)
+            if self.is_mounted:
+                self._paint(0.0)
+
+    def action_cancel(self) -> None:
+        """End the diagnosis that runs."""
+        if self.command is not None:
+            self._cancelled = True
+            self.command.end()
+            self.say("diagnosis cancelled", "warning")
+
+    def on_unmount(self) -> None:
+        if self.command is not None:
+            self.command.end()
+
+    # -- what was found
+    # ----------------------------------------------------------------------------------------------
+
+    def open(self, d: Diagnosed) -> None:
+        """Show a diagnosis."""
+        self.shown = d
+        theme = self.app.theme_variables
+        colour = {"complete": "success", "missing": "error"}.get(d.report["verdict"], "warning")
+        self.query_one("#verdict", Static).update(
+            Text(headline(d.report), Style(color=theme[colour], bold=True))
+        )
+        self.entries = [*entries(d, theme), self.loop_entry(d)]
+        lines = self.query_one("#findings", OptionList)
+        lines.clear_options()
+        lines.add_options([Option(e.text, id=e.key) for e in self.entries])
+        lines.highlighted = 0
+        lines.focus()
+
+    @on(OptionList.OptionHighlighted, "#findings")
+    def _highlighted(self, event: OptionList.OptionHighlighted) -> None:
+        entry = next((e for e in self.entries if e.key == event.option.id), None)
+        if entry is None:
+            return
+        if entry.key == LOOP:
+            self._detail("loop")
+            self.follow_loop()
+        elif entry.chart is not None:
+            self._detail("figure")
+            self.query_one(FigureView).show(entry.chart)
+        else:
+            self._detail("words-box")
+            self.query_one("#words", Static).update(entry.words)
+            self.query_one("#words-box", VerticalScroll).scroll_home(animate=False)
+
+    def _detail(self, shown: str) -> None:
+        for name in ("figure", "words-box", "loop"):
+            self.query_one(f"#{name}").display = name == shown
+        self.query_one("#loop-scope").display = shown == "loop"
+
+    def take_next(self, d: Diagnosed, run: Run) -> None:
+        """Diagnose a run together with the recordings of a diagnosis."""
+        self.take_run(run, beside=d.recordings)
+        self._take_model(d.model)
+        self.action_start()
+
+    def action_compare(self) -> None:
+        """Show what sets this diagnosis apart from another."""
+        if self._need() is not None:
+            self._choose_diagnosis("Compare with", self.compare_with)
+
+    def action_earlier(self) -> None:
+        """Open an earlier diagnosis."""
+        self._choose_diagnosis("Diagnoses", self.open)
+
+    def _choose_diagnosis(self, title: str, then: Callable[[Diagnosed], None]) -> None:
+        known = list_diagnoses(self.lab.workspace.diagnoses)
+        if self.shown is not None and title == "Compare with":
+            known = [d for d in known if d.folder != self.shown.folder]
+        if not known:
+            self.say("there is no other diagnosis yet", "warning")
+            return
+        options = [
+            Line(str(d.folder), f"{d.name}  {_when(d)}", headline(d.report)) for d in known
+        ]
+
+        def take(keys: list[str] | None) -> None:
+            if keys:
+                then(next(d for d in known if str(d.folder) == keys[0]))
+
+        self.app.push_screen(Choose(title, options), take)
+
+    # -- the screen
+    # ----------------------------------------------------------------------------------------------
+
+    def pull(self, snapshot: Snapshot, fresh: bool) -> None:
+        """Show what goes on."""
+        seconds = time.monotonic() - self._began if self.busy else 0.0
+        key = (int(4 * seconds), self.busy, len(self.said), self.model, self.app.theme, self.size)
+        if key != self._painted:
+            self._painted = key
+            self._paint(seconds)
+        if fresh and self.shown is not None:
+            self.look_at_loop(snapshot)
+
+    def _paint(self, seconds: float) -> None:
+        c = self.app.theme_variables
+        text = Text("model  ", "dim", no_wrap=True, overflow="ellipsis")
+        text.append(self.model or "none: m chooses one", Style(dim=False, bold=True))
+        self.query_one("#given-model", Static).update(text)
+        self.query_one("#do-start", Button).disabled = self.busy
+        self.query_one("#do-cancel", Button).disabled = not self.busy
+        for name in ("report", "compensate", "next", "save", "compare"):
+            self.query_one(f"#do-{name}", Button).disabled = self.shown is None
+        stage = Text(" ", no_wrap=True, overflow="ellipsis")
+        if self.busy:
+            stage.append(SPINNER[int(4 * seconds) % len(SPINNER)], Style(color=c["accent"]))
+            stage.append(f" {seconds:.0f} s  {self.said[-1] if self.said else 'starting'}")
+        elif self.shown is not None:
+            names = ", ".join(recording_name(r) for r in self.shown.recordings)
+            stage.append(f"shown: {names}, {self.shown.report['seconds']:.1f} s", "dim")
+        self.query_one("#stage", Static).update(stage)
+
+
+def _when(d: Diagnosed) -> str:
+    return time.strftime("%m-%d %H:%M", time.localtime(d.created))

@@ -1,0 +1,341 @@
+"""Diagnose: what comes of a finding: the report, compensation in the running program, the next
+motion, the improved model, a comparison.
+"""
+
+from __future__ import annotations
+
+import shutil
+import webbrowser
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.text import Text
+from textual.widgets import OptionList, Static
+
+from zendsp.errors import ZendspError
+from zendsp.tui.compensating import (
+    FILE,
+    LINES,
+    SHARE,
+    Compensation,
+    compensation_of,
+    has_room,
+    not_compensated,
+)
+from zendsp.tui.diagnoses import Diagnosed, compare
+from zendsp.tui.dialogs import Field, Form, Message, not_empty
+from zendsp.tui.panels.findings import LOOP, Entry
+from zendsp.tui.play_job import usual_channels
+from zendsp.tui.port import Build, Port
+from zendsp.tui.scope import Channel, History, Scope
+from zendsp.tui.screens.base import LabScreen
+from zendsp.tui.snapshot import Snapshot
+from zendsp_isr.sources import gather
+
+if TYPE_CHECKING:
+    from zendsp.tui.runs import Run
+
+LOOK_S = 2.0  # over which the tracking error is measured
+ERRORS = ("e", "err", "error")
+
+
+class LoopActions(LabScreen):
+    """What the keys do with a diagnosis."""
+
+    shown: Diagnosed | None
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.entries: list[Entry] = []  # lines that are shown
+        self.compensation: Compensation | None = None
+        self.before: dict[str, float] = {}  # tracking errors before it was last switched on
+        self._errors: tuple[Channel, ...] = ()
+        self._followed: History | None = None
+        self._state = ""
+
+    def _need(self) -> Diagnosed | None:
+        if self.shown is None:
+            self.say("diagnose first (s), or open an earlier one (o)", "warning")
+        return self.shown
+
+    # -- compensation in the running program
+    # ----------------------------------------------------------------------------------------------
+
+    def loop_entry(self, d: Diagnosed) -> Entry:
+        """Return the line about the compensation of a diagnosis."""
+        try:
+            self.compensation = compensation_of(d)
+        except (ZendspError, OSError):
+            self.compensation = None
+        self._state, self.before = "", {}
+        return Entry(LOOP, self._line(self.lab.session.snapshot))
+
+    def _line(self, s: Snapshot) -> Text:
+        text = Text(f"{'loop':<7}", "dim")
+        text.append(self._standing(s)[1], "not dim")
+        return text
+
+    def _standing(self, s: Snapshot) -> tuple[str, str]:
+        """How the running program stands to what was found, and in words."""
+        c = self.compensation
+        if c is None or not c.values:
+            return "nothing", "nothing of it can be cancelled by a torque (c says why)"
+        names = [v.name for v in s.variables]
+        if not names:
+            return "no program", "compensation: needs a program (build and start it on Console, F2)"
+        if not c.fits(names):
+            return "no room", "compensation: c prepares the program for it"
+        if c.acts(s.values):
+            return "on", "compensation is on; c fades it out"
+        return "off", "compensation is off; c fades it in"
+
+    def look_at_loop(self, s: Snapshot) -> None:
+        """Keep the line about the compensation and its figures true."""
+        state, _ = self._standing(s)
+        if state != self._state:
+            self._state = state
+            lines = self.query_one("#findings", OptionList)
+            lines.replace_option_prompt(LOOP, self._line(s))
+        if self.query_one("#loop").display:
+            self.query_one("#loop-words", Static).update(self._figures(state))
+
+    def _figures(self, state: str) -> str:
+        now = self._rms()
+        parts = []
+        for channel in self._errors:
+            name, value = channel.name, now.get(channel.name)
+            if value is None:
+                continue
+            was = self.before.get(name)
+            before = f"{was:.3g} → " if was is not None and state == "on" else ""
+            parts.append(f"{name} {before}{value:.3g} {channel.unit}")
+        rms = "  ".join(parts) or "no program runs"
+        return f"compensation {state}   rms over {LOOK_S:g} s:  {rms}"
+
+    def _rms(self) -> dict[str, float]:
+        if self._followed is None or self.lab.session.snapshot.state != "running":
+            return {}
+        t, y = self._followed.since(self._followed.latest - LOOK_S)
+        if len(t) < 2:
+            return {}
+        with np.errstate(invalid="ignore"):
+            values = np.sqrt(np.nanmean(y * y, axis=0))
+        return {c.name: float(v) for c, v in zip(self._errors, values, strict=True)}
+
+    def follow_loop(self) -> None:
+        """Draw the tracking errors live."""
+        snapshot = self.lab.session.snapshot
+        units = {v.name: (v.unit, v.length) for v in snapshot.variables}
+        names = [n for n in units if n.rstrip("0123456789") in ERRORS and n.startswith("e")]
+        scalars = [n for n in names if units[n][1] == 1] or names or list(usual_channels(snapshot))
+        channels: list[Channel] = []
+        for name in scalars:
+            unit, length = units.get(name, ("", 1))
+            many = [f"{name}[{k}]" for k in range(length)] if length > 1 else [name]
+            channels += [Channel(n, unit) for n in many]
+        if tuple(channels[:8]) == self._errors and self.lab.session.history is self._followed:
+            return
+        self._errors = tuple(channels[:8])
+        if not self._errors:
+            return
+        self._followed = self.lab.session.watch(self._errors)
+        scope = self.query_one("#loop-scope", Scope)
+        scope.show_channels(self._errors, self._followed)
+        scope.set(replace(scope.settings, window=10.0))
+
+    def action_compensate(self) -> None:
+        """Switch the compensation on or off, or prepare the program for it."""
+        d, s = self._need(), self.lab.session.snapshot
+        if d is None:
+            return
+        state, words = self._standing(s)
+        c = self.compensation
+        if state == "nothing" or c is None:
+            why = not_compensated(d.folder / FILE) if (d.folder / FILE).is_file() else ""
+            self.app.push_screen(Message("Compensation", Text(f"{words}\n\n{why}".strip())))
+        elif state == "no program":
+            self.say(words, "warning")
+        elif state == "no room":
+            self._offer_room(c)
+        else:
+            self._switch(c, on=state == "off")
+
+    def _switch(self, c: Compensation, *, on: bool) -> None:
+        self.query_one("#findings", OptionList).highlighted = len(self.entries) - 1
+        values: Mapping[str, Any] = {**c.values, SHARE: 1.0} if on else {SHARE: 0.0}
+        if on:
+            self.before = self._rms()
+        fade = self.lab.session.snapshot.values.get("comp_fade", 0.0)
+        word = "in" if on else "out"
+
+        def said(tick: int) -> None:
+            self.say(f"compensation fades {word} over {fade:g} s from sample {tick} on", "good")
+
+        self.ask("compensation", lambda port: port.update(values), said)
+
+    def _offer_room(self, c: Compensation) -> None:
+        source = self.lab.source
+        if source is None:
+            self.say("choose the source of the program first (O on Console)", "warning")
+            return
+        try:
+            texts = gather(source)
+        except ZendspError as error:
+            self.say(str(error), "error")
+            return
+        place = self._place(source, texts)
+        if not has_room(texts):
+            text = (
+                f"{source.name} has no room for a compensation yet. {FILE} is written to\n"
+                f"{place.parent}; the program takes it with three lines:\n\n{LINES}\n\n"
+                "Then build it (b on Console)."
+            )
+            self.app.push_screen(
+                Message("Compensation", Text(text), agree=f"Write {FILE}"),
+                lambda yes: self._keep_source(c, place, texts) if yes else None,
+            )
+            return
+        text = (
+            f"{place.name} takes a {FILE} that lies beside it. It is written to\n{place.parent},"
+            " and the program is built and downloaded. The compensation is off until you start"
+            " the program (Console) and press c here again."
+        )
+        if self.lab.session.snapshot.state == "running":
+            self.say("pause the program first (p on Console): it is built anew", "warning")
+            return
+        self.app.push_screen(
+            Message("Compensation", Text(text), agree="Write and build"),
+            lambda yes: self._build(c, place, texts) if yes else None,
+        )
+
+    def _place(self, source: Path, texts: Mapping[str, str]) -> Path:
+        """Where the program stands that takes the compensation: a shipped one becomes a copy here.
+        """
+        shipped = source.parent in {p.parent for p in self.lab.examples()}
+        return self.lab.workspace.root / source.name if shipped else source
+
+    def _keep_source(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> None:
+        self._write(c, place, texts)
+
+    def _write(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> bool:
+        try:
+            for name, text in texts.items():
+                file = place.parent / name
+                if not file.exists():
+                    file.write_text(text, encoding="utf-8")
+            shutil.copyfile(c.source, place.parent / FILE)
+        except OSError as error:
+            self.say(f"{FILE} is not written: {error}", "error")
+            return False
+        self.lab.source = place
+        self.say(f"wrote {place.parent / FILE}", "good")
+        return True
+
+    def _build(self, c: Compensation, place: Path, texts: Mapping[str, str]) -> None:
+        if not self._write(c, place, texts):
+            return
+
+        def job(port: Port) -> Build:
+            build = port.build(gather(place))
+            if build.ok:
+                port.update({SHARE: 0.0})
+            return build
+
+        def done(build: Build) -> None:
+            first = next((r for r in build.remarks if r.severity == "error"), None)
+            if first is not None:
+                self.say(f"{first.file}:{first.line}: {first.message}", "error")
+            else:
+                self.say(f"built with {FILE}: start it on Console (F2), then c here", "good")
+
+        self.ask("build", job, done)
+
+    # -- files
+    # ----------------------------------------------------------------------------------------------
+
+    def action_report(self) -> None:
+        """Open the report in a browser."""
+        d = self._need()
+        if d is not None:
+            self.run_worker(lambda: self._open_page(d.page), thread=True, group="page")
+
+    def _open_page(self, page: Path) -> None:
+        if not (self.app.is_web or not graphical()) and webbrowser.open(page.as_uri()):
+            self.app.call_from_thread(self.say, f"opened {page}")
+            return
+        words = f"No browser can be opened from here. The report is\n\n{page}"
+        self.app.call_from_thread(self.app.push_screen, Message("Report", Text(words)))
+
+    def action_save(self) -> None:
+        """Ask where the improved model goes."""
+        d = self._need()
+        if d is None:
+            return
+        default = self.lab.workspace.root / f"{Path(d.model).stem}_improved.toml"
+        form = Form("Save the improved model", [Field("path", "To", str(default), check=not_empty)])
+
+        def write(r: Mapping[str, str] | None) -> None:
+            if not r:
+                return
+            path = Path(r["path"]).expanduser()
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(d.folder / "model.toml", path)
+            except OSError as error:
+                self.say(f"the model is not saved: {error}", "error")
+                return
+            self.say(f"improved model saved: {path}", "good")
+            self.lab.toast(f"saved {path}")
+
+        self.app.push_screen(form, write)
+
+    def compare_with(self, other: Diagnosed) -> None:
+        """Show what sets the shown diagnosis apart from another."""
+        if self.shown is not None:
+            try:
+                text = compare(other, self.shown)
+            except (OSError, ValueError, KeyError) as error:
+                self.say(f"compare: {error}", "error")
+                return
+            self.app.push_screen(Message("Compare", Text(text)))
+
+    # -- the next motion
+    # ----------------------------------------------------------------------------------------------
+
+    def action_next(self) -> None:
+        """Open the proposed motion on Execute; its run is diagnosed together with the others."""
+        d = self._need()
+        if d is None:
+            return
+        reference = d.next_reference
+        if reference is None:
+            proposal = d.report["next_recording"]
+            sentence = proposal["sentence"] if proposal else "nothing is left open"
+            self.say(f"no motion is proposed: {sentence}", "warning")
+            return
+        folder = self.lab.workspace.references
+        folder.mkdir(parents=True, exist_ok=True)
+        place = folder / f"next-{d.folder.name}.mat"
+        shutil.copyfile(reference, place)
+        self.lab.await_run(place, lambda run: self.take_next(d, run))
+        self.lab.play(place)
+        self.say("start it here (s): its run is diagnosed together with the others", "good")
+
+    def take_next(self, d: Diagnosed, run: Run) -> None:
+        """Diagnose a run together with the recordings of a diagnosis."""
+        raise NotImplementedError
+
+
+def graphical() -> bool:
+    """Return whether a browser would open a window of its own: one in this terminal would take the
+    screen.
+    """
+    try:
+        browser = webbrowser.get()
+    except webbrowser.Error:
+        return False
+    in_terminal = type(browser) is webbrowser.GenericBrowser
+    return not in_terminal

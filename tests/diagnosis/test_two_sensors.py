@@ -1,0 +1,187 @@
+"""Two sensors on the two sides of a transmission: what they show, and what they must not."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import reality
+
+from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.data.prepare import prepare
+from zendsp.diagnosis.data.reading import Parts, read_signals
+from zendsp.diagnosis.decide.torque_sensor import sides_of
+from zendsp.diagnosis.decide.transmission import Measured, measured_transmissions
+from zendsp.errors import RecordingError
+from zendsp.physics.model import Model
+from zendsp.physics.model_file import parse_model
+from zendsp.recording import Recording
+
+RATE, SECONDS = 500.0, 8.0
+FINE = 2 * np.pi / 2**20  # rad: an absolute encoder of 20 bits
+
+
+def model(**columns: object) -> Model:
+    friction = [
+        {"kind": "viscous", "joint": 1, "coefficient": 0.004},
+        {"kind": "coulomb", "joint": 1, "level": 0.03},
+    ]
+    return parse_model(
+        {
+            "name": "bench",
+            "sample_time": 1 / RATE,
+            "mechanism": {"kind": "rotary", "parameters": {"inertia": 0.010}},
+            "effect": friction,
+            "columns": {"time": "t", "position": "q", "command": "u", **columns},
+        }
+    )
+
+
+@cache
+def columns(machine: tuple[tuple[str, float], ...], seed: int) -> dict[str, np.ndarray]:
+    found = reality.Machine(both_sides=True, **dict(machine))  # type: ignore[arg-type]
+    motion = reality.multisine(SECONDS, RATE, seed, size=1.0, high=8.0)
+    return reality.simulate(found, motion, RATE)
+
+
+def recording(made: dict[str, np.ndarray]) -> Recording:
+    return Recording.from_columns({k: v for k, v in made.items() if k != "t"}, sample_time=1 / RATE)
+
+
+def measured(late: int = 0, **machine: float) -> list[Measured]:
+    given = model(position_load="ql")
+    sets = []
+    for seed in (1, 2, 3):
+        made = dict(columns(tuple(sorted(machine.items())), seed))
+        made["ql"] = np.r_[np.repeat(made["ql"][:1], late), made["ql"][: len(made["ql"]) - late]]
+        sets.append(prepare([read_signals(recording(made), given)], given, 64.0))
+    return measured_transmissions(Parts(*sets), given, 1)
+
+
+def only(found: list[Measured]) -> Measured:
+    assert len(found) == 1
+    return found[0]
+
+
+def test_a_spring_is_measured_not_guessed() -> None:
+    spring = only(measured(soft=40.0, load=0.006, resolution=FINE))
+    assert [f.effect for f in spring.findings] == ["elasticity"]
+    numbers = spring.findings[0].parameters
+    assert numbers["stiffness"].value == pytest.approx(40.0, rel=0.05)  # differentiated signals
+    assert numbers["load_inertia"].value == pytest.approx(0.006, rel=0.1)
+    assert spring.terms[0].effect == "elasticity"
+
+
+def test_a_spring_is_measured_through_the_counts_of_usual_encoders() -> None:
+    spring = only(measured(soft=15.0, load=0.006))
+    assert [f.effect for f in spring.findings] == ["elasticity"]
+    # torsion of 20 mrad against counts of 0.38 mrad
+    assert spring.findings[0].parameters["stiffness"].value == pytest.approx(15.0, rel=0.1)
+
+
+def test_a_stiff_transmission_is_none_and_the_report_says_what_would_have_been_seen() -> None:
+    nothing = only(measured(resolution=FINE))
+    assert nothing.findings == ()
+    (least,) = nothing.detectable
+    assert least.effect == "elasticity" and 0 < least.size < 1e-3
+    assert any("would have been seen" in note for note in nothing.notes)
+
+
+def test_a_gap_is_measured() -> None:
+    gap = only(measured(gap=0.02, load=0.006, resolution=FINE))
+    assert [f.effect for f in gap.findings] == ["backlash"]
+    assert gap.findings[0].parameters["gap"].value == pytest.approx(0.02, rel=0.1)
+
+
+def test_a_transmission_that_stiffens_is_measured() -> None:
+    bent = only(measured(soft=15.0, hard=8e3, load=0.006, resolution=FINE))
+    assert [f.effect for f in bent.findings] == ["stiffening"]
+    numbers = bent.findings[0].parameters
+    assert numbers["stiffness"].value == pytest.approx(15.0, rel=0.2)  # the first two terms of a
+    assert numbers["stiffness3"].value == pytest.approx(8e3, rel=0.6)  # series in the torque
+
+
+def test_a_late_second_sensor_is_taken_out_and_said() -> None:
+    spring = only(measured(late=2, soft=40.0, load=0.006, resolution=FINE))
+    assert [f.effect for f in spring.findings] == ["elasticity"]
+    assert spring.findings[0].parameters["stiffness"].value == pytest.approx(40.0, rel=0.1)
+    assert any("4 ms late" in note or "4.0" in note or "3.9" in note for note in spring.notes)
+
+
+def test_a_joint_without_a_second_sensor_is_left_alone() -> None:
+    made = dict(columns((), 1))
+    made["ql"] = np.zeros_like(made["q"])
+    given = model(position_load="ql")
+    signals = read_signals(recording(made), given)
+    assert any("position_load of joint 1 was not used: it is constant" in n for n in signals.notes)
+    data = prepare([signals], given, 64.0)
+    assert measured_transmissions(Parts(data, data, data), given, 1) == []
+
+
+def test_half_a_column_is_refused() -> None:
+    made = dict(columns((), 1))
+    made["ql"] = np.where(np.arange(len(made["q"])) < 100, np.nan, made["q"])
+    with pytest.raises(RecordingError, match="position_load of joint 1 has 100 values"):
+        read_signals(recording(made), model(position_load="ql"))
+
+
+@pytest.mark.parametrize(
+    ("role", "column", "why"),
+    [
+        ("velocity", lambda c: np.gradient(c["q"], c["t"]), "difference of the position column"),
+        ("velocity", lambda c: 57.3 * _speed(c), "times the velocity of the position column"),
+        ("current", lambda c: 3.0 * c["u"], "no measurement of its own"),
+        ("current", lambda c: np.clip(c["u"], -0.2, 0.2), "does not do what it is told"),
+        ("torque_measured", lambda c: 0 * c["u"], "it is constant"),
+    ],
+)
+def test_a_column_that_is_not_used_says_why(role: str, column: object, why: str) -> None:
+    made = dict(columns((), 1))
+    assert callable(column)
+    made["x"] = column(made)
+    signals = read_signals(recording(made), model(**{role: "x"}))
+    assert any(f"{role} of joint 1 was not used" in n and why in n for n in signals.notes)
+    assert np.isnan(signals.extra[role]).all()
+
+
+def _speed(made: dict[str, np.ndarray]) -> np.ndarray:
+    noise = np.random.default_rng(0).normal(0, 0.02, len(made["q"]))
+    return np.gradient(made["q"], made["t"]) + noise
+
+
+def test_a_column_that_the_recording_lacks_is_named() -> None:
+    signals = read_signals(recording(dict(columns((), 1))), model(current="i"))
+    assert any("current was not used: no column 'i'" in note for note in signals.notes)
+
+
+@pytest.mark.parametrize(("motor", "load", "side"), [(0.03, 0.0, "before"), (0.0, 0.03, "after")])
+def test_friction_before_and_after_a_torque_sensor_is_told_apart(
+    motor: float, load: float, side: str
+) -> None:
+    machine = {"soft": 200.0, "load": 0.006, "resolution": FINE, "viscous": 0.0}
+    machine |= {"coulomb": motor, "dry_load": load}
+    given = model(torque_measured="ts")
+    made = columns(tuple(sorted(machine.items())), 1)
+    data = prepare([read_signals(recording(made), given)], given, 64.0)
+    sides = sides_of(Parts(data, data, data), given, 1)
+    assert sides is not None and sides.side == side
+    (before, _), (after, _) = sides.dry
+    assert before == pytest.approx(motor, abs=0.003)  # a tenth: the direction is smoothed
+    assert after == pytest.approx(load, abs=0.003)
+
+
+def test_friction_over_temperature_between_recordings_that_are_each_at_one_temperature() -> None:
+    def at(temperature: float, seed: int) -> Recording:
+        level = 0.04 * (1 - 0.02 * (temperature - 20.0))
+        motion = reality.multisine(SECONDS, RATE, seed)
+        made = reality.simulate(reality.Machine(coulomb=level), motion, RATE)
+        warm = np.full(len(motion), temperature)
+        return Recording.from_columns(
+            {"q": made["q"], "u": made["u"], "warm": warm}, sample_time=1 / RATE
+        )
+
+    found = diagnose([at(20, 1), at(40, 2)], model(temperature="warm"), [at(22, 3), at(38, 4)])
+    assert [f.effect for f in found.findings] == ["friction_temperature"]
+    coefficient = found.findings[0].parameters["coefficient"].value
+    assert coefficient == pytest.approx(-0.02, rel=0.05)

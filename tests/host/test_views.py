@@ -1,0 +1,94 @@
+"""What a prompt and a notebook show of each object: one line, and a table, a plot, a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from zendsp.diagnosis import Diagnosis, Estimate, Finding, FitTable
+from zendsp.experiment.result import Estimate as Measured
+from zendsp.experiment.result import Result
+from zendsp.link import Target, local
+from zendsp.physics import parse_model
+from zendsp.recording import Recording
+from zendsp.reference import load_machine
+
+
+def _diagnosis() -> Diagnosis:
+    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
+    finding = Finding(
+        "coulomb", 1, {"level": Estimate(0.05, 0.001, "N m")}, 0.97, 0.6, (), (),
+        "Joint 1 lacks <Coulomb> friction.",
+    )  # fmt: skip
+    table = FitTable(3e-3, 2e-3, 1e-4)
+    return Diagnosis(
+        "missing", (finding,), (), (), "rad", table, table, 9e-5, (), None, 2.0, (),
+        model, model, model,
+    )  # fmt: skip
+
+
+def test_every_repr_is_one_line_that_a_person_can_read() -> None:
+    result = Result("imi-static", "Friction", "imi_planar", {"level": Measured(8.4, 0.1, "N m")})
+    recording = Recording.from_columns({"q": np.zeros(5)}, 1e-3, units={"q": "rad"})
+    assert repr(_diagnosis()) == "<Diagnosis missing: coulomb at joint 1 (97 %); 2.0 s>"
+    assert repr(result) == "<Result imi-static on imi_planar: level 8.4 ± 0.1 N m>"
+    for thing in (load_machine("imi_planar"), recording):
+        assert len(repr(thing)) < 120 and "\n" not in repr(thing)
+
+
+def test_a_notebook_shows_findings_values_and_limits() -> None:
+    shown = _diagnosis()._repr_html_()
+    assert "Joint 1 lacks &lt;Coulomb&gt; friction. (confidence 97 %)" in shown
+    assert "<td>0.05 ± 0.001 N m</td>" in shown and "<td>0.0001</td>" in shown
+    result = Result("x", "Friction", "arm", {"level": Measured(8.4, 0.1, "N m")}, warnings=["hot"])
+    assert "<td>8.4 ± 0.1 N m</td>" in result._repr_html_()
+    assert "careful: hot" in result._repr_html_()
+    assert "<td>245</td>" in load_machine("imi_planar")._repr_html_()
+
+
+def test_a_recording_is_drawn_with_its_spikes_and_gaps() -> None:
+    y = np.zeros(100_000)
+    y[54_321] = 7.0
+    recording = Recording.from_columns({"q": y}, 1e-3, units={"q": "rad"})
+    shown = recording._repr_html_()
+    assert shown.count("<polyline") == 1 and ">7</text>" in shown, "one sample in 100 000"
+    assert "q [rad]" in shown and len(shown) < 40_000
+    y[40_000:60_000] = np.nan
+    gap = Recording.from_columns({"q": y}, 1e-3)._repr_html_()
+    assert gap.count("<polyline") == 2
+    empty = replace(recording, t=recording.t[:0], data=recording.data[:0])
+    assert "no samples yet" in empty._repr_html_()
+
+
+@pytest.fixture(scope="module")
+def target() -> Iterator[Target]:
+    """A machine here, with a program."""
+    with local("imi_planar", clock="fast", options=["--speed", "20"]) as made:
+        made.download("pd.c")
+        yield made
+
+
+def test_a_target_shows_its_state_and_completes_its_variables(target: Target) -> None:
+    names = target._ipython_key_completions_()
+    assert {"Kp1", "ref", "tau", "enc"} <= set(names)
+    status = target.status()
+    assert repr(status).startswith("<Status imi_planar: loaded") and len(repr(status)) < 150
+    shown = target._repr_html_()
+    assert "<td>Kp1</td><td>2000</td><td>N m/rad</td>" in shown
+    assert "overruns, missed" in status._repr_html_()
+
+
+def test_a_live_view_takes_names_as_they_come_and_draws(target: Target) -> None:
+    target.start()
+    with target.live("q", "tau", history=1.0) as view:
+        assert view.columns == ("q[0]", "q[1]", "tau[0]", "tau[1]")
+        assert view.next_block(20.0) is not None
+        assert view.next_block(20.0) is not None
+        shown = view._repr_html_()
+        assert shown.count("<polyline") >= 4 and "q[0] [rad]" in shown
+        assert "rows, 0 lost" in repr(view)
+    assert "closed" in repr(view)
+    target.pause()

@@ -1,0 +1,65 @@
+"""What the shell completes, and the prompt of `zendsp shell`: targets, variables, programs."""
+
+from __future__ import annotations
+
+import subprocess
+
+from journey import Installed
+
+# what bash does when Tab is pressed behind these words
+PRESS = """
+eval "$(zendsp completion bash)"
+COMP_WORDS=({words})
+COMP_CWORD={last}
+_zendsp_completion zendsp
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+
+
+def _tab(installed: Installed, *words: str) -> list[str]:
+    quoted = " ".join(f"'{word}'" for word in words)
+    script = PRESS.format(words=quoted, last=len(words) - 1)
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=installed.folder,
+        env=installed.env,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    # compopt knows no completion that is in progress here, and says so
+    said = [line for line in done.stderr.splitlines() if "compopt" not in line]
+    assert not said, done.stderr
+    return done.stdout.split()
+
+
+def test_tab_completes_commands_targets_variables_and_programs(installed: Installed) -> None:
+    assert _tab(installed, "zendsp", "sal") == ["salvage"]
+    assert _tab(installed, "zendsp", "get", "K") == [], "nobody answers: nothing, and no noise"
+    installed.target("imi", "imi_planar", "--clock", "fast")
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    assert _tab(installed, "zendsp", "get", "-t", "i") == ["imi"]
+    assert _tab(installed, "zendsp", "get", "Kp") == ["Kp1", "Kp2"]
+    assert _tab(installed, "zendsp", "set", "-t", "imi", "cut") == ["cutoff="]
+    assert _tab(installed, "zendsp", "watch", "tau") == ["tau1", "tau2", "tau"]
+    assert "pd.c" in _tab(installed, "zendsp", "run", "pd")
+
+
+def test_other_shells_get_a_script(installed: Installed) -> None:
+    for shell, word in (("zsh", "compdef"), ("fish", "complete --no-files")):
+        assert word in installed.run("completion", shell).stdout
+
+
+def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(
+    installed: Installed,
+) -> None:
+    installed.target("imi", "imi_planar", "--clock", "fast")
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nget Kp1 --json\nexit\n"
+    done = installed.run("shell", "-t", "imi", input=lines)
+    assert done.returncode == 0
+    assert "Kp1 set at sample" in done.stdout and "Kp1 = 450 N m/rad" in done.stdout
+    assert '"values": {"Kp1": 450.0}' in done.stdout
+    assert "No such command 'nonsense'" in done.stderr and "nothing" in done.stderr
+    assert "No closing quotation" in done.stderr

@@ -1,0 +1,92 @@
+"""Somebody's CSV, the fourth screen of the terminal, and a better model: by keys and by mouse."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from journey import Installed
+from screen import Screen
+
+STEP = 0.004  # s
+MODEL = f"""name = "bench"
+sample_time = {STEP}
+
+[mechanism]
+kind = "rotary"
+parameters = {{ inertia = 0.01 }}
+
+[sensor]
+position_resolution = 1e-5
+
+[columns]
+time = "t"
+position = "q"
+command = "u"
+"""
+
+
+def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
+    """A PD-controlled joint with dry friction that the model does not have."""
+    h = STEP / inner
+    q = qd = 0.0
+    rows = []
+    for k in range(1000):
+        t = k * STEP
+        r = sum(0.3 * np.sin(w * t + p) for w, p in ((2.1, 0.0), (5.3, 1.0), (9.7, 2.0)))
+        seen = round(q / 1e-5) * 1e-5
+        u = 4.0 * (r - seen) - 0.2 * qd
+        rows.append((t, seen, u))
+        for _ in range(inner):
+            qd += h * (u - coulomb * np.tanh(qd / 1e-3)) / 0.01
+            q += h * qd
+    np.savetxt(path, rows, delimiter=",", header="t,q,u", comments="")
+
+
+def _click(screen: Screen, text: str) -> None:
+    """Press and release the left button on a text."""
+    row = next(k for k, line in enumerate(screen.shown.display) if text in line)
+    column = screen.shown.display[row].index(text)
+    at = f"{column + 2};{row + 1}"
+    screen.keys(f"\x1b[<0;{at}M\x1b[<0;{at}m".encode())
+
+
+@pytest.mark.timeout(300)  # the diagnosis goes at low priority
+def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
+    installed: Installed,
+) -> None:
+    _record(installed.folder / "run.csv")
+    (installed.folder / "bench.toml").write_text(MODEL)
+    screen = Screen(installed, (100, 32), "--screen", "diagnose")
+    try:
+        screen.until("model  ")
+        screen.keys(b"a")
+        screen.until("Add a recording")
+        screen.keys(b"run.csv\r")
+        screen.until("run.csv")
+        screen.until("bench.toml")  # the model that lies here is taken
+        _click(screen, "Start s")
+        screen.until("reading the recordings")
+        screen.keys(b"\x03")
+        screen.until("— cancelled —")
+        _click(screen, "Start s")
+        screen.until("Missing physics: dry friction (coulomb) at joint 1", 240.0)
+        screen.until("without coulomb")
+        assert any(0x2800 < ord(c) <= 0x28FF for c in screen.text()), "and it is drawn"
+        _click(screen, "Save w")
+        screen.until("Save the improved model")
+        screen.keys(b"\r")
+        screen.until("saved")  # what the short message says
+        screen.keys(b"\x11")
+        assert screen.ended() == 0
+    finally:
+        screen.end()
+    model = tomllib.loads((installed.folder / "bench_improved.toml").read_text())
+    found = {e["kind"]: e for e in model["effect"]}
+    level = found["coulomb"]["level"]
+    level = level["value"] if isinstance(level, dict) else level
+    # the tanh over 1 mrad/s and the filter of the speed leave a per cent
+    assert abs(level - 0.05) < 0.003
+    assert len(list((installed.folder / "diagnoses").glob("*/report.html"))) == 1

@@ -1,0 +1,58 @@
+"""What was recorded is not lost: neither by Ctrl-C nor by a disk that takes nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+from journey import Installed, until
+
+RECORDING = """
+import zendsp
+with zendsp.connect('imi') as t:
+    status = t.acquire_status()
+    print(status.state == 'running' and status.count > 50)
+"""
+STATE = "import zendsp\nwith zendsp.connect('imi') as t: print(t.status().state)\n"
+
+
+def _interrupted(installed: Installed, *options: str) -> subprocess.Popen[str]:
+    process = installed.start(
+        "zendsp", "acquire", "q", "tau", "-t", "imi", "-s", "600", "-o", "run.csv", *options
+    )
+    until(lambda: "True" in installed.script(RECORDING).stdout, "rows come in", alive=process)
+    os.kill(process.pid, signal.SIGINT)
+    process.wait(20)
+    return process
+
+
+def test_ctrl_c_keeps_what_was_recorded(installed: Installed) -> None:
+    installed.target("imi")
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    process = _interrupted(installed)
+    assert process.stdout is not None
+    assert process.returncode == 130 and "rows of 4 signals to run.csv" in process.stdout.read()
+    rows = (installed.folder / "run.csv").read_text().splitlines()
+    assert len(rows) > 50
+    assert "running" in installed.script(STATE).stdout, "the program is not the recording's"
+
+
+def test_ctrl_c_pauses_what_the_recording_started(installed: Installed) -> None:
+    installed.target("imi")
+    assert installed.run("load", "pd.c", "-t", "imi").returncode == 0
+    assert _interrupted(installed, "--start").returncode == 130
+    assert "paused" in installed.script(STATE).stdout
+
+
+def test_a_recording_that_cannot_be_written_there_is_written_elsewhere(
+    installed: Installed,
+) -> None:
+    installed.target("imi", "imi_planar", "--clock", "fast")
+    assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
+    installed.write("file", "not a folder")
+    done = installed.run("acquire", "q", "-t", "imi", "-s", "0.1", "-o", "file/run.csv")
+    assert done.returncode == 1 and "cannot be written" in done.stderr, done.stderr
+    kept = Path(done.stderr.split("it is in ", 1)[1].split()[0])
+    assert kept.name == "run.csv" and len(kept.read_text().splitlines()) > 100

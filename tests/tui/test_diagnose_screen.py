@@ -1,0 +1,326 @@
+"""Diagnose: from a recording to findings, and what comes of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import diagnosis_cases as cases
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable, Input, OptionList, Static
+
+from zendsp.diagnosis.chart import load_chart
+from zendsp.link import Target
+from zendsp.physics import load_model
+from zendsp.recording import Recording
+from zendsp.reference import make_reference
+from zendsp.tui import command
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.compensating import not_compensated
+from zendsp.tui.diagnoses import list_diagnoses
+from zendsp.tui.dialogs import Choose, Message
+from zendsp.tui.link_port import open_port
+from zendsp.tui.panels.figure import FigureView
+from zendsp.tui.runs import DATA, list_runs, store_run
+from zendsp.tui.screens import diagnose_loop
+from zendsp.tui.screens.diagnose import DiagnoseScreen
+from zendsp.tui.screens.execute import ExecuteScreen
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
+
+
+async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> DiagnoseScreen:
+    await pilot.press("f5")
+    await until(pilot, lambda: isinstance(app.screen, DiagnoseScreen), "Diagnose is shown")
+    screen = app.screen
+    assert isinstance(screen, DiagnoseScreen)
+    return screen
+
+
+async def _answer(pilot: Pilot[None], text: str) -> None:
+    await pilot.pause()
+    field = pilot.app.screen.query_one(Input)
+    field.value = text
+    await pilot.pause()
+    await pilot.press("enter")
+    await pilot.pause()
+
+
+def _text(screen: DiagnoseScreen, name: str) -> str:
+    return str(screen.query_one(name, Static).render())
+
+
+def _keys(screen: DiagnoseScreen) -> list[str]:
+    return [e.key for e in screen.entries]
+
+
+def _drawn(screen: DiagnoseScreen) -> None:
+    """Both panels are there, as wide as their place, with dots in them."""
+    for plot in screen.query_one(FigureView).plots:
+        assert plot.display and plot.curves
+        lines = [plot.render_line(y) for y in range(plot.size.height)]
+        assert all(line.cell_length == plot.size.width for line in lines)
+        dots = [c for line in lines for c in line.text if 0x2800 < ord(c) <= 0x28FF]
+        assert len(dots) > 20
+
+
+def _alone(folder: Path) -> ZendspApp:
+    """The application without a target."""
+    return ZendspApp(open_port, folder=folder, first="diagnose", frames=4.0)
+
+
+@pytest.mark.covers("diagnose.start", "diagnose.add", "diagnose.model")
+async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
+    tmp_path: Path, until: Until
+) -> None:
+    run, model = cases.bench(tmp_path)
+    app = _alone(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        screen = await _open(app, pilot, until)
+        await pilot.press("s")
+        assert not screen.busy, "nothing to diagnose yet, and it says so"
+        await pilot.press("a")
+        await _answer(pilot, str(run))
+        assert screen.chosen("fit") == [str(run)]
+        await pilot.press("m")
+        await pilot.pause()
+        assert isinstance(app.screen, Choose)
+        await pilot.press("enter")  # the model that lies here
+        await pilot.pause()
+        assert screen.model == str(model)
+        await pilot.press("s")
+        assert screen.busy
+        await until(pilot, lambda: len(screen.said) > 2, "stages are shown as they begin")
+        await until(pilot, lambda: screen.shown is not None, "diagnosed")
+        assert screen.shown is not None and not screen.busy
+        assert screen.shown.report["findings"][0]["effect"] == "coulomb"
+        assert "Missing physics: dry friction (coulomb) at joint 1" in _text(screen, "#verdict")
+        assert {"finding-0", "error_joint1", "torque_joint1", "unseen", "loop"} <= set(
+            _keys(screen)
+        )
+        figure = screen.query_one(FigureView)
+        await until(pilot, lambda: figure.display and figure.chart is not None, "the figure")
+        law = load_chart(screen.shown.folder / "law_1_coulomb_joint1.chart.json")
+        assert figure.chart is not None and figure.chart.name == law.name
+        assert np.array_equal(figure.plots[0].curves[0].xy[:, 1], law.panels[0].series[0].y)
+        _drawn(screen)
+        assert [d.folder for d in list_diagnoses(tmp_path / "diagnoses")] == [
+            screen.shown.folder
+        ]
+        assert not list((tmp_path / "diagnoses").glob(".*")), "nothing half is left"
+
+
+def test_the_numbers_of_a_figure_come_back_as_they_were_written(tmp_path: Path) -> None:
+    d = cases.stored(tmp_path)
+    law = d.charts[0]
+    assert law.section == "law" and law.same and law.panels[0].limits == (-10.0, 10.0)
+    assert np.array_equal(law.panels[0].series[1].y, np.sign(law.panels[0].series[1].x) * 8.0)
+
+
+@pytest.mark.covers("diagnose.cancel")
+async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
+    tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, model = cases.bench(tmp_path, seconds=1.0)
+    monkeypatch.setattr(
+        command, "CALL", "import os, time; print('pid', os.getpid(), flush=True); time.sleep(600)"
+    )
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await _open(app, pilot, until)
+        screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
+        for key in ("ctrl+c", "escape"):
+            await pilot.press("s")
+            await until(pilot, lambda: screen.said, "it runs")
+            pid = int(screen.said[0].split()[1])
+            await pilot.press(key)
+            await until(pilot, lambda: not screen.busy, f"{key} ends it")
+            with pytest.raises(ProcessLookupError):
+                os.kill(pid, 0)
+            assert "cancelled" in screen.said[-1]
+        assert not list((tmp_path / "diagnoses").glob("*")), "nothing half is left"
+
+
+async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
+    run, _ = cases.bench(tmp_path, seconds=1.0)
+    (tmp_path / "bad.toml").write_text('name = "bad"\n')
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await _open(app, pilot, until)
+        screen.added, screen.roles = [str(run)], {str(run): "fit"}
+        screen.model = str(tmp_path / "bad.toml")
+        await pilot.press("s")
+        await until(pilot, lambda: screen.said and not screen.busy, "it ends")
+        assert "bad.toml" in screen.said[-1] and "bad.toml" in _text(screen, "#words")
+        assert screen.shown is None
+
+
+@pytest.mark.covers("diagnose.use")
+async def test_the_last_run_is_marked_and_others_can_be_held_out(
+    tmp_path: Path, until: Until
+) -> None:
+    recording = Recording.from_columns({"q": np.zeros(100)}, 1e-3, units={"q": "rad"})
+    old = store_run(tmp_path / "runs", "old", recording)
+    new = store_run(tmp_path / "runs", "new", replace(recording, note="2"))
+    app = _alone(tmp_path)
+    async with app.run_test(size=(100, 30)) as pilot:
+        screen = await _open(app, pilot, until)
+        assert screen.chosen("fit") == [str(new.folder / DATA)]
+        screen.query_one("#recordings", DataTable).focus()
+        await pilot.press("down", "space", "space")
+        assert screen.chosen("held out") == [str(old.folder / DATA)]
+        await pilot.press("space", "up", "space", "space")
+        assert not screen.chosen("fit") and not screen.chosen("held out")
+
+
+@pytest.mark.covers(
+    "diagnose.report", "diagnose.save", "diagnose.earlier", "diagnose.compare"
+)
+async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
+    tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = cases.stored(tmp_path / "diagnoses", "first", level=6.0)
+    second = cases.stored(tmp_path / "diagnoses", "second", level=8.0)
+    opened: list[str] = []
+    monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(opened))
+    monkeypatch.setattr("webbrowser.open", lambda url: not opened.append(url))
+    app = _alone(tmp_path)
+    async with app.run_test(size=(200, 60)) as pilot:
+        screen = await _open(app, pilot, until)
+        await pilot.press("o", "enter")
+        await until(pilot, lambda: screen.shown is not None, "the newest is opened")
+        await until(pilot, lambda: screen.query_one(FigureView).display, "its first figure")
+        await pilot.pause()
+        _drawn(screen)
+        assert screen.shown is not None and screen.shown.folder == second.folder
+        assert _keys(screen) == [
+            "finding-0", "finding-1", "fit", "left-1", "unseen", "notes", "loop"
+        ]  # fmt: skip
+        await pilot.press("down", "down", "down", "down")
+        assert "ripple" in _text(screen, "#words") and "0.002 N m" in _text(screen, "#words")
+        await pilot.press("w")
+        await _answer(pilot, str(tmp_path / "better.toml"))
+        levels = [t.value("level") for t in load_model(tmp_path / "better.toml").terms
+            if t.effect == "coulomb"]  # fmt: skip
+        assert levels == [8.0, 2.0]
+        await pilot.press("d", "enter")
+        await pilot.pause()
+        assert isinstance(app.screen, Message)
+        shown = str(app.screen.query_one(".words").render())
+        row = next(line for line in shown.splitlines() if line.startswith("coulomb, joint 1"))
+        assert row.index("level 6 N m") < row.index("level 8 N m"), shown
+        assert first.name in shown and second.name in shown
+        await pilot.press("escape", "v")
+        await until(pilot, lambda: isinstance(app.screen, Message), "no browser: where it is")
+        assert str(second.page.name) in str(app.screen.query_one(".words").render())
+        opened.append("from now on there is one")
+        await pilot.press("escape", "v")
+        await until(pilot, lambda: second.page.as_uri() in opened, "opened")
+
+
+@pytest.mark.covers("diagnose.compensate")
+async def test_compensation_fades_in_and_out_of_the_running_program(
+    lab: ZendspApp, target: Target, enabled: Step, until: Until, folder: Path
+) -> None:
+    cases.stored(folder / "diagnoses")
+
+    def share() -> float:
+        return float(lab.session.snapshot.values.get("comp_share", -1.0))
+
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await enabled(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        await pilot.press("o", "enter")
+        await until(pilot, lambda: screen.shown is not None, "opened")
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(lab.screen, Message), "it offers to build")
+        await pilot.press("enter")
+        await until(pilot, lambda: share() == 0.0, "built with room, and off")
+        assert (folder / "compensation.c").is_file()
+        await pilot.press("f2")
+        await pilot.pause()
+        await until(pilot, lambda: lab.session.snapshot.drive in ("enabled", "homed"), "drives")
+        if lab.session.snapshot.drive == "homed":
+            await pilot.press("e")
+            await until(pilot, lambda: lab.session.snapshot.drive == "enabled", "enabled")
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.t > 3.0, "running on the circle")
+        await pilot.press("f5")
+        await pilot.pause()
+        screen.query_one("#findings", OptionList).highlighted = len(screen.entries) - 1
+        await until(pilot, lambda: screen._rms().get("e1", 0.0) > 0.0, "the error is followed")
+        await until(pilot, lambda: "off" in _text(screen, "#loop-words"), "it says off")
+        await pilot.press("c")
+        await until(pilot, lambda: share() == 1.0, "on")
+        at = lab.session.snapshot.t
+        await until(pilot, lambda: "compensation on" in _text(screen, "#loop-words"), "it says so")
+        assert target.read(["comp_coulomb1_level"]).values["comp_coulomb1_level"] == 8.0
+        await until(pilot, lambda: lab.session.snapshot.t > at + 3.0, "faded in, and 2 s more")
+        await until(
+            pilot,
+            lambda: screen._rms().get("e1", 1.0) < 0.7 * screen.before["e1"],
+            "the tracking error falls",
+        )
+        assert "→" in _text(screen, "#loop-words")
+        await pilot.press("c")
+        await until(pilot, lambda: share() == 0.0, "off")
+
+
+async def test_a_program_without_room_is_told_what_to_add(
+    lab: ZendspApp, enabled: Step, until: Until, folder: Path
+) -> None:
+    cases.stored(folder / "diagnoses")
+    source = folder / "pd.c"
+    source.write_text(
+        source.read_text()
+        .replace('__has_include("compensation.c")', "0")
+        .replace('#include "compensation.c"\n', "")
+    )
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await enabled(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        await pilot.press("o", "enter")
+        await until(pilot, lambda: screen.shown is not None, "opened")
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(lab.screen, Message), "it says how")
+        shown = str(lab.screen.query_one(".words").render())
+        assert "CompensationInit();" in shown and "tau[j] += Compensation(" in shown
+        await pilot.press("enter")
+        await until(pilot, (folder / "compensation.c").is_file, "written")
+        assert not_compensated(folder / "compensation.c") == ""
+
+
+@pytest.mark.covers("diagnose.next")
+async def test_the_proposed_motion_is_played_and_diagnosed_with_the_rest(
+    lab: ZendspApp, enabled: Step, until: Until, folder: Path
+) -> None:
+    motion = make_reference("circle", "imi_planar", duration=3.0)
+    d = cases.stored(folder / "diagnoses", motion=motion)
+    Path(d.recordings[0]).write_text("t\n0\n")
+    async with lab.run_test(size=(160, 48)) as pilot:
+        await enabled(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        asked: list[list[str]] = []
+        screen.action_start = lambda: asked.append(screen.chosen("fit"))  # type: ignore[method-assign]
+        await pilot.press("o", "enter")
+        await until(pilot, lambda: screen.shown is not None, "opened")
+        await pilot.press("n")
+        await until(pilot, lambda: isinstance(lab.screen, ExecuteScreen), "Execute is shown")
+        execute = lab.screen
+        assert isinstance(execute, ExecuteScreen)
+        await until(
+            pilot,
+            lambda: execute.references and all(c.met for c in execute.conditions),
+            "tried on the twin",
+        )
+        await pilot.press("s")
+        await until(pilot, lambda: asked, "played, and diagnosed again")
+        made = list_runs(folder / "runs")[0]
+        assert asked[0] == [d.recordings[0], str(made.folder / DATA)]
+        assert screen.model == d.model
+        assert lab.screen is screen
