@@ -168,6 +168,7 @@ class Model:
                 len(self.joint_kinds),
                 len(self.sensor.matrix),
                 len(self.actuator.matrix),
+                len(self.actuator.gain),
                 *(len(v) for v in self.mechanism.values()),
                 *(t.joint for t in self.terms),
             ]

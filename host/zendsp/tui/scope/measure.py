@@ -44,7 +44,7 @@ def measure(t: Floats, y: Floats, a: float, b: float) -> Measured:
     Examples
     --------
     >>> t = np.linspace(0.0, 1.0, 101)
-    >>> measure(t, 2.0 * t, 0.0, 1.0).mean
+    >>> round(measure(t, 2.0 * t, 0.0, 1.0).mean, 9)
     1.0
     """
     a, b = min(a, b), max(a, b)
