@@ -40,9 +40,9 @@ def test_rows_are_the_same_from_shared_memory_and_over_the_link(
     fast.run_for(3.7)  # a ring of a second goes round more than three times
     if continuous:
         fast.acquire_stop()
-    monkeypatch.setattr(far, "_load_held", refuse)
+    monkeypatch.setattr(far.recorder, "_load_held", refuse)
     over_the_link = far.acquire_load()
-    monkeypatch.setattr(fast, "_load_streamed", refuse)
+    monkeypatch.setattr(fast.recorder, "_load_streamed", refuse)
     told: list[float] = []
     near = fast.acquire_load(progress=told.append)
     assert (
@@ -74,7 +74,7 @@ def test_rows_that_are_overwritten_while_they_are_read_are_refused(
     fast.acquire_configure(["tick"], seconds=0.5, continuous=True)
     fast.acquire_start()
     fast.run_for(0.5)
-    monkeypatch.setattr(fast, "_load_streamed", refuse)
+    monkeypatch.setattr(fast.recorder, "_load_streamed", refuse)
     with pytest.raises(AcquisitionError, match="are not held"):
         fast.load_rows(0, 500, 1, progress=lambda _: fast.run_for(0.1))
     with pytest.raises(AcquisitionError, match="configured anew"):
