@@ -335,7 +335,8 @@ def _read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     step = np.diff(position, axis=0)
     for j in range(position.shape[1]):
         before, none, after = step[:-2, j], step[1:-1, j], step[2:, j]
-        several = np.abs(before) > 4.0 * resolution[j]
+        fast = 0.1 * float(np.abs(step[:, j]).max())  # slower, such a row is next to no error
+        several = np.abs(before) > max(4.0 * resolution[j], fast)
         double = np.abs(after - 2.0 * before) < 0.5 * np.abs(before)
         rows = 2 + np.flatnonzero((none == 0) & several & double)
         out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
