@@ -117,8 +117,8 @@ NOT_RUN: dict[tuple[str, str], str] = {
     (
         "docs/realtime.md",
         (
-            "target/zendsp_target/          monitor side, Python               "
-            " c_isr/zendsp_isr/runtime/      runner side, C"
+            "target/zendsp_target/runtime/  monitor side, Python"
+            "                c_isr/zendsp_isr/runtime/      runner side, C"
         ),
     ): DRAWING,
     ("docs/security.md", "pip install 'zendsp[keys]'"): NETWORK,

@@ -13,7 +13,7 @@
 static int32_t joint, go;
 static double level, lower, upper;
 static double Kp[8] = {2000.0, 300.0}, Kd[8] = {120.0, 12.0}; /* of the joints that are held */
-static double brake[8] = {30.0, 5.0};                         /* of the driven joint, outside of lower … upper */
+static double brake[8] = {N == 1 ? 0.02 : 30.0, 5.0}; /* of the driven joint, outside of lower … upper; the pendulum has 0.8 N m */
 
 static double tau[N], torque, speed;
 static bool running;
