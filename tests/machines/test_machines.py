@@ -267,7 +267,7 @@ def test_stop_brings_every_joint_to_rest_and_holds_it(name: str) -> None:
         held = plant.q
         for _ in range(1000):
             plant.sample(np.zeros(plant.joints), VELOCITY)
-        assert np.abs(plant.qd).max() < 2e-3
+        assert np.abs(plant.qd).max() < 6e-3  # what the drive's noise shakes
         # noise on an analog speed reference lets a joint wander, by two or three counts a second
         assert np.abs(plant.q - held).max() < 5e-3
 

@@ -43,6 +43,7 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
+from zendsp.diagnosis.search.hypothesis import vanishes
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import free_handles
@@ -112,7 +113,11 @@ class Hunt:
                 (term.effect, term.joint),
                 (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
             )
-        passed = [c for c in claims if c.gain > MIN_GAIN and c.z > MIN_Z]
+        passed = [
+            c
+            for c in claims
+            if c.gain > MIN_GAIN and c.z > MIN_Z and not vanishes(c.output.fit, c.term)
+        ]
         if not passed:
             return None, claims
         best = max(passed, key=lambda c: c.gain)
@@ -126,6 +131,8 @@ class Hunt:
         return (special[0] if special else best), claims
 
     def _why(self, c: Claim) -> str:
+        if vanishes(c.output.fit, c.term):
+            return "cannot be told from none"
         if c.gain <= MIN_GAIN:
             return "no more likely than the calibrated model"
         return (

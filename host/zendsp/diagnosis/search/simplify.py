@@ -19,7 +19,7 @@ from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, SUFFICIENT, JointSea
 from zendsp.diagnosis.search.screen import make_term
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Data, fit, joint_handles
+from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model, Term
 
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
@@ -66,6 +66,9 @@ def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
 
     Otherwise an effect may be found that is only what the integration gets wrong.
     """
+    if len(best.fit.residual) != len(residual(best.data, best.model, (joint,))):
+        # what only a first look fitted, on thinned recordings
+        best = _refitted(best.data, best.model, joint, jobs, 1)
     for _ in range(HALVINGS):
         error = step_error(best.data, best.fit, (joint,))
         ours = [h.place == "term" for h in best.fit.handles]
