@@ -43,7 +43,7 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
-from zendsp.diagnosis.search.hypothesis import vanishes
+from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, vanishes
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import free_handles
@@ -71,6 +71,19 @@ class Claim:
     output: Output
     gain: float
     z: float
+
+
+def _none(claim: Claim) -> bool:
+    """Whether an effect cannot be told from none: what it is by, or every number of it, is zero
+    within its uncertainty. A free parameter of the simulator may be the same thing.
+    """
+    done = claim.output.fit
+    own = [
+        abs(done.x[i]) < SIGNIFICANT * done.std[i]
+        for i, h in enumerate(done.handles)
+        if h.place == "term" and done.model.terms[h.index] is claim.term
+    ]
+    return vanishes(done, claim.term) or (bool(own) and all(own))
 
 
 class Hunt:
@@ -116,7 +129,7 @@ class Hunt:
         passed = [
             c
             for c in claims
-            if c.gain > MIN_GAIN and c.z > MIN_Z and not vanishes(c.output.fit, c.term)
+            if c.gain > MIN_GAIN and c.z > MIN_Z and not _none(c)
         ]
         if not passed:
             return None, claims
@@ -131,7 +144,7 @@ class Hunt:
         return (special[0] if special else best), claims
 
     def _why(self, c: Claim) -> str:
-        if vanishes(c.output.fit, c.term):
+        if _none(c):
             return "cannot be told from none"
         if c.gain <= MIN_GAIN:
             return "no more likely than the calibrated model"
