@@ -104,13 +104,13 @@ def test_a_click_on_the_red_field_stops_while_the_screen_hangs(
 ) -> None:
     installed.target("imi")
     assert installed.script(PREPARE).returncode == 0
-    screen = Screen(installed, (80, 24), "imi", "--screen", "console")
+    screen = Screen(installed, (100, 24), "imi", "--screen", "console")
     screens.append(screen)
     screen.until("● running")
     first = screen.clock()
     until(lambda: screen.clock() != first, "a picture more: where the field is was told before it")
     os.kill(screen.pid, signal.SIGSTOP)
-    screen.keys(b"\x1b[<0;74;2M\x1b[<0;74;2m")
+    screen.keys(b"\x1b[<0;94;2M\x1b[<0;94;2m")
     until(
         lambda: "stop" in installed.script(NOT_STOPPED).stdout, "stopped, though the screen hangs"
     )

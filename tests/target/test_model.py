@@ -89,7 +89,7 @@ def simulate(samples: int, dt: float) -> tuple[Array, Array]:
 
 def test_the_closed_loop_agrees_with_an_independent_model(make_runtime: Make) -> None:
     samples = 900
-    runtime = make_runtime(program_text("pd"))
+    runtime = make_runtime(program_text("pd"), machine_config={"ideal": 1.0})
     runtime.acquire_configure(0, AcquireConfig(("enc", "tau", "aout"), seconds=samples / 1000.0))
     runtime.acquire_start(0)
     runtime.start(ticks=samples)
@@ -153,7 +153,7 @@ def test_halving_the_inner_step_moves_positions_by_less_than_a_count_in_ten_seco
     """
     found = []
     for substep in (1e-4, 5e-5):
-        runtime = make_runtime(law, machine_config={"substep": substep})
+        runtime = make_runtime(law, machine_config={"ideal": 1.0, "substep": substep})
         runtime.acquire_configure(0, AcquireConfig(("enc",), seconds=10.0))
         runtime.acquire_start(0)
         runtime.start(ticks=10_000)
