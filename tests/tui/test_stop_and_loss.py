@@ -52,7 +52,9 @@ async def test_stop_makes_outputs_safe_within_two_samples(
         target.acquire_start()
         await pilot.press("s")
         await until(pilot, lambda: lab.session.snapshot.t > 2.0, "the arm moves")
-        await pilot.press({"console": "f2", "execute": "f3", "reference": "f4"}[screen])
+        await pilot.press(
+            {"console": "f2", "execute": "f3", "reference": "f4", "diagnose": "f5"}[screen]
+        )
         await until(pilot, lambda: lab.current_mode == screen, screen)
         if dialog:
             await lab.push_screen(Form("Note", [Field("note", "Note", "")]))
@@ -131,9 +133,9 @@ async def test_stop_during_a_run_ends_it_and_keeps_the_data(
         lab.chosen = (slow,)
         await until(
             pilot,
-            lambda: screen.references
-            and screen.conditions
-            and all(c.met for c in screen.conditions),
+            lambda: (
+                screen.references and screen.conditions and all(c.met for c in screen.conditions)
+            ),
             "ready",
         )
         await pilot.press("s")
