@@ -30,7 +30,7 @@ HOURS = (
     " others in small"
 )
 DRAWING = "is a drawing"
-CLONE = "takes half an hour, of a clone: tests/whole/test_mutations.py, test_endurance.py"
+CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
 EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
 REAL = "needs the published recordings: tests/proof/test_real.py"
@@ -90,6 +90,14 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
     ("docs/measurements/second_design.md", "zendsp prove --quick --no-peers --jobs 2"): HOURS,
+    ("docs/measurements/diagnosis_time.md", "zendsp prove --quick"): HOURS,
+    ("docs/measurements/structure.md", "python docs/measure_structure.py e89b9aa"): CLONE,
+    (
+        "docs/measurements/two_sensors.md",
+        "zendsp prove --real --only kuka_kr300 --data FOLDER",
+    ): REAL,
+    ("docs/models.md", "[mechanism]"): SYNTAX,
+    ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
     ("docs/proof.md", "zendsp prove --seed 6 --sample 200"): HOURS,
     ("docs/proof.md", "zendsp prove --real --limit 600"): REAL,
