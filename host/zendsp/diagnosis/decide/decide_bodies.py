@@ -25,6 +25,7 @@ from zendsp.diagnosis.decide.bodies import (
     refined,
     stated,
 )
+from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, Decision, dependence
 from zendsp.diagnosis.decide.findings import NUMERIC, number
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF
@@ -38,7 +39,6 @@ from zendsp.physics.model import Model
 
 # of a body's squared torque, over the joints: at so much it has to be larger than what is left
 MOST = 0.5
-SURE = 0.97  # no confidence beyond has been tested
 REJECTED = 4  # of its rivals are reported
 
 
@@ -117,7 +117,7 @@ def _decided(
     sure = ratio**1.5 / (0.5 + ratio**1.5)
     if found.indistinguishable:
         sure *= 0.5 + 0.5 / (1 + len(found.indistinguishable))
-    return BodyClaim(found, sizes, gain, float(min(SURE, max(0.05, sure))))
+    return BodyClaim(found, sizes, gain, float(min(SUREST, max(0.05, sure))))
 
 
 def feels(found: FoundBody, joint: int, links: Links | None) -> bool:
