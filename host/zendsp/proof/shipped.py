@@ -50,6 +50,7 @@ class Rig:
     speed: tuple[float, ...]  # rad/s
     also_true: tuple[str, ...] = ()
     loop: float = 0.0  # s, current loop of the drives: the given model knows of it as delay
+    ideal: bool = False  # without noise, steps and current loop of the drives
     seconds: float = 20.0
     lines: list[str] = field(default_factory=list)  # of what is concealed, in the machine's words
     hidden: set[tuple[str, int]] = field(default_factory=set)  # friction that the given model lacks
@@ -283,7 +284,8 @@ def record(r: Rig, shape: str, rng: Rng) -> Run:
     keep = 1 / (1 + 2 * np.pi * r.cutoff * PERIOD)
     command, speed = np.zeros(r.n), np.zeros(r.n)
     seed = int(rng.integers(2**31))  # of the machine's noise
-    with opened(r.name, f"friction = plain\nseed = {seed}\n{start}{lines}") as machine:
+    plain = f"friction = plain\nseed = {seed}\nideal = {int(r.ideal)}\n"
+    with opened(r.name, f"{plain}{start}{lines}") as machine:
         for k in range(rows):
             machine.write(command)
             y[k], q[k], v[k] = machine.read(r.n)

@@ -63,6 +63,9 @@ SURE = 3.0  # standard deviations over blocks of time
 PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
+# of the size of a mechanism without a law: what is not larger beside it may be a part of it;
+# chosen on one case (docs/diagnosis.md)
+A_PART = 0.5
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 
 
@@ -415,7 +418,7 @@ def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
     larger than half of it may be a part of it.
     """
     unknown = max((c.size for c in claims if c.effect == "unknown"), default=0.0)
-    keep = [c for c in claims if c.effect == "unknown" or c.size > RIVAL * unknown]
+    keep = [c for c in claims if c.effect == "unknown" or c.size > A_PART * unknown]
     return keep, [c for c in claims if not any(c is k for k in keep)]
 
 
