@@ -25,15 +25,13 @@ from pages import PAGES, ROOT, Block, blocks
 NETWORK = "fetches packages: tests/whole/test_wheel.py builds and installs the wheel"
 TERMINAL = "is an application in a terminal: test_stop_banner.py and test_slim_install.py open it"
 BROWSER = "serves a browser until Ctrl-C: tests/tui/test_web.py"
-HOURS = (
-    "takes minutes to hours: `.ci/run` has `zendsp prove --quick`, tests/journeys/test_prove.py the"
-    " others in small"
-)
+# `zendsp prove` takes minutes to hours, wherever it stands: `.ci/run` has `--quick`,
+# tests/journeys/test_prove.py the others in small, tests/proof/test_real.py the recordings.
+HOURS = "zendsp prove"
 DRAWING = "is a drawing"
 CLONE = "is of a clone, or takes half an hour: tests/whole/test_mutations.py, test_endurance.py"
 SYNTAX = "shows how a file or a message looks"
 EXPERIMENT = "takes up to a minute: tests/experiment/ makes each experiment"
-REAL = "needs the published recordings: tests/proof/test_real.py"
 
 # (page, first line of the block or the command) -> why it is not run
 NOT_RUN: dict[tuple[str, str], str] = {
@@ -89,34 +87,13 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
-    ("docs/measurements/second_design.md", "zendsp prove --quick --no-peers --jobs 2"): HOURS,
-    ("docs/measurements/diagnosis_time.md", "zendsp prove --quick"): HOURS,
     ("docs/measurements/structure.md", "python docs/measure_structure.py e89b9aa"): CLONE,
-    (
-        "docs/measurements/two_sensors.md",
-        "zendsp prove --real --only kuka_kr300 --data FOLDER",
-    ): REAL,
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
-    ("docs/proof.md", "zendsp prove --seed 6 --sample 200"): HOURS,
-    ("docs/proof.md", "zendsp prove --real --limit 600"): REAL,
-    ("docs/proof.md", "zendsp prove --implant --jobs 2"): REAL,
     ("docs/proof.md", "emps: missing in 31.6 s"): "is an output",
     ("docs/proof.md", "NO   stiffness x1: said unexplained"): "is an output",
-    **{
-        ("docs/prove.md", f"zendsp prove {what}"): HOURS
-        for what in (
-            "--quick",
-            "--seed 7 --sample 200",
-            "--reality mujoco --seed 7",
-            "--make cases --seed 7 --sample 100",
-            "--judge cases",
-            "--seed 7 --scheduler tcp://host:8786",
-        )
-    },
     ("docs/prove.md", "pip install 'zendsp[mujoco]'"): NETWORK,
-    ("docs/prove.md", "zendsp prove --real ; zendsp prove --implant"): REAL,
     (
         "docs/troubleshooting/recording.md",
         "zendsp salvage -t imi -o run.mat",
@@ -392,7 +369,11 @@ PLANS: dict[str, Plan] = {
 
 def kept(page: Path) -> list[Block]:
     """The blocks of a page that are run, or used as files."""
-    return [b for b in blocks(page) if (b.page, b.first) not in NOT_RUN]
+    return [
+        b
+        for b in blocks(page)
+        if (b.page, b.first) not in NOT_RUN and not b.text.startswith(HOURS)
+    ]
 
 
 PAGES_TO_RUN = [page for page in PAGES if kept(page)]
