@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt
 
 from zendsp.physics.native import native
 from zendsp.physics.signals import (
@@ -140,3 +141,23 @@ def test_sensor_noise_is_told_from_quantisation() -> None:
     )
     assert noise_beside_quantisation(quiet, COUNT) < 0.35 * COUNT
     assert noise_beside_quantisation(loud, COUNT) == pytest.approx(2 * COUNT, rel=0.15)
+
+
+@pytest.mark.parametrize("speed", [0.002, 0.05, 0.3, 3.0])  # counts a sample, at most
+@pytest.mark.parametrize("noise", [0.5, 1.0, 3.0])
+def test_sensor_noise_is_known_at_any_speed(speed: float, noise: float) -> None:
+    time, r = np.arange(20_000) * 1e-3, np.random.default_rng(1)
+    smooth = speed / (np.pi * 1e-3) * np.sin(np.pi * time) + 3 * np.sin(0.3 * time)
+    coded = COUNT * np.round(smooth + noise * r.standard_normal(len(time)))
+    assert noise_beside_quantisation(coded, COUNT) == pytest.approx(noise * COUNT, rel=0.1)
+    assert noise_beside_quantisation(COUNT * np.round(smooth), COUNT) < 0.1 * COUNT
+
+
+def test_noise_that_a_filter_took_out_of_neighbouring_samples_is_seen_over_longer_ones() -> None:
+    time, r = np.arange(20_000) * 1e-3, np.random.default_rng(3)
+    motion, white = np.sin(6 * time), 1e-3 * r.standard_normal(len(time))
+    top, bottom = butter(2, 0.25)
+    filtered = motion + filtfilt(top, bottom, white)
+    assert noise_beside_quantisation(filtered, 0.0) > 0.3e-3
+    assert noise_beside_quantisation(motion + white, 0.0) == pytest.approx(1e-3, rel=0.1)
+    assert noise_beside_quantisation(motion, 0.0) < 1e-8

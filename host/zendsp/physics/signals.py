@@ -20,6 +20,7 @@ from zendsp.physics.native import native
 Array = npt.NDArray[np.float64]
 
 EDGE_FLOOR = 0.05  # counts: no edge of a real encoder is known better
+PACE = 41  # samples, over which a speed is taken to tell moving from standing
 
 
 @dataclass(frozen=True)
@@ -225,8 +226,10 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
 
 
 def noise_beside_quantisation(y: Array, resolution: float) -> float:
-    """Standard deviation of sensor noise that the resolution does not explain, from fourth
-    differences where the motion is fast.
+    """Standard deviation of sensor noise that the resolution does not explain.
+
+    From fourth differences where the motion is fast: there rounding is as good as white. Where it
+    is nowhere fast, from the codes that go back and forth while the joint hardly moves.
 
     Parameters
     ----------
@@ -240,20 +243,68 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
     float
         rad or m.
     """
+    if resolution <= 0:
+        return _coloured(y)
     fourth = np.diff(y, 4)
-    if resolution > 0:
-        moving = np.abs(y[4:] - y[:-4]) > 3 * resolution
-        if moving.sum() < 200:
-            flips = np.diff(y)
-            flips = flips[flips != 0]
-            back = np.mean(flips[1:] * flips[:-1] < 0) if len(flips) > 20 else 0.0
-            return 0.4 * resolution * float(back) if back > 0.25 else 0.0
-        fourth = fourth[moving]
-        # differences of counts are whole numbers, and so would be their median: spread evenly over
-        # one count it is not
-        fourth = fourth + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, len(fourth))
-    # 70 = sum of squared binomials of the fourth difference; median absolute deviation keeps
-    # impacts out. Sums of uniform errors have shorter tails than normal ones, which the median
-    # takes for up to a fifth more variance
-    spread = float(np.median(np.abs(fourth - np.median(fourth)))) / 0.6745 / np.sqrt(70)
+    pace = np.abs(np.gradient(uniform_filter1d(y, PACE, mode="nearest")))[4:] / resolution
+    moving = pace > 0.375  # counts a sample
+    if moving.sum() < 200:
+        return resolution * _dither(np.diff(y) / resolution, pace < 0.1)
+    # differences of counts are whole numbers, and so would be their median: spread evenly over one
+    # count it is not
+    spread = _spread(
+        fourth[moving]
+        + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, int(moving.sum()))
+    )
+    # sums of uniform errors have shorter tails than normal ones, which the median takes for up to a
+    # fifth more variance
     return float(np.sqrt(max(0.0, spread**2 - 1.2 * resolution**2 / 12)))
+
+
+def _spread(fourth: Array) -> float:
+    """Standard deviation of the white noise behind fourth differences; their median absolute
+    deviation keeps impacts out. 70: sum of the squared binomials.
+    """
+    return float(np.median(np.abs(fourth - np.median(fourth)))) / 0.6745 / np.sqrt(70)
+
+
+def _coloured(y: Array) -> float:
+    """Noise of a signal without a lattice, with what a filter left of it at lower frequencies.
+
+    Differences over 2, 4, 8 samples see noise that a filter took out of neighbouring ones: they
+    grow, ever less, to what there was before the filter. White noise stays the same; a smooth
+    motion grows by 16 each time, and ever on.
+    """
+    best, growth = _spread(np.diff(y, 4)), 12.0
+    for stride in (2, 4, 8):
+        if len(y) < 100 * stride:
+            break
+        a, b, c, d, e = (y[k * stride : len(y) - (4 - k) * stride] for k in range(5))
+        wider = _spread(e - 4 * d + 6 * c - 4 * b + a)
+        if not 1.2 * best < wider < growth * best:
+            break
+        best, growth = wider, wider / best
+    return best
+
+
+def _dither(steps: Array, still: Array) -> float:
+    """Noise in counts that makes the codes of a joint that hardly moves go back and forth; 0 where
+    they do not.
+
+    Parameters
+    ----------
+    steps : ndarray, shape (n - 1,)
+        Differences of the codes, counts.
+    still : ndarray of bool, shape (n - 4,)
+        Of each fourth difference, whether the joint moves by less than a tenth of a count a sample.
+    """
+    flips = steps[np.abs(steps) > 0.5]
+    back = float(np.mean(flips[1:] * flips[:-1] < 0)) if len(flips) > 20 else 0.0
+    if back <= 0.25:
+        return 0.0
+    if still.sum() < 200:
+        return 0.4 * back
+    # Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi)
+    # while s is small, and s^2 + 1/12 from a third of a count on, where the two meet.
+    variance = float(np.mean(np.diff(steps, 3)[still] ** 2)) / 70
+    return float(np.sqrt(np.pi) * variance if variance < 0.17 else np.sqrt(variance - 1 / 12))

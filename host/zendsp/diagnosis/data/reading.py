@@ -476,7 +476,7 @@ def _resolution(
         f"{where} does not lie on the model's position_resolution of {stated:.4g}; "
         + (f"its smallest step is {found:.4g}" if found else "no lattice is seen")
     )
-    return found or stated
+    return found
 
 
 def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
@@ -530,7 +530,7 @@ def _decimate(signals: Signals) -> Signals:
     if factor < 2:
         return signals
     n = (len(signals.time) // factor) * factor
-    half = factor // 2
+    half = (factor - 1) // 2  # windows that overlap would make the noise of neighbours alike
 
     def centred(values: Array) -> Array:  # mean over the samples around each kept sample
         padded = np.concatenate(
@@ -545,7 +545,8 @@ def _decimate(signals: Signals) -> Signals:
     held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
     # means of many counts within a sample are better than one of them; of a few, which at low speed
     # are all the same, they hide the counts
-    counts = (signals.resolution > 0) & (1 / signals.sample_time < 1.5 * TARGET_RATE)
+    few = half == 0 or 1 / signals.sample_time < 1.5 * TARGET_RATE
+    counts = (signals.resolution > 0) & few
     white = signals.resolution / np.sqrt(12 * (2 * half + 1))
     note = (
         f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to"
