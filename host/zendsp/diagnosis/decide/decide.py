@@ -307,11 +307,11 @@ def _claimed(
                 tuple(t for t in final.model.terms if t not in kept_laws)
             )
             larger = max(larger, difference(parts.test, apart, final.model, joint))
+        # an error of a larger law is not taken up whole by the law of something else
+        error = LAW_ERROR * larger if after > _may_leave(piece) else 0.0
         sure = piece.log_e > needed and piece.evidence.z > PLAIN
         (
-            claimed
-            if sure and piece.size > max(FINEST, math.hypot(left, LAW_ERROR * larger))
-            else rest
+            claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
         ).append(piece)
     return claimed, rest
 
