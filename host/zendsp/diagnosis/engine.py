@@ -162,6 +162,13 @@ def _diagnose(
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
         parts = _with_bodies(bare, beneath)
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+    elif claims and any(c.mechanism == "inertia" for d in decisions for c in d.claims):
+        # a body that the joints have to correct may be none: the plainer explanation stands
+        plain = given.with_terms((*given.terms, *known))
+        other = _explain(_with_bodies(bare, plain), given, plain, jobs, tell)
+        if _plainer(bare.test, other, (searches, decisions, whole), len(claims)):
+            claims, beneath, parts = (), plain, _with_bodies(bare, plain)
+            searches, decisions, whole = other
     tell("looking for what passes fast")
     fine = [
         ripple
@@ -264,9 +271,19 @@ def _read(
     return signals, choose, test, [*notes, *how]
 
 
+Explained = tuple[list[JointSearch], list[Decision], Assembled]
+
+
+def _plainer(test: Data, one: Explained, other: Explained, bodies: int) -> bool:
+    """Whether one explanation claims less than another with its bodies, and predicts as well."""
+    claims = [sum(len(d.claims) for d in decisions) for _, decisions, _ in (one, other)]
+    errors = [model_error(test, whole.improved) for _, _, whole in (one, other)]
+    return claims[0] < claims[1] + bodies and errors[0] <= errors[1]
+
+
 def _explain(
     parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
-) -> tuple[list[JointSearch], list[Decision], Assembled]:
+) -> Explained:
     """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
     with what is known of it by now.
     """
