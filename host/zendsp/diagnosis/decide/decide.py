@@ -307,8 +307,10 @@ def _claimed(
                 tuple(t for t in final.model.terms if t not in kept_laws)
             )
             larger = max(larger, difference(parts.test, apart, final.model, joint))
-        # an error of a larger law is not taken up whole by the law of something else
-        error = LAW_ERROR * larger if after > _may_leave(piece) else 0.0
+        # an error of a larger law is not taken up whole by the law of something else, and not with
+        # time
+        own = after <= _may_leave(piece) or all(get_effect(e).over == "time" for e in piece.effects)
+        error = 0.0 if own else LAW_ERROR * larger
         sure = piece.log_e > needed and piece.evidence.z > PLAIN
         (
             claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
@@ -641,7 +643,8 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     )
     of_state = state.size > OF_STATE and state.z > SURE
     if before.value > OF_STATE and state.share < MOST:
-        here = bursts(parts.held, base.model, joint)
+        # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
+        here = bursts(parts.held, base.model, joint) or bursts(parts.fit, base.model, joint)
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)
     if of_state:
