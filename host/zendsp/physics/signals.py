@@ -247,7 +247,7 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
         return _coloured(y)
     fourth = np.diff(y, 4)
     pace = np.abs(np.gradient(uniform_filter1d(y, PACE, mode="nearest")))[4:] / resolution
-    moving = pace > 0.375  # counts a sample
+    moving = pace > 0.75  # counts a sample: from there on rounding is as good as white
     if moving.sum() < 200:
         return resolution * _dither(np.diff(y) / resolution, pace < 0.1)
     # differences of counts are whole numbers, and so would be their median: spread evenly over one

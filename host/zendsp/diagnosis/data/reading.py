@@ -46,7 +46,8 @@ class Signals:
     notes: tuple[str, ...] = ()
     extra: dict[str, Array] = field(default_factory=dict)
     raw: Signals | None = None  # before averaging down, where that was done
-    # (joints,): what averaging leaves of the quantiser's noise, however still a joint stands
+    # (joints,): what a filter or averaging leaves of the quantiser's noise, however still a joint
+    # stands
     least_noise: Array | None = None
 
     def part(self, start: int, stop: int, name: str) -> Signals:
@@ -186,8 +187,12 @@ def read_signals(source: str | Path | Recording | Table, model: Model) -> Signal
     for role in [role for role in SENSED if role in extra]:
         extra[role], said = judged(role, extra[role], position, command, sample_time)
         notes += [f"{name}: {words}" for words in said]
+    # what rounding did at low frequencies stays where a filter took the lattice away
+    stated = [per_joint(model.sensor.resolution, j + 1, 0.0) for j in range(joints)]
+    rounded = np.where(resolution > 0, 0.0, np.maximum(stated, 0.0) / np.sqrt(12))
     signals = Signals(
-        name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra
+        name, time, sample_time, position, command, reference, resolution, (*done, *notes), extra,
+        least_noise=rounded,
     )
     return _decimate(signals)
 
@@ -548,6 +553,7 @@ def _decimate(signals: Signals) -> Signals:
     few = half == 0 or 1 / signals.sample_time < 1.5 * TARGET_RATE
     counts = (signals.resolution > 0) & few
     white = signals.resolution / np.sqrt(12 * (2 * half + 1))
+    least = np.zeros_like(white) if signals.least_noise is None else signals.least_noise
     note = (
         f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to"
         f" {1 / signals.sample_time / factor:.0f} Hz"
@@ -560,7 +566,7 @@ def _decimate(signals: Signals) -> Signals:
         command=held,
         reference=None if signals.reference is None else signals.reference[:n:factor],
         resolution=np.where(counts, signals.resolution, 0.0),
-        least_noise=np.where(counts, 0.0, white),
+        least_noise=np.maximum(least, np.where(counts, 0.0, white)),
         extra={role: centred(values) for role, values in signals.extra.items()},
         notes=(*signals.notes, note),
         raw=signals,
