@@ -417,11 +417,22 @@ def _named(
 
 def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
     """Claims, and those that become refinements: beside a mechanism without a law, what is not
-    larger than half of it may be a part of it.
+    larger than half of it may be a part of it, and a constant is a part of any curve over position.
     """
     unknown = max((c.size for c in claims if c.effect == "unknown"), default=0.0)
-    keep = [c for c in claims if c.effect == "unknown" or c.size > A_PART * unknown]
+    curve = any(draws_a_curve(c) for c in claims)
+    keep = [
+        c
+        for c in claims
+        if c.effect == "unknown"
+        or (c.size > A_PART * unknown and not (curve and get_effect(c.effect).constant))
+    ]
     return keep, [c for c in claims if not any(c is k for k in keep)]
+
+
+def draws_a_curve(claim: Claim) -> bool:
+    """Whether a claim is of a torque over position without a law, of whatever shape."""
+    return claim.effect == "unknown" and claim.mechanism == "position_torque"
 
 
 def _surely_more(left: Structure, allowed: float) -> bool:

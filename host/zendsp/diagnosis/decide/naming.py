@@ -10,7 +10,13 @@ from collections.abc import Sequence
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.decide import OF_STATE, Claim, Decision, weight_of_payload
+from zendsp.diagnosis.decide.decide import (
+    OF_STATE,
+    Claim,
+    Decision,
+    draws_a_curve,
+    weight_of_payload,
+)
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent, sentence
 from zendsp.diagnosis.result import Estimate, Finding, Rejected
@@ -65,7 +71,8 @@ def name_findings(
             Rejected(effect, decision.joint, why, score) for effect, why, score in decision.lost
         ]
         named = {c.term.effect for c in decision.claims}
-        ranked += [(0.5 * abs(z), f) for z, f in shifted(given, decision, whole, named, test)]
+        if not any(draws_a_curve(c) for c in decision.claims):  # it may have moved gravity
+            ranked += [(0.5 * abs(z), f) for z, f in shifted(given, decision, whole, named, test)]
     ranked.sort(key=lambda item: -item[0])
     unique = {(r.effect, r.joint): r for r in sorted(rejected, key=lambda r: r.score)}
     worst_first = sorted(unique.values(), key=lambda r: -r.score)
