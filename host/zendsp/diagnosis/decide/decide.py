@@ -21,6 +21,7 @@ from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
+    FEW,
     STRUCTURED,
     Bursts,
     Size,
@@ -60,6 +61,7 @@ OF_STATE = 0.01
 TIED = 0.05  # probability above which a law is still in the race
 DRAWS = 400  # of the Bayesian bootstrap
 SURE = 3.0  # standard deviations over blocks of time
+CLAIMED = 2.5  # the same, of a claim, beside its e-value; right ones had 2.8 and more
 PLAIN = 2.0  # the same, of what has another measure beside it
 MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
 RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
@@ -67,6 +69,7 @@ RIVAL = 0.5  # of that again: where another mechanism's variables predict so muc
 # chosen on one case (docs/diagnosis.md)
 A_PART = 0.5
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
+HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                     return decision
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, search, before)
-                return decision if plain.kind == "complete" else plain
+                most = decision.after.value**2 < (1.0 - MOST) * before.value**2
+                return decision if plain.kind == "complete" or (most and not plain.claims) else plain
     return _nothing_named(parts, search, before)
 
 
@@ -311,7 +315,7 @@ def _claimed(
         # time
         own = after <= _may_leave(piece) or all(get_effect(e).over == "time" for e in piece.effects)
         error = 0.0 if own else LAW_ERROR * larger
-        sure = piece.log_e > needed and piece.evidence.z > PLAIN
+        sure = piece.log_e > needed and piece.evidence.z > CLAIMED
         (
             claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
         ).append(piece)
@@ -385,7 +389,8 @@ def _named(
         level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed) * (
             len(own) > 1 and piece.mechanism == "position_torque"
         )
-        if poor or len(own) + level >= CURVE:
+        drawn = piece.mechanism == "position_torque" and _is_curve(ranked)
+        if poor or drawn or len(own) + level >= CURVE:
             refinements += [_plain(p) for p in own[1:]]
             claims.append(
                 replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0})
@@ -453,6 +458,20 @@ def _repeats(other: Piece, first: Piece) -> bool:
         and other.log_e > 0
         and other.evidence.z > PLAIN
     )
+
+
+def _is_curve(ranked: Sequence[Piece]) -> bool:
+    """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
+    than one of them, and ripples that are no harmonics of one.
+    """
+    held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
+    if len(held) < CURVE:
+        return False
+    orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
+    if len(orders) < len(held):
+        return True
+    ratios = np.array(orders) / min(orders)
+    return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
 
 
 def _may_leave(piece: Piece) -> float:
@@ -655,7 +674,9 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     of_state = state.size > OF_STATE and state.z > SURE
     if before.value > OF_STATE and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
-        here = bursts(parts.held, base.model, joint) or bursts(parts.fit, base.model, joint)
+        here = bursts(parts.held, base.model, joint) or bursts(
+            parts.fit, base.model, joint, many=FEW
+        )
         if here is not None:
             return replace(out, kind="disturbance", bursts=here)
     if of_state:

@@ -37,9 +37,9 @@ DETAILS = (1, 3)
 BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that comes and goes
 # of the energy outside of that time, against what a random torque that is normally distributed has
 # there
-CONCENTRATED = 0.5
+CONCENTRATED = 0.4
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
-MANY = 12  # intervals
+MANY, FEW = 12, 3  # intervals: in recordings that no model was fitted to, and in the others
 
 
 @dataclass(frozen=True)
@@ -410,7 +410,32 @@ class Bursts:
     rms: float
 
 
-def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts | None:
+def _states(
+    rec: Sequence[JointRecord], joint: int, use: slice, q: Array, v: Array
+) -> list[npt.NDArray[np.float64]]:
+    """Cells of the states that a joint is in, (n,) each: place, direction and speed; the way since
+    it last turned round; the place of each neighbour, with the direction.
+    """
+
+    def places(x: Array, count: int) -> Array:
+        return np.floor((count - 0.01) * _unit(x, (float(x.min()), float(x.max()))))
+
+    fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
+    forward = (v > 0).astype(float)
+    turns = np.flatnonzero(np.diff(forward)) + 1
+    since = np.zeros(len(q), int)
+    since[turns] = turns
+    way = np.abs(q - q[np.maximum.accumulate(since)])
+    cells = [6 * places(q, 20) + 3 * forward + fast, 2 * places(way, 20) + forward]
+    for other in (joint - 1, joint + 1):
+        if 1 <= other <= len(rec):
+            cells.append(2 * places(rec[other - 1].motion.states[0][use], 20) + forward)
+    return cells
+
+
+def bursts(
+    data: Data, model: Model, joint: int, band: float = 32.0, many: int = MANY
+) -> Bursts | None:
     """Find the times outside of which a model lacks next to nothing; None where there are none
     such.
 
@@ -422,6 +447,8 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         1-based.
     band : float
         Of the observer, rad/s.
+    many : int
+        Intervals; more come and go with something else than time.
 
     Returns
     -------
@@ -447,10 +474,8 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
         ]
         masks.append(high)
         q, v = record.motion.states[0][use], record.motion.states[1][use]
-        place = np.floor(19.99 * _unit(q, (float(q.min()), float(q.max()))))
-        fast = np.minimum(2, np.floor(np.abs(v) / max(float(np.std(v)), 1e-300)))
-        cell = 6 * place + 3 * (v > 0) + fast  # 20 places, 2 directions, 3 speeds
-        met += int(np.isin(cell[high], np.unique(cell[~high])).sum())
+        seen = [np.isin(c, np.unique(c[~high])) for c in _states(rec, joint, use, q, v)]
+        met += int(np.all(seen, axis=0)[high].sum())
         energy = lack[use] ** 2
         inside += float(energy[high].sum())
         outside += float(energy[~high].sum())
@@ -468,7 +493,7 @@ def bursts(data: Data, model: Model, joint: int, band: float = 32.0) -> Bursts |
             smooth = np.convolve(lack[use], np.ones(width) / width, mode="same")
             peak = max(peak, float(np.quantile(np.abs(smooth[high]), 0.95)))
     share = inside / max(inside + outside, 1e-300)
-    if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > MANY:
+    if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > many:
         return None
     z = float(norm.isf(0.5 * covered / count))
     # of a random torque's energy, in its largest values for so long
