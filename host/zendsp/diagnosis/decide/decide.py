@@ -173,7 +173,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 # which mechanism, if any, is for the lacking torque itself to say
                 plain = _nothing_named(parts, search, before)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
-                return decision if plain.kind == "complete" or (most and not plain.claims) else plain
+                stands = plain.kind == "complete" or (most and not plain.claims)
+                return decision if stands else plain
     return _nothing_named(parts, search, before)
 
 
