@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.reading import Parts
 from zendsp.diagnosis.data.series import repeats
+from zendsp.diagnosis.decide.confidence import STATED, confidence
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
@@ -162,7 +163,9 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         pieces.sort(key=lambda p: -p.size)
         claimed, rest = _claimed(parts, given, final, joint, pieces)
         if claimed:
-            decision = _named(parts, given, search, final, claimed, rest, before, jobs, tell)
+            decision = _believed(
+                _named(parts, given, search, final, claimed, rest, before, jobs, tell)
+            )
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
             ]
@@ -419,6 +422,21 @@ def _named(
         state,
         rms_torque(parts.test, joint),
     )
+
+
+def _believed(decision: Decision) -> Decision:
+    """The decision with those laws stated that are more likely right than wrong; of what is first,
+    the mechanism stays where functions of its variables can be told, the rest refines the fit.
+    """
+    keep, more = [], list(decision.refinements)
+    for claim in decision.claims:
+        if claim.effect == "unknown" or confidence(claim, decision) > STATED:
+            keep.append(claim)
+        elif claim is decision.claims[0] and claim.mechanism in STRUCTURED:
+            keep.append(replace(claim, effect="unknown", laws={**claim.laws, "unknown": 1.0}))
+        else:
+            more.append(claim)
+    return replace(decision, claims=tuple(keep), refinements=tuple(more))
 
 
 def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:

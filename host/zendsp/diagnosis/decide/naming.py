@@ -162,7 +162,7 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         "disturbance",
         joint,
         values,
-        0.9,
+        0.85,
         found.share,
         (),
         (),
