@@ -265,7 +265,7 @@ def _spread(fourth: Array) -> float:
     """Standard deviation of the white noise behind fourth differences; their median absolute
     deviation keeps impacts out. 70: sum of the squared binomials.
     """
-    return float(np.median(np.abs(fourth - np.median(fourth)))) / 0.6745 / np.sqrt(70)
+    return float(np.median(np.abs(fourth - np.median(fourth))) / 0.6745 / np.sqrt(70))
 
 
 def _coloured(y: Array) -> float:
@@ -307,4 +307,5 @@ def _dither(steps: Array, still: Array) -> float:
     # Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi)
     # while s is small, and s^2 + 1/12 from a third of a count on, where the two meet.
     variance = float(np.mean(np.diff(steps, 3)[still] ** 2)) / 70
-    return float(np.sqrt(np.pi) * variance if variance < 0.17 else np.sqrt(variance - 1 / 12))
+    counts = np.sqrt(np.pi) * variance if variance < 0.17 else np.sqrt(variance - 1 / 12)
+    return float(counts)
