@@ -15,19 +15,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from zendsp.diagnosis.bodies.find import find_bodies
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import (
-    Parts,
-    Signals,
-    halves,
-    read_signals,
-    split,
-    with_same_columns,
-)
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
+from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
-from zendsp.diagnosis.decide.bodies import find_bodies
 from zendsp.diagnosis.decide.decide import Decision, decide
 from zendsp.diagnosis.decide.decide_bodies import decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
@@ -35,7 +30,6 @@ from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.torque_sensor import sided
-from zendsp.diagnosis.decide.transmission import by_one_sensor, measured_transmissions, said
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
@@ -45,6 +39,8 @@ from zendsp.diagnosis.report.propose import propose
 from zendsp.diagnosis.result import Diagnosis, FitTable, Left
 from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.transmission.measured import measured_transmissions
+from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import CALLED, Model

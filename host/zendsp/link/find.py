@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from zendsp.errors import LinkError, VersionMismatch
-from zendsp.link.link import open_session
+from zendsp.link.session import open_session
 from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys, registry

@@ -18,9 +18,10 @@ import numpy.typing as npt
 
 from zendsp.physics.bounds import parameter_bounds
 from zendsp.physics.effects import get_effect
-from zendsp.physics.joint import JointRecord, ran_away, run, run_many
+from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.native import LANES
+from zendsp.physics.predict import ran_away, run, run_many
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
-from zendsp.diagnosis.data.reading import Signals, joint_columns
+from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.bodies import Links, body_terms, machine_tree
 from zendsp.physics.effects.base import Scale

@@ -25,7 +25,9 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.diagnosis.data.checks import check_signals
-from zendsp.diagnosis.data.reading import Signals, read_signals, split, with_same_columns
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.signals import Signals, with_same_columns
+from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
 from zendsp.diagnosis.decide.mechanisms import mechanism_of
 from zendsp.diagnosis.external.output_error import (
