@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from collections.abc import Iterator
-from collections.abc import Sequence
-from typing import Any
-from typing import NoReturn
-from zendsp.errors import LinkError
-from zendsp.errors import NoAnswer
-from zendsp.errors import Refused
-from zendsp.errors import ZendspError
-from zendsp.link.registered import local_entries
-from zendsp.link.settings import Credentials
-from zendsp_protocol import codec
-from zendsp_protocol import keys
-from zendsp_protocol.once import AGAIN
-from zendsp_protocol.once import FIRST
-from zendsp_protocol.once import ONCE
-from zendsp_protocol.once import SETTLE
-from zendsp_protocol.once import stamp
-from zendsp_protocol.verbs import VERBS
-from zendsp_protocol.verbs import Verb
 import contextlib
 import itertools
 import os
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NoReturn
+
 import zenoh
-from zendsp.link.session import new_author, not_there, open_session
+
+from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
 from zendsp.link.background import END_S, Listener, background, open_links
+from zendsp.link.registered import local_entries
+from zendsp.link.session import new_author, not_there, open_session
+from zendsp.link.settings import Credentials
+from zendsp_protocol import codec, keys
+from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
+from zendsp_protocol.verbs import VERBS, Verb
+
 _Ready = tuple[Verb, zenoh.Querier | None]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive

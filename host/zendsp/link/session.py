@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from zendsp.errors import LinkError
-from zendsp.link.settings import Credentials
-from zendsp.link.settings import zenoh_config
-from zendsp_protocol import keys
 import getpass
 import itertools
 import os
 import platform
 import re
+from collections.abc import Sequence
+
 import zenoh
+
+from zendsp.errors import LinkError
+from zendsp.link.settings import Credentials, zenoh_config
+from zendsp_protocol import keys
 
 _numbers = itertools.count(1)
 
