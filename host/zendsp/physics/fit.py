@@ -352,11 +352,10 @@ class _Problem:
         step = self.coarse * np.maximum(np.abs(at), self.size)
         step = np.where(at + step > self.high, -step, step)
         ahead = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
-        back = (
-            [np.clip(at - step[i] * np.eye(len(at))[i], self.low, self.high) for i in range(len(at))]
-            if self.central
-            else []
-        )
+        back = []
+        if self.central:
+            moved = [at - step[i] * np.eye(len(at))[i] for i in range(len(at))]
+            back = [np.clip(point, self.low, self.high) for point in moved]
         here = [at] if base is None else []
         points = [*here, *ahead, *back]
         columns = self.evaluate(points) if points else np.zeros((0, 0))

@@ -404,6 +404,25 @@ def _where(
     )
 
 
+def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
+    """Effects that a finding cannot be told from, and its confidence."""
+    others = [
+        c
+        for c in rivals
+        if c is not claim and term.effect not in get_effect(c.term.effect).replaces
+    ]
+    same = tuple(
+        c.term.effect
+        for c in others
+        if c.term.joint == claim.term.joint and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
+    )
+    apart = [claim.gain - c.gain for c in others if c.term.effect not in same]
+    margin = min(apart or [claim.gain])
+    # no cases have calibrated this figure for black boxes: kept below 0.9
+    sure = 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8)
+    return same, min(0.9, sure)
+
+
 def _findings(
     given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
 ) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
@@ -421,29 +440,7 @@ def _findings(
         values = estimates(
             final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint)
         )
-        same = tuple(
-            c.term.effect
-            for c in rivals
-            if c is not claim
-            and c.term.joint == joint
-            and term.effect not in get_effect(c.term.effect).replaces
-            and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
-        )
-        margin = min(
-            [
-                claim.gain - c.gain
-                for c in rivals
-                if c is not claim
-                and c.term.effect not in same
-                and term.effect not in get_effect(c.term.effect).replaces
-            ]
-            or [claim.gain]
-        )
-        # no cases have calibrated this figure for black boxes: kept below 0.9
-        sure = min(
-            0.9,
-            0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8),
-        )
+        same, sure = _apart(claim, rivals, term)
         had = {t.effect for t in given.at(joint)}
         replaces = tuple(n for n in get_effect(term.effect).replaces if n in had)
         text = sentence(term, values)
