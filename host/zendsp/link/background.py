@@ -9,14 +9,22 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import zenoh
 
-if TYPE_CHECKING:
-    from zendsp.link.link import Link
 
-open_links: weakref.WeakSet[Link] = weakref.WeakSet()
+class Connected(Protocol):
+    """What has to be let go of before the process ends."""
+
+    def close(self) -> None:
+        """Say goodbye."""
+
+    def disown(self) -> None:
+        """Forget it, in a child of fork(): it is the parent's."""
+
+
+open_links: weakref.WeakSet[Connected] = weakref.WeakSet()
 _background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 END_S = 1.0  # for saying goodbye when the process ends
 

@@ -63,6 +63,10 @@ MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5
 UNEXPLAINED = 0.03  # of the RMS torque, as a function of time
+REMAINS = (
+    "A torque of {:.1f} % of the RMS torque remains over time that no effect on the simulator's"
+    " input explains (it may be inside the simulator: springs, gaps, bristles)."
+)
 
 
 @dataclass(frozen=True)
@@ -260,30 +264,16 @@ def _diagnose(
     # a fit must not be worse than what it began with
     if float(given_error @ given_error) < base.fit.cost:
         base = fit_output(train, model, ())
-    hunt, current, steps = Hunt(train, test, tell), base, []
-    for _ in range(4):
-        claim, rivals = hunt.step(current)
-        if claim is None:
-            break
-        steps.append((claim, rivals, current))
-        current = claim.output
-    if steps:
-        current = fit_output(train, current.model, current.fit.handles, evaluations=25)
+    hunt = Hunt(train, test, tell)
+    current, steps = _hunted(hunt, base, train)
     findings, names = _findings(model, base, current, steps, train)
     tell("looking at what remains")
     before, after = missing_over_time(train, base), missing_over_time(train, current)
     left = _left(after, train)
     floor = _floor(test)
-    text = ""
-    verdict = "missing" if findings else "complete"
     rest = _rms(test, current.model)
-    if left > UNEXPLAINED and rest > 3 * floor:
-        text = (
-            f"A torque of {100 * left:.1f} % of the RMS torque remains over time that no effect on"
-            " the simulator's input explains (it may be inside the simulator: springs, gaps,"
-            " bristles)."
-        )
-        verdict = verdict if findings else "unexplained"
+    open_ = left > UNEXPLAINED and rest > 3 * floor
+    verdict = "missing" if findings else "unexplained" if open_ else "complete"
     places, spans = _where(before)
     rejected = tuple(
         Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
@@ -311,7 +301,7 @@ def _diagnose(
         given=file_model(model),
         calibrated=file_model(base.model),
         improved=file_model(current.model),
-        unexplained=text,
+        unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
         details={
@@ -319,6 +309,24 @@ def _diagnose(
             "benches": (train, test),
         },
     )
+
+
+def _hunted(
+    hunt: Hunt, base: Output, train: Sequence[Bench]
+) -> tuple[Output, list[tuple[Any, Any, Output]]]:
+    """Effects taken one after another while they pay, at most four, refitted together at the end;
+    each step with its rivals and what stood before it.
+    """
+    current, steps = base, []
+    for _ in range(4):
+        claim, rivals = hunt.step(current)
+        if claim is None:
+            break
+        steps.append((claim, rivals, current))
+        current = claim.output
+    if steps:
+        current = fit_output(train, current.model, current.fit.handles, evaluations=25)
+    return current, steps
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
