@@ -108,8 +108,7 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
 
 
 def pendulum_model(theta: Array, smooth: float = 0.0) -> Model:
-    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, the torque one sample late.
-    """
+    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, the torque one sample late."""
     effects: list[dict[str, Any]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
     if len(theta) > 3:
         effects.append({"kind": "viscous", "joint": 1, "coefficient": float(theta[3])})
@@ -178,20 +177,11 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
             "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
         }
         result.effects = [
-            {
-                "kind": "coulomb",
-                "joint": 1,
-                "level": {"value": t["theta3"].value, "std": t["theta3"].std, "unit": "N m"},
-            },
-            {
-                "kind": "viscous",
-                "joint": 1,
-                "coefficient": {
-                    "value": t["viscous"].value,
-                    "std": t["viscous"].std,
-                    "unit": "N m s/rad",
-                },
-            },
+            {"kind": kind, "joint": 1, key: {"value": x.value, "std": x.std, "unit": unit}}
+            for kind, key, x, unit in (
+                ("coulomb", "level", t["theta3"], "N m"),
+                ("viscous", "coefficient", t["viscous"], "N m s/rad"),
+            )
         ]
         figure = _mechanical_figure(train, test, paper[0], extended[0])
         result.figure = save(figure, bench.folder / "mechanical.png")

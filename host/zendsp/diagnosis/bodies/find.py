@@ -116,7 +116,7 @@ def find_bodies(
         ):
             break
         best = refined(
-            fit, choose, model, layout, own_mass(best, tried, links, limits), limits, jobs, aside
+            fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
         )
         if weight_of(choose, layout, best) < limits.least:
             break
@@ -191,7 +191,6 @@ def own_mass(
 def refined(
     fit: Data,
     choose: Data,
-    model: Model,
     layout: Layout,
     first: Explained,
     limits: BodyLimits = LIMITS,
@@ -206,7 +205,7 @@ def refined(
     the two estimates differ by. They hold also where all actuators give a little more or less than
     stated, which looks much like mass.
     """
-    h, values = first.hypothesis, first.values
+    model, h, values = layout.model, first.hypothesis, first.values
     wider = (
         replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
     )

@@ -138,7 +138,6 @@ def settled(
         again = refined(
             parts.fit,
             parts.choose,
-            rest,
             layout,
             claim.found.explained,
             replace(LIMITS, rounds=2),
