@@ -1,4 +1,4 @@
-"""A function fits on a screen, and is told few things; where one does not, its reason stands here."""
+"""A function fits on a screen and is told few things; where not, its reason stands here."""
 
 from __future__ import annotations
 

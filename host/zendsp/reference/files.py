@@ -1,5 +1,4 @@
-"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns.
-"""
+"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Triangular velocity, repeated: the low-speed friction experiment of the fast-prototyping paper.
-"""
+"""Triangular velocity, repeated: the low-speed friction experiment of the fast-prototyping paper."""
 
 from __future__ import annotations
 
