@@ -1,4 +1,5 @@
-"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns."""
+"""Reference files: the MAT layout that Execute plays (docs/references.md), and tables of columns.
+"""
 
 from __future__ import annotations
 

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
-def _draw(
-    ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: np.ndarray, label: str
-) -> None:  # type: ignore[type-arg]
+def _draw(ax: Axes, reference: Reference, x: np.ndarray, low: np.ndarray, high: np.ndarray,
+    label: str) -> None:  # type: ignore[type-arg]
     for j in range(reference.joints):
         ax.plot(reference.t, x[:, j], color=COLOURS[j % 7], lw=1.3, label=f"joint {j + 1}")
     span = max(float(np.ptp(x)), 1e-9)

@@ -1,4 +1,5 @@
-"""Every kind of reference by name, and the one call that the terminal, the forms and scripts make."""
+"""Every kind of reference by name, and the one call that the terminal, the forms and scripts make.
+"""
 
 from __future__ import annotations
 

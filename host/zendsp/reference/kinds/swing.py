@@ -134,7 +134,7 @@ def _first_guess(p: _Problem, duration: float | None) -> dict[str, Array]:
         q = p.q0 + way * s**2 * np.cos(2 * np.pi * (s - 1.0) * total / (1.4 * period))
     v = np.gradient(q, s) / total
     # Push in the direction of motion, half as hard as allowed: how a swing is pumped.
-    u = 0.5 * p.torque * np.sign(v[:-1:DEGREE])
+    u = 0.5 * p.torque * np.sign(v[: -1 : DEGREE])
     return {"x": np.stack([q, v]), "u": u, "total": np.array(total)}
 
 

@@ -1,4 +1,5 @@
-"""Triangular velocity, repeated: the low-speed friction experiment of the fast-prototyping paper."""
+"""Triangular velocity, repeated: the low-speed friction experiment of the fast-prototyping paper.
+"""
 
 from __future__ import annotations
 
