@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.errors import RecordingError
+from zendsp.extras import need
 from zendsp.recording.formats.raw import Raw
 
 UNITS = ("units", "unit", "Units", "Unit")
@@ -18,8 +20,7 @@ def read(path: Path) -> Raw:
     """Read a file; groups become parts of names: ``/run/q`` is ``run.q``, or ``q`` where no other
     group has one.
     """
-    import h5py
-
+    h5py = need("h5py", "hdf5", "an HDF5 file", RecordingError)
     found = Raw({})
 
     def visit(name: str, item: Any) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
+from zendsp.extras import need
 from zendsp.recording.formats.raw import Raw
 
 if TYPE_CHECKING:
@@ -81,12 +82,11 @@ def _read_v5(path: Path) -> dict[str, Any]:
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
-    import h5py
-
+    h5py = need("h5py", "hdf5", "a MAT file of version 7.3", RecordingError)
     try:
         with h5py.File(path, "r") as file:
             return {
-                name: _hdf5_value(file, item)
+                name: _hdf5_value(h5py, file, item)
                 for name, item in file.items()
                 if not name.startswith("#")
             }
@@ -96,12 +96,10 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _hdf5_value(file: Any, item: Any) -> Any:
+def _hdf5_value(h5py: Any, file: Any, item: Any) -> Any:
     """Turn an HDF5 object as MATLAB writes it into what SciPy returns for version 5."""
-    import h5py
-
     if isinstance(item, h5py.Group):
-        return {name: _hdf5_value(file, child) for name, child in item.items()}
+        return {name: _hdf5_value(h5py, file, child) for name, child in item.items()}
     kind = item.attrs.get("MATLAB_class", b"")
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty((0, 0))
@@ -109,7 +107,7 @@ def _hdf5_value(file: Any, item: Any) -> Any:
     if isinstance(values, np.ndarray) and values.dtype == h5py.ref_dtype:
         cells = np.empty(values.T.shape, dtype=object)
         for index, reference in np.ndenumerate(values.T):
-            cells[index] = _hdf5_value(file, file[reference])
+            cells[index] = _hdf5_value(h5py, file, file[reference])
         return cells
     if kind == b"char":
         return np.array(["".join(map(chr, np.asarray(values).T.reshape(-1, order="C")))])
