@@ -187,9 +187,8 @@ def build(
         )
     with contextlib.suppress(OSError):  # another process may prune at the same time
         _prune(folder)
-    ok, messages = _compile(
-        compiler, sources, include, all_flags, shared, libraries, timeout_s, target, notes
-    )
+    wanted = (*all_flags, *(_SHARED if shared else ()))
+    ok, messages = _compile(compiler, sources, include, wanted, libraries, timeout_s, target)
     return Built(
         target if ok else None,
         key,
@@ -206,12 +205,11 @@ def _compile(
     sources: Mapping[str, bytes],
     include: Sequence[Path],
     flags: Sequence[str],
-    shared: bool,
     libraries: Sequence[str],
     timeout_s: float,
     target: Path,
-    notes: Path,
 ) -> tuple[bool, tuple[Message, ...]]:
+    """Make ``target``, and its notes beside it."""
     work = Path(tempfile.mkdtemp(prefix="build-", dir=target.parent))
     try:
         for name, content in sources.items():
@@ -224,7 +222,6 @@ def _compile(
         arguments = [
             *flags,
             own_names,
-            *(_SHARED if shared else ()),
             "-I.",
             *(f"-I{folder}" for folder in include),
         ]
@@ -236,7 +233,7 @@ def _compile(
             # no harm
             scratch = work / "notes"
             scratch.write_text(json.dumps([asdict(message) for message in outcome.messages]))
-            os.replace(scratch, notes)
+            os.replace(scratch, target.with_suffix(".json"))
             os.replace(output, target)
         return outcome.ok, outcome.messages
     finally:

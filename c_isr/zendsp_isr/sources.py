@@ -5,7 +5,7 @@ sources.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from zendsp_isr.build import source_root
@@ -48,17 +48,22 @@ def find_program(name: str | Path) -> Path:
     >>> find_program("pd.c").is_file()
     True
     """
+    shipped = shipped_programs()
+    found = found_or_shipped(name, shipped)
+    if found is None:
+        raise CompileFailed(
+            f"{name}: cannot be read: no such file, and no shipped program; give the path of a C"
+            f" file, or one of {', '.join(program.name for program in shipped)}"
+        )
+    return found
+
+
+def found_or_shipped(name: str | Path, shipped: Iterable[Path]) -> Path | None:
+    """The file of that path, or else the shipped one of that bare name; None without either."""
     path = Path(name)
     if path.is_file():
         return path
-    shipped = shipped_programs()
-    for program in shipped:
-        if str(name) == program.name:
-            return program
-    raise CompileFailed(
-        f"{path}: cannot be read: no such file, and no shipped program; give the path of a C file,"
-        f" or one of {', '.join(program.name for program in shipped)}"
-    )
+    return next((each for each in shipped if each.name == str(name)), None)
 
 
 def gather(source: Source) -> dict[str, str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from zendsp.first_use import on_first_use
 
 __version__ = "0.1.0"
 
@@ -64,14 +65,7 @@ if TYPE_CHECKING:
 
 __all__ = ["__version__", *_LAZY]
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name from its module on first use."""
-    if name not in _LAZY:
-        raise AttributeError(f"module 'zendsp' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_LAZY[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = on_first_use(__name__, _LAZY)
 
 
 def __dir__() -> list[str]:

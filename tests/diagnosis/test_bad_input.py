@@ -15,7 +15,8 @@ import reality
 from zendsp.cli import main
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import _resample_held, read_signals
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.sampling import resample_held
 from zendsp.diagnosis.decide.findings import kernel_model
 from zendsp.physics.model_file import load_model
 
@@ -371,7 +372,7 @@ def test_a_held_command_is_not_late_after_a_jittered_clock_was_resampled() -> No
     fine = np.arange(0.0, 7.9, 0.02 / RATE)
     held = np.sin(2 * np.pi * time)[np.searchsorted(time, fine, side="right") - 1]
     grid = np.arange(time[0], time[-1], 1.0 / RATE)
-    again = _resample_held(grid, time, np.sin(2 * np.pi * time)[:, None])[:, 0]
+    again = resample_held(grid, time, np.sin(2 * np.pi * time)[:, None])[:, 0]
     after = again[np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, None)]
     slope = 2 * np.pi * np.cos(2 * np.pi * fine)
     late = float((held - after) @ slope / (slope @ slope))  # s, to first order

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from zendsp.diagnosis.data.reading import Signals, split
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
 from zendsp.diagnosis.search.hypothesis import counterpart, vanishes
 from zendsp.physics.fit import Fit, Handle

@@ -11,7 +11,7 @@ import pytest
 import reality
 
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, deviance, fit_scored, informative

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,16 @@ def hdf5(path: Path) -> Path:
         run["t"].attrs["units"], run["q"].attrs["unit"] = "ms", "deg"
         run["who"], file["rate"] = "me", 500.0
     return path
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.mat"])
+def test_hdf5_without_its_package_is_refused_with_its_pip_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = hdf5(tmp_path / name)
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(RecordingError, match=r"needs h5py: pip install 'zendsp\[hdf5\]'"):
+        read_table(made)
 
 
 def tdms(path: Path) -> Path:

@@ -12,7 +12,7 @@ from screen import Screen
 MODELS = Path(__file__).parents[2] / "examples" / "models"
 BLOCKED = ("casadi", "pyarrow", "pinocchio", "pin", "pandas", "xarray", "mujoco", "fmpy",
            "distributed", "dask", "pooch", "pysindy", "sysidentpy", "textual_serve",
-           "sklearn")  # fmt: skip
+           "sklearn", "h5py")  # fmt: skip
 BLOCKER = f"""
 import sys
 

@@ -162,7 +162,7 @@ def test_a_link_without_mass_left_is_refused_by_name_and_number() -> None:
 
 def test_a_payload_on_a_machine_without_bodies_is_refused(tmp_path: Path) -> None:
     from zendsp.diagnosis.data.prepare import prepare
-    from zendsp.diagnosis.data.reading import Signals
+    from zendsp.diagnosis.data.signals import Signals
 
     model = parse_model(
         {

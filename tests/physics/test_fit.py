@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.measure.likelihood import (
     deviance,
     fit_scored,

@@ -14,11 +14,12 @@ import pytest
 from scipy.optimize import brentq
 
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.data.signals import Signals
 from zendsp.physics.effects import library
-from zendsp.physics.joint import RAN_AWAY, JointRecord, run, run_many
+from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.model_file import parse_model
+from zendsp.physics.predict import RAN_AWAY, run, run_many
 
 J, T, N = 0.01, 0.002, 1000
 STIFF = 40  # Runge-Kutta steps a sample where friction has a steep step

@@ -6,10 +6,12 @@
  *
  * and the runtime calls it from the real-time thread, once a sample and in this order:
  *
- *     write(command computed in the previous sample)  →  read(sensors)  →  user code  →  step(dt) if simulated
+ *     write(command computed in the sample before) → read(sensors) → user code
+ *         → step(dt) if simulated
  *
- * so that a command acts one sample after it was computed, and is held for one sample. `read`, `write`, `step` and `home` may not
- * block, allocate, lock or print. See docs/machines.md. This file is also read by Python (cffi): plain declarations only.
+ * so that a command acts one sample after it was computed, and is held for one sample. `read`,
+ * `write`, `step` and `home` may not block, allocate, lock or print. See docs/machines.md. This
+ * file is also read by Python (cffi): plain declarations only.
  */
 #ifndef ZENDSP_MACHINE_H
 #define ZENDSP_MACHINE_H
@@ -28,9 +30,9 @@ enum {
 
 /* What the drives do with the analog command. */
 enum {
-    MACHINE_OFF = 0,     /* power stage off: no torque (brakes, where the machine has them) */
-    MACHINE_TORQUE = 1,  /* aout is a torque (or voltage) command */
-    MACHINE_VELOCITY = 2 /* aout is a reference for the drive's own speed loop; zero = stand still */
+    MACHINE_OFF = 0,    /* power stage off: no torque (brakes, where the machine has them) */
+    MACHINE_TORQUE = 1, /* aout is a torque (or voltage) command */
+    MACHINE_VELOCITY = 2 /* aout is a reference for the drive's own speed loop; 0: stand still */
 };
 
 /* What home() answers. */
@@ -41,7 +43,8 @@ typedef struct machine_joint {
     char name[MACHINE_NAME];
     char unit[MACHINE_UNIT];    /* "rad" or "m" */
     char command[MACHINE_UNIT]; /* what aout means in torque mode: "torque", "force" or "voltage" */
-    double counts_per_unit;     /* encoder counts per rad (or m); negative where the encoder counts backwards */
+    /* encoder counts per rad (or m); negative where the encoder counts backwards */
+    double counts_per_unit;
     double zero_counts;         /* encoder reading at position zero, counts */
     double mv_per_torque;       /* mV per N m in torque mode; 0 where the command is a voltage */
     double mv_per_speed;        /* mV per rad/s in velocity mode */
@@ -52,7 +55,8 @@ typedef struct machine_joint {
     double torque_max;          /* N m */
     double home;                /* position where homing ends, rad */
     double length;              /* link length, m; 0 where it has no meaning */
-    double inertia;             /* kg m^2 (or kg) that the joint turns, roughly: gains are begun from it; 0: unknown */
+    /* kg m^2 (or kg) that the joint turns, roughly: gains are begun from it; 0: unknown */
+    double inertia;
 } machine_joint;
 
 /* What a machine says of itself; open() fills it in. */
@@ -76,7 +80,8 @@ typedef struct machine_info {
 typedef struct machine_sensors {
     int32_t enc[MACHINE_JOINTS]; /* encoders, counts */
     uint32_t din;                /* digital inputs, bit 0 first */
-    uint32_t fault;              /* bit j: the sensor of joint j is not to be trusted (trips the drives) */
+    /* bit j: the sensor of joint j is not to be trusted (trips the drives) */
+    uint32_t fault;
     uint32_t reserved;
     double adc[MACHINE_ADCS]; /* analog inputs, in adc_unit */
 } machine_sensors;
@@ -92,9 +97,11 @@ typedef struct machine_actuators {
 typedef struct machine_ops {
     uint32_t abi; /* MACHINE_ABI */
 
-    /* Make the machine ready to be read. `config`: lines "key = value" (plain text, "" if none), among them what only the target may
-     * know ("concealed = seed:17" or a file). `period`: s. Sets *handle and *info; returns 0, or -1 with a sentence in `error`. */
-    int (*open)(void **handle, const char *config, double period, machine_info *info, char *error, size_t error_size);
+    /* Make the machine ready to be read. `config`: lines "key = value" (plain text, "" if none),
+     * among them what only the target may know ("concealed = seed:17" or a file). `period`: s. Sets
+     * *handle and *info; returns 0, or -1 with a sentence in `error`. */
+    int (*open)(void **handle, const char *config, double period, machine_info *info, char *error,
+                size_t error_size);
 
     void (*read)(void *handle, machine_sensors *sensors);
     void (*write)(void *handle, const machine_actuators *actuators);
@@ -102,18 +109,21 @@ typedef struct machine_ops {
     /* Simulated machines: let `dt` seconds pass with the actuators held. NULL marks hardware. */
     void (*step)(void *handle, double dt);
 
-    /* Outputs to the state in which nothing can be harmed. Also called in a fresh process, after open(), when user code has crashed. */
+    /* Outputs to the state in which nothing can be harmed. Also called in a fresh process, after
+     * open(), when user code has crashed. */
     void (*safe)(void *handle);
 
-    /* Homing (may be NULL: positions are absolute). Called once a sample in place of user code until it no longer says BUSY; fills
-     * in the outputs of the next sample. */
+    /* Homing (may be NULL: positions are absolute). Called once a sample in place of user code
+     * until it no longer says BUSY; fills in the outputs of the next sample. */
     int (*home)(void *handle, const machine_sensors *sensors, machine_actuators *actuators);
 
     void (*close)(void *handle); /* (may be NULL) */
 
-    /* Hardware watchdog (may be NULL): tell it that all is well. Called from the real-time thread at the end of each sample that is
-     * healthy, after write() and user code, and about every 0.5 ms while paused; never from elsewhere. Not called once samples
-     * overran as often in a row as `overrun.limit` says (100 at most), until one is in time again. A register write: it may not block. */
+    /* Hardware watchdog (may be NULL): tell it that all is well. Called from the real-time thread
+     * at the end of each sample that is healthy, after write() and user code, and about every 0.5
+     * ms while paused; never from elsewhere. Not called once samples overran as often in a row as
+     * `overrun.limit` says (100 at most), until one is in time again. A register write: it may not
+     * block. */
     void (*keep_alive)(void *handle);
 } machine_ops;
 

@@ -7,7 +7,8 @@
 #include <string.h> /* strchr, strlen, strncmp */
 
 /* Copy the text after "key =" into `value` (trimmed); returns 0, or -1 when the key is absent. */
-static inline int machine_config_text(const char *config, const char *key, char *value, size_t size) {
+static inline int machine_config_text(const char *config, const char *key, char *value,
+                                      size_t size) {
     const size_t length = strlen(key);
     for (const char *line = config; line && *line;) {
         const char *end = strchr(line, '\n');

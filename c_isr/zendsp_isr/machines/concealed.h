@@ -1,7 +1,9 @@
-/* concealed.h: physics that a simulated machine carries and does not tell: what the diagnosis has to find.
+/* concealed.h: physics that a simulated machine carries and does not tell: what the diagnosis has
+ * to find.
  *
- * concealed_attach() enters the hooks of a plant and wraps its rigid-body law. The equations are those of the effects table in the
- * contract of the diagnosis; how they are solved is this file's own: nothing is shared with the models on the host.
+ * concealed_attach() enters the hooks of a plant and wraps its rigid-body law. The equations are
+ * those of the effects table in the contract of the diagnosis; how they are solved is this file's
+ * own: nothing is shared with the models on the host.
  *
  *     dry friction   levels of the plant's own bristle friction, set anew every step
  *     torque         added on the load side at every evaluation
@@ -30,7 +32,8 @@ static inline void concealed_on_actuator(void *self, double t, double dt, double
     concealed_levels(c, t, torque);
 }
 
-static inline void concealed_on_load(void *self, double t, const double *q, const double *qd, const double *torque, double *extra) {
+static inline void concealed_on_load(void *self, double t, const double *q, const double *qd,
+                                     const double *torque, double *extra) {
     concealed *c = self;
     if (c->before.load)
         c->before.load(c->before.self, t, q, qd, torque, extra);
@@ -38,7 +41,8 @@ static inline void concealed_on_load(void *self, double t, const double *q, cons
         extra[c->effect[i].joint] += concealed_torque(c, &c->effect[i], t, q, qd);
 }
 
-static inline void concealed_on_advance(void *self, double t, double dt, const double *q, const double *qd) {
+static inline void concealed_on_advance(void *self, double t, double dt, const double *q,
+                                        const double *qd) {
     concealed *c = self;
     if (c->before.advance)
         c->before.advance(c->before.self, t, dt, q, qd);
@@ -59,7 +63,8 @@ static inline void concealed_on_sensor(void *self, double t, double *measured) {
 
 /* ---- setting up ---- */
 
-/* Effects that are constants of the friction law, or of M; and the start of those that have states. */
+/* Effects that are constants of the friction law, or of M; and the start of those that have states.
+ */
 static inline void concealed_prepare(concealed *c, concealed_effect *e) {
     plant_friction *f = &c->base[e->joint];
     switch (e->kind) {
@@ -104,22 +109,26 @@ static inline void concealed_prepare(concealed *c, concealed_effect *e) {
     }
 }
 
-/* The same friction that a simple model has: viscous and Coulomb, equal in both directions, no breakaway, and bristles so stiff that
- * no reversal shows them. Less than an encoder count of give is not enough for that: while the bristles turn over, the friction's impulse
- * is missing, and it moves the joint for as long as its speed lasts. With 200 times the stiffness that was two counts of imi_planar
- * at each reversal, which is physics that a diagnosis finds; with 2000 times it is less than one. */
+/* The same friction that a simple model has: viscous and Coulomb, equal in both directions, no
+ * breakaway, and bristles so stiff that no reversal shows them. Less than an encoder count of give
+ * is not enough for that: while the bristles turn over, the friction's impulse is missing, and it
+ * moves the joint for as long as its speed lasts. With 200 times the stiffness that was two counts
+ * of imi_planar at each reversal, which is physics that a diagnosis finds; with 2000 times it is
+ * less than one. */
 static inline void concealed_plain(plant_friction *f) {
     f->viscous_pos = f->viscous_neg = 0.5 * (f->viscous_pos + f->viscous_neg);
     f->coulomb_pos = f->coulomb_neg = 0.5 * (f->coulomb_pos + f->coulomb_neg);
     f->breakaway_pos = f->breakaway_neg = f->coulomb_pos;
     f->vary = 0.0;
     f->stiffness *= 2000.0;
-    f->damping *= 22.0; /* half the damping ratio: enough to come to rest, little beside the level at a reversal */
+    /* half the damping ratio: enough to come to rest, little beside the level at a reversal */
+    f->damping *= 22.0;
 }
 
 /* Call at the end of open(), when the plant is complete. Config keys: effect1, effect2, … and
  * friction = full | plain. Returns 0, or -1 with a sentence. */
-static inline int concealed_attach(concealed *c, plant *p, const char *config, char *error, size_t error_size) {
+static inline int concealed_attach(concealed *c, plant *p, const char *config, char *error,
+                                   size_t error_size) {
     char friction[16] = "full";
     machine_config_text(config, "friction", friction, sizeof friction);
     if (strcmp(friction, "full") != 0 && strcmp(friction, "plain") != 0) {
@@ -137,8 +146,10 @@ static inline int concealed_attach(concealed *c, plant *p, const char *config, c
         return 0; /* nothing concealed: nothing costs time */
     for (int i = 0; i < c->count; i++) {
         const concealed_effect *e = &c->effect[i];
-        if (e->kind == PAYLOAD && (!p->carry || p->carry(p->carry_self, e->joint, e->p[0], &e->p[1]) != 0)) {
-            snprintf(error, error_size, "concealed: this machine can carry no payload there (joint %d)", e->joint + 1);
+        if (e->kind == PAYLOAD &&
+            (!p->carry || p->carry(p->carry_self, e->joint, e->p[0], &e->p[1]) != 0)) {
+            snprintf(error, error_size,
+                     "concealed: this machine can carry no payload there (joint %d)", e->joint + 1);
             return -1;
         }
     }

@@ -2,20 +2,23 @@
  *
  *     (M + dM) qdd = tau - bias,   given qdd0 = M^-1 (tau - bias) as a black box
  *
- * Columns of M^-1 are the answers to one more N m on each joint; then (1 + M^-1 dM) qdd = qdd0 is a small linear system.
+ * Columns of M^-1 are the answers to one more N m on each joint; then (1 + M^-1 dM) qdd = qdd0 is a
+ * small linear system.
  */
 #ifndef ZENDSP_CONCEALED_INERTIA_H
 #define ZENDSP_CONCEALED_INERTIA_H
 
 #include "concealed_laws.h"
 
-static inline void concealed_acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
+static inline void concealed_acceleration(void *self, const double *q, const double *qd,
+                                          const double *torque, double *qdd) {
     concealed *c = self;
     const int n = c->plant->joints;
     c->acceleration(c->self, q, qd, torque, qdd);
     if (!c->massive)
         return;
-    double W[PLANT_JOINTS][PLANT_JOINTS], A[PLANT_JOINTS][PLANT_JOINTS] = {{0}}, push[PLANT_JOINTS], moved[PLANT_JOINTS];
+    double W[PLANT_JOINTS][PLANT_JOINTS], A[PLANT_JOINTS][PLANT_JOINTS] = {{0}}, push[PLANT_JOINTS],
+                                          moved[PLANT_JOINTS];
     for (int k = 0; k < n; k++) { /* column k of M^-1: the answer to one more N m on joint k */
         memcpy(push, torque, sizeof(double) * (size_t)n);
         push[k] += 1.0;
@@ -53,7 +56,9 @@ static inline void concealed_acceleration(void *self, const double *q, const dou
     }
     for (int k = 0; k < n; k++)
         qdd[k] /= A[k][k];
-    if (c->plant->others) { /* what moves beside the joints feels the reaction: the same answer once more, with dM qdd as a load */
+    /* what moves beside the joints feels the reaction: the same answer once more, with dM qdd as a
+     * load */
+    if (c->plant->others) {
         for (int i = 0; i < n; i++) {
             push[i] = torque[i];
             for (int m = 0; m < n; m++)

@@ -1,6 +1,8 @@
-/* concealed_laws.h: the equation of every concealed effect: dry friction, what the command loses on its way, torque on the load.
+/* concealed_laws.h: the equation of every concealed effect: dry friction, what the command loses on
+ * its way, torque on the load.
  *
- * Equations and names are those of the effects table in the contract of the diagnosis; how they are solved is this file's own.
+ * Equations and names are those of the effects table in the contract of the diagnosis; how they are
+ * solved is this file's own.
  */
 #ifndef ZENDSP_CONCEALED_LAWS_H
 #define ZENDSP_CONCEALED_LAWS_H
@@ -19,7 +21,8 @@ typedef struct concealed {
     concealed_effect effect[CONCEALED_EFFECTS];
     plant_friction base[PLANT_JOINTS]; /* friction before effects that vary */
     plant_hooks before;                /* hooks that the machine had set itself */
-    void (*acceleration)(void *self, const double *q, const double *qd, const double *torque, double *qdd);
+    void (*acceleration)(void *self, const double *q, const double *qd, const double *torque,
+                         double *qdd);
     void *self; /* of the machine's own law */
     int massive; /* 1: dM is not zero */
     double dM[PLANT_JOINTS][PLANT_JOINTS];
@@ -50,7 +53,8 @@ static inline void concealed_levels(concealed *c, double t, const double *torque
         double *level[] = {&f->coulomb_pos, &f->coulomb_neg, &f->breakaway_pos, &f->breakaway_neg};
         for (int k = 0; k < 4; k++) {
             const double changed = (*level[k] + more) * scale;
-            *level[k] = changed > 0.0 ? changed : 0.0; /* a ripple deeper than the friction itself leaves none */
+            /* a ripple deeper than the friction itself leaves none */
+            *level[k] = changed > 0.0 ? changed : 0.0;
         }
         f->viscous_pos *= scale;
         f->viscous_neg *= scale;
@@ -70,7 +74,8 @@ static inline void concealed_remember(concealed *c, double t, const double *torq
 static inline double concealed_delayed(concealed *c, concealed_effect *e, double t) {
     if (e->cursor < c->written - CONCEALED_HISTORY)
         e->cursor = c->written - CONCEALED_HISTORY;
-    while (e->cursor + 1 < c->written && c->when[(e->cursor + 1) % CONCEALED_HISTORY] <= t - e->p[0] + 1e-9)
+    while (e->cursor + 1 < c->written &&
+           c->when[(e->cursor + 1) % CONCEALED_HISTORY] <= t - e->p[0] + 1e-9)
         e->cursor++;
     const long at = e->cursor % CONCEALED_HISTORY;
     return c->when[at] <= t - e->p[0] + 1e-9 ? c->past[at][e->joint] : 0.0;
@@ -112,15 +117,18 @@ static inline void concealed_command(concealed *c, double t, double dt, double *
 
 /* ---- torque on the load side ---- */
 
-/* Torque of the spring (or gap) behind motor angle q: k dz(q - ql) + damping while in contact, never pulling across a gap. */
-static inline double concealed_spring(const concealed_effect *e, double q, double qd, double ql, double qdl) {
+/* Torque of the spring (or gap) behind motor angle q: k dz(q - ql) + damping while in contact,
+ * never pulling across a gap. */
+static inline double concealed_spring(const concealed_effect *e, double q, double qd, double ql,
+                                      double qdl) {
     const double bend = q - ql, rate = qd - qdl;
     if (e->kind == ELASTICITY)
         return e->p[0] * bend + e->p[1] * rate;
     const double half = 0.5 * e->p[0], in = fabs(bend) - half, side = concealed_sign(bend);
     if (in <= 0.0)
         return 0.0;
-    const double push = e->p[1] * in + 0.1 * sqrt(e->p[1] * e->p[2]) * rate * side; /* damping ratio 0.05 of load on spring */
+    /* damping ratio 0.05 of load on spring */
+    const double push = e->p[1] * in + 0.1 * sqrt(e->p[1] * e->p[2]) * rate * side;
     return push > 0.0 ? push * side : 0.0;
 }
 
@@ -129,14 +137,16 @@ static inline double concealed_foreign(const concealed_effect *e, double t, doub
     switch ((int)e->p[0]) {
     case 0: /* drag that a strap gives only while it is taut */
         return q > 0.0 ? e->p[1] * qd * cos(7.0 * q) : 0.0;
-    case 1: /* a parametric torque: depends on place and on the direction of travel at high speed only */
+    /* a parametric torque: depends on place and on the direction of travel at high speed only */
+    case 1:
         return e->p[1] * tanh(qd * qd * q * 3.0) * cos(3.0 * q);
     default: /* friction that breathes with time and place at once */
         return e->p[1] * tanh(qd / 0.05) * sin(2.0 * q) * sin(1.7 * t);
     }
 }
 
-static inline double concealed_torque(const concealed *c, const concealed_effect *e, double t, const double *q, const double *qd) {
+static inline double concealed_torque(const concealed *c, const concealed_effect *e, double t,
+                                      const double *q, const double *qd) {
     const int j = e->joint;
     const double away = q[j] - e->p[1];
     switch (e->kind) {
@@ -176,8 +186,10 @@ static inline double concealed_torque(const concealed *c, const concealed_effect
     }
 }
 
-/* States: z of Bouc–Wen, bristle of a coupled friction, the load behind a spring; midpoint rule like the plant. */
-static inline void concealed_advance_one(concealed_effect *e, double h, const double *q, const double *qd) {
+/* States: z of Bouc–Wen, bristle of a coupled friction, the load behind a spring; midpoint rule
+ * like the plant. */
+static inline void concealed_advance_one(concealed_effect *e, double h, const double *q,
+                                         const double *qd) {
     const int j = e->joint;
     if (e->kind == HYSTERESIS) { /* A = stiffness / force, beta = gamma = A / 2: |z| <= 1 */
         const double A = e->p[1] / e->p[0], n = e->p[2], v = qd[j];
@@ -188,7 +200,8 @@ static inline void concealed_advance_one(concealed_effect *e, double h, const do
             zm = z + (k ? h : 0.5 * h) * zd;
         }
         e->s[0] = zm > 1.0 ? 1.0 : zm < -1.0 ? -1.0 : zm;
-    } else if (e->kind == COUPLING && e->p[1] == 3.0) { /* Dahl: z from -1 to 1 within 1 mrad of common travel */
+    /* Dahl: z from -1 to 1 within 1 mrad of common travel */
+    } else if (e->kind == COUPLING && e->p[1] == 3.0) {
         const double v = qd[j] + qd[(int)e->p[0] - 1], end = concealed_sign(v);
         e->s[0] = end + (e->s[0] - end) * exp(-fabs(v) * h / 1e-3);
     } else if (e->kind == ELASTICITY || e->kind == BACKLASH) {

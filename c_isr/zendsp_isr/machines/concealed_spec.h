@@ -1,10 +1,12 @@
-/* concealed_spec.h: the list of concealed effects, read from the lines that a machine is opened with.
+/* concealed_spec.h: the list of concealed effects, read from the lines that a machine is opened
+ * with.
  *
  *     effect1 = coulomb joint=1 level=2.0
  *     effect2 = ripple joint=2 order=8 amplitude=0.5 phase=0.3
  *
- * One line an effect, numbered from 1 without gaps; names and units of the parameters are those of the effects table in
- * docs/machines_simulated.md. zendsp_target.concealed.sealed writes these lines; nobody else needs to.
+ * One line an effect, numbered from 1 without gaps; names and units of the parameters are those of
+ * the effects table in docs/machines_simulated.md. zendsp_target.concealed.sealed writes these
+ * lines; nobody else needs to.
  */
 #ifndef ZENDSP_CONCEALED_SPEC_H
 #define ZENDSP_CONCEALED_SPEC_H
@@ -52,7 +54,8 @@ typedef enum concealed_kind {
 
 typedef struct concealed_name {
     const char *name;
-    const char *parameter[CONCEALED_PARAMETERS]; /* NULL where there is none; all that are named must be given */
+    /* NULL where there is none; all that are named must be given */
+    const char *parameter[CONCEALED_PARAMETERS];
 } concealed_name;
 
 static const concealed_name concealed_names[CONCEALED_KINDS] = {
@@ -70,7 +73,8 @@ static const concealed_name concealed_names[CONCEALED_KINDS] = {
     [STIFFNESS] = {"stiffness", {"coefficient", "neutral"}},
     [CUBIC_STIFFNESS] = {"cubic_stiffness", {"coefficient", "neutral"}},
     [INERTIA] = {"inertia", {"amount"}},
-    [COUPLING] = {"coupling", {"from_joint", "law", "coefficient"}}, /* law 0 inertia, 1 coriolis, 2 viscous, 3 coulomb */
+    /* law 0 inertia, 1 coriolis, 2 viscous, 3 coulomb */
+    [COUPLING] = {"coupling", {"from_joint", "law", "coefficient"}},
     [ELASTICITY] = {"elasticity", {"stiffness", "damping", "load_inertia"}},
     [BACKLASH] = {"backlash", {"gap", "stiffness", "load_inertia"}},
     [HYSTERESIS] = {"hysteresis", {"force", "stiffness", "exponent"}},
@@ -83,8 +87,10 @@ static const concealed_name concealed_names[CONCEALED_KINDS] = {
     [DELAY] = {"delay", {"time"}},
     [ENCODER_ECCENTRICITY] = {"encoder_eccentricity", {"amplitude", "phase"}},
     [DISTURBANCE] = {"disturbance", {"level", "begin", "duration"}},
-    [FOREIGN] = {"foreign", {"law", "amplitude"}}, /* laws that the contract has no name for, see concealed.h */
-    [PAYLOAD] = {"payload", {"mass", "x", "y", "z"}}, /* on the link that the joint moves, in the frame of that link */
+    /* laws that the contract has no name for, see concealed.h */
+    [FOREIGN] = {"foreign", {"law", "amplitude"}},
+    /* on the link that the joint moves, in the frame of that link */
+    [PAYLOAD] = {"payload", {"mass", "x", "y", "z"}},
 };
 
 typedef struct concealed_effect {
@@ -110,7 +116,8 @@ static inline int concealed_word(const char **at, char *word) {
 }
 
 /* One line; 0, or -1 with a sentence. */
-static inline int concealed_parse(const char *line, int joints, concealed_effect *e, char *error, size_t error_size) {
+static inline int concealed_parse(const char *line, int joints, concealed_effect *e, char *error,
+                                  size_t error_size) {
     char word[CONCEALED_WORD];
     const char *at = line;
     unsigned given = 0;
@@ -131,7 +138,8 @@ static inline int concealed_parse(const char *line, int joints, concealed_effect
             *value++ = 0;
             const double x = strtod(value, &end);
             if (end == value || *end || x != x) {
-                snprintf(error, error_size, "concealed: %s: %s is '%s', expected a number", name->name, word, value);
+                snprintf(error, error_size, "concealed: %s: %s is '%s', expected a number",
+                         name->name, word, value);
                 return -1;
             }
             if (strcmp(word, "joint") == 0) {
@@ -152,18 +160,22 @@ static inline int concealed_parse(const char *line, int joints, concealed_effect
     }
     for (int i = 0; i < CONCEALED_PARAMETERS && name->parameter[i]; i++)
         if (!(given >> i & 1u)) {
-            snprintf(error, error_size, "concealed: %s lacks its parameter '%s'", name->name, name->parameter[i]);
+            snprintf(error, error_size, "concealed: %s lacks its parameter '%s'", name->name,
+                     name->parameter[i]);
             return -1;
         }
-    if (e->joint < 0 || e->joint >= joints || (e->kind == COUPLING && (e->p[0] < 1.0 || e->p[0] > joints))) {
-        snprintf(error, error_size, "concealed: %s: joint out of range, the machine has %d", name->name, joints);
+    if (e->joint < 0 || e->joint >= joints ||
+        (e->kind == COUPLING && (e->p[0] < 1.0 || e->p[0] > joints))) {
+        snprintf(error, error_size, "concealed: %s: joint out of range, the machine has %d",
+                 name->name, joints);
         return -1;
     }
     return 0;
 }
 
 /* All lines effect1, effect2, … of a configuration; their number, or -1 with a sentence. */
-static inline int concealed_parse_all(const char *config, int joints, concealed_effect *effects, char *error, size_t error_size) {
+static inline int concealed_parse_all(const char *config, int joints, concealed_effect *effects,
+                                      char *error, size_t error_size) {
     char key[CONCEALED_WORD], line[256];
     int count = 0;
     for (; count < CONCEALED_EFFECTS; count++) {

@@ -1,16 +1,20 @@
-/* imi_planar: planar arm, two direct-drive revolute joints on vertical axes (IMI Corp., NSK Megatorque motors).
+/* imi_planar: planar arm, two direct-drive revolute joints on vertical axes (IMI Corp., NSK
+ * Megatorque motors).
  *
- *     M(q) qdd + C(q, qd) qd + friction = tau,   M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]]
+ *     M(q) qdd + C(q, qd) qd + friction = tau,
+ *     M = [[p1 + 2 p3 cos q2, p2 + p3 cos q2], [p2 + p3 cos q2, p2]]
  *
- * No gravity (vertical axes). Total length, position limits, modes of the drives: the paper of Bona, Indri and Smaldone. Inertias, viscous and
- * Coulomb levels: the model of the IMI arm in the adaptive-control literature; the paper prints none. Torque limits: NSK Megatorque class.
- * Chosen here: speed limits; breakaway, Stribeck speed, bristle stiffness, asymmetry, so that the published experiments find what they
- * found; how friction varies with place (5 %, 14 waves a turn, their phase by the seed); electronics, as such parts have: 16-bit analog
- * output over ±10 V with 1 mV rms on the line, current loop of 1 kHz (the paper: much faster than the sample), a resolver that is
- * interpolated to a third of a count rms.
+ * No gravity (vertical axes). Total length, position limits, modes of the drives: the paper of
+ * Bona, Indri and Smaldone. Inertias, viscous and Coulomb levels: the model of the IMI arm in the
+ * adaptive-control literature; the paper prints none. Torque limits: NSK Megatorque class. Chosen
+ * here: speed limits; breakaway, Stribeck speed, bristle stiffness, asymmetry, so that the
+ * published experiments find what they found; how friction varies with place (5 %, 14 waves a turn,
+ * their phase by the seed); electronics, as such parts have: 16-bit analog output over ±10 V with 1
+ * mV rms on the line, current loop of 1 kHz (the paper: much faster than the sample), a resolver
+ * that is interpolated to a third of a count rms.
  *
- * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits); ideal, seed, … (plant.h); friction, effect1, …
- * (concealed.h).
+ * Config keys: q1, q2 (start position, rad), substep (s), din (digital inputs, bits); ideal, seed,
+ * … (plant.h); friction, effect1, … (concealed.h).
  */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
@@ -22,10 +26,14 @@
 
 static const double p1 = 3.473, p2 = 0.196, p3 = 0.242; /* kg m^2 */
 static const double length[2] = {0.36, 0.34};           /* m */
-static const plant_electronics usual = {
-    .dac_step = 20000.0 / 65536.0, .dac_noise = 1.0, .current_loop = 1.6e-4, .encoder_noise = {0.33, 0.33}};
-static const double counts_per_turn = 153600.0;         /* resolver, interpolated to encoder signals by the drive box */
-static const double full_scale = 10000.0;               /* mV, command that gives the torque limit (or speed limit) */
+static const plant_electronics usual = {.dac_step = 20000.0 / 65536.0,
+                                        .dac_noise = 1.0,
+                                        .current_loop = 1.6e-4,
+                                        .encoder_noise = {0.33, 0.33}};
+/* resolver, interpolated to encoder signals by the drive box */
+static const double counts_per_turn = 153600.0;
+/* mV, command that gives the torque limit (or speed limit) */
+static const double full_scale = 10000.0;
 static const double two_pi = 6.283185307179586;
 
 typedef struct imi {
@@ -36,9 +44,11 @@ typedef struct imi {
     double p1, p2, p3, p4; /* kg m^2, with what it carries; p4 goes with sin q2 */
 } imi;
 
-static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
+static void acceleration(void *self, const double *q, const double *qd, const double *torque,
+                         double *qdd) {
     const imi *m = self;
-    const double c = m->p3 * cos(q[1]) - m->p4 * sin(q[1]), s = m->p3 * sin(q[1]) + m->p4 * cos(q[1]);
+    const double c = m->p3 * cos(q[1]) - m->p4 * sin(q[1]),
+                 s = m->p3 * sin(q[1]) + m->p4 * cos(q[1]);
     const double m11 = m->p1 + 2.0 * c, m12 = m->p2 + c, m22 = m->p2;
     /* Coriolis and centrifugal: [-s qd2 (2 qd1 + qd2), s qd1^2] */
     const double b1 = torque[0] + s * qd[1] * (2.0 * qd[0] + qd[1]);
@@ -66,7 +76,8 @@ static int carry(void *self, int joint, double mass, const double *place) {
 static void describe(machine_info *info) {
     static const double torque_max[2] = {245.0, 39.2}, speed_max[2] = {9.0, 15.0};
     snprintf(info->name, sizeof info->name, "imi_planar");
-    snprintf(info->text, sizeof info->text, "Planar arm, two direct-drive revolute joints on vertical axes (simulated).");
+    snprintf(info->text, sizeof info->text,
+             "Planar arm, two direct-drive revolute joints on vertical axes (simulated).");
     info->simulated = 1;
     info->joints = 2;
     info->dins = 8;
@@ -93,10 +104,24 @@ static void describe(machine_info *info) {
 
 static void make_plant(plant *p, const machine_info *info, const char *config) {
     static const plant_friction friction[2] = {
-        {.coulomb_pos = 8.45 * 1.05, .coulomb_neg = 8.45 * 0.95, .breakaway_pos = 11.4 * 1.05, .breakaway_neg = 11.4 * 0.95,
-         .stribeck = 0.08, .stiffness = 12000.0, .damping = 60.0, .viscous_pos = 5.3 * 1.02, .viscous_neg = 5.3 * 0.98},
-        {.coulomb_pos = 2.35 * 0.96, .coulomb_neg = 2.35 * 1.04, .breakaway_pos = 3.1 * 0.96, .breakaway_neg = 3.1 * 1.04,
-         .stribeck = 0.10, .stiffness = 1500.0, .damping = 6.0, .viscous_pos = 1.1 * 0.97, .viscous_neg = 1.1 * 1.03},
+        {.coulomb_pos = 8.45 * 1.05,
+         .coulomb_neg = 8.45 * 0.95,
+         .breakaway_pos = 11.4 * 1.05,
+         .breakaway_neg = 11.4 * 0.95,
+         .stribeck = 0.08,
+         .stiffness = 12000.0,
+         .damping = 60.0,
+         .viscous_pos = 5.3 * 1.02,
+         .viscous_neg = 5.3 * 0.98},
+        {.coulomb_pos = 2.35 * 0.96,
+         .coulomb_neg = 2.35 * 1.04,
+         .breakaway_pos = 3.1 * 0.96,
+         .breakaway_neg = 3.1 * 1.04,
+         .stribeck = 0.10,
+         .stiffness = 1500.0,
+         .damping = 6.0,
+         .viscous_pos = 1.1 * 0.97,
+         .viscous_neg = 1.1 * 1.03},
     };
     static const double speed_gain[2] = {400.0, 30.0};
     const int ideal = machine_config_double(config, "ideal", 0.0) != 0.0;
@@ -121,7 +146,8 @@ static void make_plant(plant *p, const machine_info *info, const char *config) {
     }
 }
 
-static int imi_open(void **handle, const char *config, double period, machine_info *info, char *error, size_t error_size) {
+static int imi_open(void **handle, const char *config, double period, machine_info *info,
+                    char *error, size_t error_size) {
     (void)period;
     imi *m = calloc(1, sizeof *m);
     if (!m) {
@@ -177,8 +203,10 @@ static int imi_home(void *handle, const machine_sensors *sensors, machine_actuat
     actuators->mode = MACHINE_VELOCITY;
     for (int j = 0; j < 2; j++) {
         const machine_joint *joint = &m->info.joint[j];
-        const double error = joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
-        const double speed = 4.0 * error > 0.5 ? 0.5 : 4.0 * error < -0.5 ? -0.5 : 4.0 * error; /* rad/s */
+        const double error =
+            joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
+        /* rad/s */
+        const double speed = 4.0 * error > 0.5 ? 0.5 : 4.0 * error < -0.5 ? -0.5 : 4.0 * error;
         actuators->aout[j] = speed * joint->mv_per_speed;
         if (fabs(error) > 1e-3)
             there = 0;

@@ -1,17 +1,22 @@
-/* pendulum: a steel bar on the shaft of a brushed DC motor with an adjustable rim brake (Hardware 2025, 3(3), 11).
+/* pendulum: a steel bar on the shaft of a brushed DC motor with an adjustable rim brake (Hardware
+ * 2025, 3(3), 11).
  *
  *     J qdd + G sin q + friction = k_a i,     v = k_b qd + R_a i,  |v| <= 24 V,  k_b = k_a
  *
- * Motor, supply, current loop, bar, encoder and range and bits of the current sensor, torque limit: figures of the paper. Rotor inertia, bearing
- * friction, breakaway, Stribeck speed, bristle and asymmetry: chosen here, and so are the electronics, as such parts have: a 12-bit
- * command with 1 mV rms on the line, one step rms of noise in the current sensor, a bridge that makes voltage in 1024 steps of 47 mV.
+ * Motor, supply, current loop, bar, encoder and range and bits of the current sensor, torque limit:
+ * figures of the paper. Rotor inertia, bearing friction, breakaway, Stribeck speed, bristle and
+ * asymmetry: chosen here, and so are the electronics, as such parts have: a 12-bit command with 1
+ * mV rms on the line, one step rms of noise in the current sensor, a bridge that makes voltage in
+ * 1024 steps of 47 mV.
  *
- * The drive's own PI current loop runs once a sample, on the current that the 10-bit sensor shows; its voltage is held over the
- * sample. With kp = 5 V/A, ki = 5000 V/(A s) and R_a = 5.54 ohm it settles in two samples.
+ * The drive's own PI current loop runs once a sample, on the current that the 10-bit sensor shows;
+ * its voltage is held over the sample. With kp = 5 V/A, ki = 5000 V/(A s) and R_a = 5.54 ohm it
+ * settles in two samples.
  *
- * Config keys: ideal, seed, … (plant.h); q1 (rad, 0 hangs down), substep (s), drive (torque: aout is a torque reference for the current loop; voltage: aout
- * is the motor's voltage and the current loop is the user's), brake (N m, level of the rim brake), friction, effect1, effect2, …
- * Analog inputs: 0 current, A; 1 voltage, V.
+ * Config keys: ideal, seed, … (plant.h); q1 (rad, 0 hangs down), substep (s), drive (torque: aout
+ * is a torque reference for the current loop; voltage: aout is the motor's voltage and the current
+ * loop is the user's), brake (N m, level of the rim brake), friction, effect1, effect2, … Analog
+ * inputs: 0 current, A; 1 voltage, V.
  */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
@@ -27,11 +32,13 @@ static const double loop_kp = 5.0, loop_ki = 5000.0;      /* V/A, V/(A s) */
 static const double torque_max = 0.8;                     /* N m */
 static const double inertia = 2.07e-3, gravity = 0.16677; /* kg m^2, bar and rotor; N m, m g L/2 */
 static const double bearing = 0.02;                       /* N m, Coulomb without the brake */
-static const double full_scale = 10000.0;                 /* mV for torque_max, or for the supply voltage */
+/* mV for torque_max, or for the supply voltage */
+static const double full_scale = 10000.0;
 static const double turn_counts = 4096.0, two_pi = 6.283185307179586;
 static const double sensor_range = 5.0, sensor_steps = 1024.0; /* A, from -5 to 5 in 10 bits */
 
-static const plant_electronics usual = {.dac_step = 20000.0 / 4096.0, .dac_noise = 1.0}; /* its current loop is its own */
+/* its current loop is its own */
+static const plant_electronics usual = {.dac_step = 20000.0 / 4096.0, .dac_noise = 1.0};
 static const double bridge_steps = 1024.0; /* of the supply, both signs */
 
 typedef struct pendulum {
@@ -47,7 +54,8 @@ typedef struct pendulum {
     double current;  /* A, at the last conversion */
 } pendulum;
 
-static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
+static void acceleration(void *self, const double *q, const double *qd, const double *torque,
+                         double *qdd) {
     const pendulum *m = self;
     (void)qd;
     qdd[0] = (torque[0] - m->gravity * sin(q[0])) / m->inertia;
@@ -66,7 +74,9 @@ static int carry(void *self, int joint, double mass, const double *place) {
 
 static int powered(const pendulum *m) { return m->plant.mode != MACHINE_OFF; }
 
-static double true_current(const pendulum *m) { return powered(m) ? (m->voltage - k_a * m->plant.qd[0]) / R_a : 0.0; }
+static double true_current(const pendulum *m) {
+    return powered(m) ? (m->voltage - k_a * m->plant.qd[0]) / R_a : 0.0;
+}
 
 /* What 10 bits make of it. */
 static double measured_current(pendulum *m) {
@@ -92,7 +102,8 @@ static void stall_torque(void *self, double t, double dt, double *torque) {
     torque[0] = powered(m) ? k_a * m->voltage / R_a : 0.0;
 }
 
-static void back_emf(void *self, double t, const double *q, const double *qd, const double *torque, double *extra) {
+static void back_emf(void *self, double t, const double *q, const double *qd, const double *torque,
+                     double *extra) {
     (void)t;
     (void)q;
     (void)torque;
@@ -126,7 +137,8 @@ static void drive(pendulum *m) {
 static void describe(machine_info *info, int by_voltage) {
     machine_joint *joint = &info->joint[0];
     snprintf(info->name, sizeof info->name, "pendulum");
-    snprintf(info->text, sizeof info->text, "Pendulum on a DC motor with a rim brake (simulated); the command is a %s.",
+    snprintf(info->text, sizeof info->text,
+             "Pendulum on a DC motor with a rim brake (simulated); the command is a %s.",
              by_voltage ? "voltage" : "torque");
     info->simulated = 1;
     info->joints = 1;
@@ -167,13 +179,15 @@ static void make_plant(pendulum *m, double brake) {
                                       .damping = 0.05,
                                       .viscous_pos = 0.0052,
                                       .viscous_neg = 0.0048};
-    p->drive[0] = (plant_drive){.torque_limit = torque_max, .speed_gain = 0.05, .speed_integral = 0.5};
+    p->drive[0] =
+        (plant_drive){.torque_limit = torque_max, .speed_gain = 0.05, .speed_integral = 0.5};
     p->stop_min[0] = -HUGE_VAL;
     p->stop_max[0] = HUGE_VAL;
     p->hooks = (plant_hooks){.self = m, .actuator = stall_torque, .load = back_emf};
 }
 
-static int pendulum_open(void **handle, const char *config, double period, machine_info *info, char *error, size_t error_size) {
+static int pendulum_open(void **handle, const char *config, double period, machine_info *info,
+                         char *error, size_t error_size) {
     char command[16] = "torque";
     machine_config_text(config, "drive", command, sizeof command);
     if (strcmp(command, "torque") != 0 && strcmp(command, "voltage") != 0) {

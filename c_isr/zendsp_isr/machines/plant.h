@@ -1,18 +1,22 @@
-/* plant.h: what all simulated machines share: joints with real friction, drives, hard stops, and the integrator.
+/* plant.h: what all simulated machines share: joints with real friction, drives, hard stops, and
+ * the integrator.
  *
- * A machine gives its rigid-body law as `acceleration`; friction, drive modes and end stops act on top of it at torque level:
+ * A machine gives its rigid-body law as `acceleration`; friction, drive modes and end stops act on
+ * top of it at torque level:
  *
  *     M(q) qdd + … = tau_drive − friction(qd, z) − stops(q, qd) − hooks.load(…)
  *
- * Friction is LuGre with Stribeck curve (Canudas de Wit, Olsson, Åström, Lischinsky 1995), with levels of its own for each
- * direction and a bristle damping that fades with speed (keeps the law passive).
+ * Friction is LuGre with Stribeck curve (Canudas de Wit, Olsson, Åström, Lischinsky 1995), with
+ * levels of its own for each direction and a bristle damping that fades with speed (keeps the law
+ * passive).
  *
- *     dz/dt = qd − stiffness |qd| z / g(qd),   g = coulomb + (breakaway − coulomb) exp(−(qd/stribeck)²)
- *     torque = stiffness z + damping exp(−(qd/stribeck)²) dz/dt + viscous qd
+ *     dz/dt = qd − stiffness |qd| z / g(qd),   g = coulomb + (breakaway − coulomb)
+ * exp(−(qd/stribeck)²) torque = stiffness z + damping exp(−(qd/stribeck)²) dz/dt + viscous qd
  *
- * In sliding the bristle equation is stiff (rate stiffness |qd| / g, 10⁵/s and more), so an explicit method would need steps
- * of microseconds. The step here is an exponential midpoint rule: the bristle is advanced by its exact solution for
- * constant speed, the rest by the explicit midpoint; second order, stable, two evaluations a step.
+ * In sliding the bristle equation is stiff (rate stiffness |qd| / g, 10⁵/s and more), so an
+ * explicit method would need steps of microseconds. The step here is an exponential midpoint rule:
+ * the bristle is advanced by its exact solution for constant speed, the rest by the explicit
+ * midpoint; second order, stable, two evaluations a step.
  */
 #ifndef ZENDSP_PLANT_H
 #define ZENDSP_PLANT_H
@@ -32,7 +36,8 @@ typedef struct plant_friction {
     double stiffness;                    /* N m/rad, bristle */
     double damping;                      /* N m s/rad, bristle */
     double viscous_pos, viscous_neg;     /* N m s/rad */
-    double vary, turns, phase;           /* level varies with place: 1 + vary sin(2 pi turns q + phase); turns in 1/rad */
+    /* level varies with place: 1 + vary sin(2 pi turns q + phase); turns in 1/rad */
+    double vary, turns, phase;
     double here;                         /* that factor at the present place */
 } plant_friction;
 
@@ -56,8 +61,10 @@ typedef struct plant_hooks {
     void *self;
     /* Once a step: command torque (N m) → torque that the actuator really gives, in place. */
     void (*actuator)(void *self, double t, double dt, double *torque);
-    /* Every evaluation: torque that opposes the drive, added into `extra` (N m). `torque` is the drive's. Must not change state. */
-    void (*load)(void *self, double t, const double *q, const double *qd, const double *torque, double *extra);
+    /* Every evaluation: torque that opposes the drive, added into `extra` (N m). `torque` is the
+     * drive's. Must not change state. */
+    void (*load)(void *self, double t, const double *q, const double *qd, const double *torque,
+                 double *extra);
     /* Once a step, after it: advance own states by dt with the speed of the middle of the step. */
     void (*advance)(void *self, double t, double dt, const double *q, const double *qd);
     /* Once a sample: true position → measured position (rad), in place. */
@@ -78,16 +85,19 @@ typedef struct plant {
     plant_electronics electronics;
     plant_friction friction[PLANT_JOINTS];
     plant_drive drive[PLANT_JOINTS];
-    double stop_min[PLANT_JOINTS], stop_max[PLANT_JOINTS];         /* rad, rubber stops beyond the position limits */
+    /* rad, rubber stops beyond the position limits */
+    double stop_min[PLANT_JOINTS], stop_max[PLANT_JOINTS];
     double stop_stiffness[PLANT_JOINTS], stop_damping[PLANT_JOINTS]; /* N m/rad, N m s/rad */
     /* Rigid-body law: net joint torque → acceleration. */
-    void (*acceleration)(void *self, const double *q, const double *qd, const double *torque, double *qdd);
+    void (*acceleration)(void *self, const double *q, const double *qd, const double *torque,
+                         double *qdd);
     void *self;
-    /* What moves beside the joints (may be NULL): stage 0 after the first evaluation, to the middle of the step of h seconds;
-     * stage 1 after the second, to its end. */
+    /* What moves beside the joints (may be NULL): stage 0 after the first evaluation, to the middle
+     * of the step of h seconds; stage 1 after the second, to its end. */
     void (*others)(void *self, int stage, double h);
     void *others_self;
-    /* Hang a point mass on the link of a joint, at `place` in the link's frame (may be NULL). Returns 0, or -1: it cannot hang there. */
+    /* Hang a point mass on the link of a joint, at `place` in the link's frame (may be NULL).
+     * Returns 0, or -1: it cannot hang there. */
     int (*carry)(void *self, int joint, double mass, const double *place);
     void *carry_self;
     plant_hooks hooks;
@@ -112,15 +122,19 @@ static inline double plant_noise(plant *p, double std) {
     return std * radius * cos(6.283185307179586 * plant_uniform(p));
 }
 
-/* A number in (0, 1) that belongs to this copy of the machine, by its seed: the same at every opening. */
+/* A number in (0, 1) that belongs to this copy of the machine, by its seed: the same at every
+ * opening. */
 static inline double plant_copy(const char *config, int which) {
-    plant p = {.random = (uint64_t)machine_config_double(config, "seed", 1.0) + ((uint64_t)which << 48)};
+    plant p = {.random =
+                   (uint64_t)machine_config_double(config, "seed", 1.0) + ((uint64_t)which << 48)};
     return plant_uniform(&p);
 }
 
-/* Config keys load (which opening this is: noise does not begin again), seed, ideal, dac_bits, dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`.
- * `range` is the span of the analog output, mV. */
-static inline void plant_equip(plant *p, const char *config, const plant_electronics *usual, double range) {
+/* Config keys load (which opening this is: noise does not begin again), seed, ideal, dac_bits,
+ * dac_noise (mV), current_loop (s), encoder_noise (counts); what is not given is `usual`. `range`
+ * is the span of the analog output, mV. */
+static inline void plant_equip(plant *p, const char *config, const plant_electronics *usual,
+                               double range) {
     plant_electronics *e = &p->electronics;
     p->random = (uint64_t)machine_config_double(config, "seed", 1.0)
         + ((uint64_t)machine_config_double(config, "load", 1.0) << 32);
@@ -132,7 +146,8 @@ static inline void plant_equip(plant *p, const char *config, const plant_electro
     e->dac_noise = machine_config_double(config, "dac_noise", usual->dac_noise);
     e->current_loop = machine_config_double(config, "current_loop", usual->current_loop);
     for (int j = 0; j < p->joints; j++)
-        e->encoder_noise[j] = machine_config_double(config, "encoder_noise", usual->encoder_noise[j]);
+        e->encoder_noise[j] =
+            machine_config_double(config, "encoder_noise", usual->encoder_noise[j]);
 }
 
 /* ---- friction ---- */
@@ -179,13 +194,15 @@ static inline void plant_drive_torque(const plant *p, const double *qd, double *
             tau = d->speed_gain * (p->command[j] - qd[j]) + d->speed_integral * p->integral[j];
         else
             tau = -d->brake * qd[j];
-        torque[j] = tau > d->torque_limit ? d->torque_limit : tau < -d->torque_limit ? -d->torque_limit : tau;
+        torque[j] = tau > d->torque_limit    ? d->torque_limit
+                    : tau < -d->torque_limit ? -d->torque_limit
+                                             : tau;
     }
 }
 
 /* Acceleration for state (q, qd, z) under drive torque. */
-static inline void plant_evaluate(plant *p, double t, const double *q, const double *qd, const double *z, const double *torque,
-                                  double *qdd) {
+static inline void plant_evaluate(plant *p, double t, const double *q, const double *qd,
+                                  const double *z, const double *torque, double *qdd) {
     double net[PLANT_JOINTS], extra[PLANT_JOINTS] = {0};
     if (p->hooks.load)
         p->hooks.load(p->hooks.self, t, q, qd, torque, extra);
@@ -215,14 +232,17 @@ static inline void plant_current_loop(plant *p, double h, double *torque) {
 
 /* One integration step of h seconds. */
 static inline void plant_substep(plant *p, double h) {
-    double torque[PLANT_JOINTS], qdd[PLANT_JOINTS], qm[PLANT_JOINTS], vm[PLANT_JOINTS], zm[PLANT_JOINTS];
+    double torque[PLANT_JOINTS], qdd[PLANT_JOINTS], qm[PLANT_JOINTS], vm[PLANT_JOINTS],
+        zm[PLANT_JOINTS];
     plant_drive_torque(p, p->qd, torque);
     plant_current_loop(p, h, torque);
     if (p->hooks.actuator)
         p->hooks.actuator(p->hooks.self, p->t, h, torque);
     for (int j = 0; j < p->joints; j++) {
         plant_friction *f = &p->friction[j];
-        f->here = 1.0 + (f->vary != 0.0 ? f->vary * sin(6.283185307179586 * f->turns * p->q[j] + f->phase) : 0.0);
+        f->here =
+            1.0 + (f->vary != 0.0 ? f->vary * sin(6.283185307179586 * f->turns * p->q[j] + f->phase)
+                                  : 0.0);
     }
     plant_evaluate(p, p->t, p->q, p->qd, p->z, torque, qdd);
     for (int j = 0; j < p->joints; j++) {
@@ -267,7 +287,8 @@ static inline void plant_measure(plant *p, double *measured) {
         p->hooks.sensor(p->hooks.self, p->t, measured);
 }
 
-/* Encoder counts of the position of joint j: a real encoder counts whole lines passed (floor), not the nearest. */
+/* Encoder counts of the position of joint j: a real encoder counts whole lines passed (floor), not
+ * the nearest. */
 static inline int32_t plant_counts(plant *p, const machine_info *info, int j, double position) {
     const machine_joint *joint = &info->joint[j];
     const double noise = plant_noise(p, p->electronics.encoder_noise[j]);
@@ -281,12 +302,15 @@ static inline double plant_analog(plant *p, double mv) {
     return shown + plant_noise(p, e->dac_noise);
 }
 
-/* Take over the actuators: mV → N m or rad/s. A drive that changes into velocity mode starts its loop afresh. */
+/* Take over the actuators: mV → N m or rad/s. A drive that changes into velocity mode starts its
+ * loop afresh. */
 static inline void plant_command(plant *p, const machine_info *info, const machine_actuators *a) {
     for (int j = 0; j < p->joints; j++) {
         const machine_joint *joint = &info->joint[j];
-        const double scale = a->mode == MACHINE_VELOCITY ? joint->mv_per_speed : joint->mv_per_torque;
-        p->command[j] = a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : plant_analog(p, a->aout[j]) / scale;
+        const double scale =
+            a->mode == MACHINE_VELOCITY ? joint->mv_per_speed : joint->mv_per_torque;
+        p->command[j] =
+            a->mode == MACHINE_OFF || scale == 0.0 ? 0.0 : plant_analog(p, a->aout[j]) / scale;
         if (a->mode != p->mode)
             p->integral[j] = 0.0;
     }

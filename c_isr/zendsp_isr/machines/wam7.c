@@ -2,21 +2,26 @@
  *
  *     M(q) qdd + C(q, qd) qd + g(q) + friction = tau
  *
- * Links: Barrett AC-02; rotors: wam7_dynamics.h. Limits of position and torque: Barrett's figures for the arm, not of the paper. Coulomb and
- * viscous friction for each direction: the table of the 7-DOF whole-arm paper; where its viscous value is negative (an artefact of its
- * narrow speed range) a value is chosen here, as are breakaway, Stribeck speed and bristle of every joint.
+ * Links: Barrett AC-02; rotors: wam7_dynamics.h. Limits of position and torque: Barrett's figures
+ * for the arm, not of the paper. Coulomb and viscous friction for each direction: the table of the
+ * 7-DOF whole-arm paper; where its viscous value is negative (an artefact of its narrow speed
+ * range) a value is chosen here, as are breakaway, Stribeck speed and bristle of every joint.
  *
- * An arm is never quite its data sheet: cables, screws and covers. Masses here differ from the sheet by 1 to 5 %, centres of mass by 1 to 4 mm
- * (chosen), so that a gravity compensation from the sheet is off by some per cent. friction = plain, or ideal = 1: the sheet's arm, without rotors.
- * hand = 1 hangs the Barrett hand on link 7: 1.2 kg, taken as a point 58 mm before the flange (chosen).
+ * An arm is never quite its data sheet: cables, screws and covers. Masses here differ from the
+ * sheet by 1 to 5 %, centres of mass by 1 to 4 mm (chosen), so that a gravity compensation from the
+ * sheet is off by some per cent. friction = plain, or ideal = 1: the sheet's arm, without rotors.
+ * hand = 1 hangs the Barrett hand on link 7: 1.2 kg, taken as a point 58 mm before the flange
+ * (chosen).
  *
- * Electronics, as such parts have: torque commands in 4096 steps, half a step of noise, current loop of 1 kHz. The encoders are optical and
- * count without noise.
+ * Electronics, as such parts have: torque commands in 4096 steps, half a step of noise, current
+ * loop of 1 kHz. The encoders are optical and count without noise.
  *
- * Encoders: 4096 counts a turn of the motor, on the motor side of the cable transmission, as on the real arm: times the ratio of
- * the drive (42, 28.25, 28.25, 18, 9.48, 9.48, 14.93), 27 380 to 6 180 counts a radian at the joint.
+ * Encoders: 4096 counts a turn of the motor, on the motor side of the cable transmission, as on the
+ * real arm: times the ratio of the drive (42, 28.25, 28.25, 18, 9.48, 9.48, 14.93), 27 380 to 6 180
+ * counts a radian at the joint.
  *
- * Config keys: q1 … q7 (start position, rad), hand, substep (s); ideal, seed, … (plant.h); friction, effect1, … (concealed.h).
+ * Config keys: q1 … q7 (start position, rad), hand, substep (s); ideal, seed, … (plant.h);
+ * friction, effect1, … (concealed.h).
  */
 #include <stdio.h>  /* snprintf */
 #include <stdlib.h> /* calloc, free */
@@ -27,26 +32,35 @@
 #include "plant.h"
 #include "wam7_dynamics.h"
 
-static const double full_scale = 10000.0; /* mV, command that gives the torque limit (or the speed limit) */
+/* mV, command that gives the torque limit (or the speed limit) */
+static const double full_scale = 10000.0;
 static const double two_pi = 6.283185307179586;
 
-static const double ratio[WAM7] = {42.0, 28.25, 28.25, 18.0, 9.48, 9.48, 14.93}; /* motor turns a joint turn */
+/* motor turns a joint turn */
+static const double ratio[WAM7] = {42.0, 28.25, 28.25, 18.0, 9.48, 9.48, 14.93};
 static const double position_min[WAM7] = {-2.6, -2.0, -2.8, -0.9, -4.76, -1.6, -3.0};
 static const double position_max[WAM7] = {2.6, 2.0, 2.8, 3.1, 1.24, 1.6, 3.0};
 static const double torque_max[WAM7] = {77.3, 160.6, 95.6, 29.4, 11.6, 11.6, 2.7};
 static const double speed_max[WAM7] = {3.0, 3.0, 3.0, 3.0, 6.0, 6.0, 6.0};     /* rad/s, chosen */
 static const double home[WAM7] = {0.0, -1.9, 0.0, 3.0, 0.0, 0.0, 0.0};         /* rad, folded */
-static const double about[WAM7] = {1.0, 1.2, 0.05, 0.13, 7e-4, 7e-4, 7.4e-5};  /* kg m^2, what a joint turns: to tune drives */
+/* kg m^2, what a joint turns: to tune drives */
+static const double about[WAM7] = {1.0, 1.2, 0.05, 0.13, 7e-4, 7e-4, 7.4e-5};
 static const double coulomb_pos[WAM7] = {4.4748, 2.6385, 1.7399, 1.5414, 0.2798, 0.4834, 0.0538};
 static const double coulomb_neg[WAM7] = {4.3609, 3.5643, 2.3529, 0.7342, 0.1172, 0.4417, 0.1370};
-static const double viscous_pos[WAM7] = {1.3348, 3.5572, 0.3944, 0.50, 0.30, 0.8291, 1.0689}; /* joints 4, 5: chosen */
-static const double viscous_neg[WAM7] = {0.8266, 2.80, 1.2075, 0.45, 1.467, 0.1836, 0.7954};  /* joints 2, 4: chosen */
+/* joints 4, 5: chosen */
+static const double viscous_pos[WAM7] = {1.3348, 3.5572, 0.3944, 0.50, 0.30, 0.8291, 1.0689};
+/* joints 2, 4: chosen */
+static const double viscous_neg[WAM7] = {0.8266, 2.80, 1.2075, 0.45, 1.467, 0.1836, 0.7954};
 
-static const plant_electronics usual = {.dac_step = 20000.0 / 4096.0, .dac_noise = 2.44, .current_loop = 1.6e-4};
-static const double more_mass[WAM7] = {0.012, -0.015, 0.02, 0.025, 0.05, -0.03, 0.04}; /* of the sheet's */
-static const double moved[WAM7][3] = {{0.001, 0.002, -0.001}, {0.002, -0.001, 0.002}, {-0.001, 0.004, 0.001}, {0.002, 0.001, 0.004},
-                                      {0.001, 0.0, -0.001},   {0.0, 0.002, 0.001},    {0.001, -0.001, 0.0}}; /* m */
-static const double hand_mass = 1.2, hand_place[3] = {0.0, 0.0, 0.058};                                    /* kg; m, frame 7 */
+static const plant_electronics usual = {
+    .dac_step = 20000.0 / 4096.0, .dac_noise = 2.44, .current_loop = 1.6e-4};
+/* of the sheet's */
+static const double more_mass[WAM7] = {0.012, -0.015, 0.02, 0.025, 0.05, -0.03, 0.04};
+static const double moved[WAM7][3] = {
+    {0.001, 0.002, -0.001}, {0.002, -0.001, 0.002}, {-0.001, 0.004, 0.001}, {0.002, 0.001, 0.004},
+    {0.001, 0.0, -0.001},   {0.0, 0.002, 0.001},    {0.001, -0.001, 0.0}}; /* m */
+/* kg; m, frame 7 */
+static const double hand_mass = 1.2, hand_place[3] = {0.0, 0.0, 0.058};
 
 typedef struct wam {
     plant plant;
@@ -55,7 +69,8 @@ typedef struct wam {
     wam7_arm arm;
 } wam;
 
-static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
+static void acceleration(void *self, const double *q, const double *qd, const double *torque,
+                         double *qdd) {
     wam7_forward(&((const wam *)self)->arm, q, qd, torque, qdd);
 }
 
@@ -134,7 +149,8 @@ static void make_plant(plant *p) {
     }
 }
 
-static int wam_open(void **handle, const char *config, double period, machine_info *info, char *error, size_t error_size) {
+static int wam_open(void **handle, const char *config, double period, machine_info *info,
+                    char *error, size_t error_size) {
     (void)period;
     wam *m = calloc(1, sizeof *m);
     if (!m) {
@@ -192,8 +208,10 @@ static int wam_home(void *handle, const machine_sensors *sensors, machine_actuat
     actuators->mode = MACHINE_VELOCITY;
     for (int j = 0; j < WAM7; j++) {
         const machine_joint *joint = &m->info.joint[j];
-        const double error = joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
-        const double speed = 3.0 * error > 0.6 ? 0.6 : 3.0 * error < -0.6 ? -0.6 : 3.0 * error; /* rad/s */
+        const double error =
+            joint->home - (sensors->enc[j] - joint->zero_counts) / joint->counts_per_unit;
+        /* rad/s */
+        const double speed = 3.0 * error > 0.6 ? 0.6 : 3.0 * error < -0.6 ? -0.6 : 3.0 * error;
         actuators->aout[j] = speed * joint->mv_per_speed;
         if (fabs(error) > 2e-3)
             there = 0;

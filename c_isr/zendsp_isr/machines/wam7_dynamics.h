@@ -1,12 +1,16 @@
-/* wam7_dynamics.h: rigid-body dynamics of the Barrett WAM, M(q) qdd + C(q, qd) qd + g(q) = tau, in plain C.
+/* wam7_dynamics.h: rigid-body dynamics of the Barrett WAM, M(q) qdd + C(q, qd) qd + g(q) = tau, in
+ * plain C.
  *
- * Newton-Euler in base coordinates (Luh, Walker, Paul 1980) for the bias torque, composite bodies (Walker, Orin 1982) for M,
- * Cholesky for the acceleration. No allocation, no state. Tested against Pinocchio to 1e-9 (tests/machines).
+ * Newton-Euler in base coordinates (Luh, Walker, Paul 1980) for the bias torque, composite bodies
+ * (Walker, Orin 1982) for M, Cholesky for the acceleration. No allocation, no state. Tested against
+ * Pinocchio to 1e-9 (tests/machines).
  *
- * Frames: standard Denavit-Hartenberg, frame k fixed to link k: T = Rot(z, q) Trans(0, 0, d) Trans(a, 0, 0) Rot(x, alpha).
- * Inertial figures: Barrett Technology, "WAM Inertial Specifications" AC-02, without a hand, as this project was given them. Masses and
- * centres of mass are roundings of what others republish (e.g. OpenRAVE's model of the arm); inertias of links 1 to 4 are not, they differ by
- * up to 0.1 %, and the products of inertia stand here as elements of the matrix, with the opposite sign.
+ * Frames: standard Denavit-Hartenberg, frame k fixed to link k: T = Rot(z, q) Trans(0, 0, d)
+ * Trans(a, 0, 0) Rot(x, alpha). Inertial figures: Barrett Technology, "WAM Inertial Specifications"
+ * AC-02, without a hand, as this project was given them. Masses and centres of mass are roundings
+ * of what others republish (e.g. OpenRAVE's model of the arm); inertias of links 1 to 4 are not,
+ * they differ by up to 0.1 %, and the products of inertia stand here as elements of the matrix,
+ * with the opposite sign.
  */
 #ifndef ZENDSP_WAM7_DYNAMICS_H
 #define ZENDSP_WAM7_DYNAMICS_H
@@ -56,7 +60,8 @@ static const wam7_arm wam7_published = {.link = {
 }};
 
 /* kg m^2, rotors at the joints (ratio squared), as OpenRAVE's model of the arm has them. */
-static const double wam7_rotor[WAM7] = {0.201, 0.182, 0.067, 0.034, 0.0033224, 0.0033224, 0.000466939};
+static const double wam7_rotor[WAM7] = {0.201,     0.182,     0.067,      0.034,
+                                        0.0033224, 0.0033224, 0.000466939};
 
 /* Where everything is, in base coordinates, for one q. */
 typedef struct wam7_pose {
@@ -73,7 +78,9 @@ static inline void wam7_cross(const double a[3], const double b[3], double r[3])
     r[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-static inline double wam7_dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static inline double wam7_dot(const double a[3], const double b[3]) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 /* r = A b, A row by row. */
 static inline void wam7_apply(const double A[9], const double b[3], double r[3]) {
@@ -87,10 +94,12 @@ static inline void wam7_turn(const double R[9], const double I[6], double W[9]) 
     double half[9];
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            half[3 * i + j] = R[3 * i] * full[j] + R[3 * i + 1] * full[3 + j] + R[3 * i + 2] * full[6 + j];
+            half[3 * i + j] =
+                R[3 * i] * full[j] + R[3 * i + 1] * full[3 + j] + R[3 * i + 2] * full[6 + j];
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-            W[3 * i + j] = half[3 * i] * R[3 * j] + half[3 * i + 1] * R[3 * j + 1] + half[3 * i + 2] * R[3 * j + 2];
+            W[3 * i + j] = half[3 * i] * R[3 * j] + half[3 * i + 1] * R[3 * j + 1] +
+                           half[3 * i + 2] * R[3 * j + 2];
 }
 
 static inline void wam7_locate(const wam7_arm *arm, const double *q, wam7_pose *p) {
@@ -99,7 +108,8 @@ static inline void wam7_locate(const wam7_arm *arm, const double *q, wam7_pose *
     for (int k = 0; k < WAM7; k++) {
         const wam7_link *l = &arm->link[k];
         const double cq = cos(q[k]), sq = sin(q[k]);
-        const double step[9] = {cq, -sq * l->ca, sq * l->sa, sq, cq * l->ca, -cq * l->sa, 0.0, l->sa, l->ca};
+        const double step[9] = {cq,          -sq * l->ca, sq * l->sa, sq,   cq * l->ca,
+                                -cq * l->sa, 0.0,         l->sa,      l->ca};
         const double way[3] = {l->a * cq, l->a * sq, l->d};
         double moved[3], next[9];
         for (int i = 0; i < 3; i++) {
@@ -109,7 +119,8 @@ static inline void wam7_locate(const wam7_arm *arm, const double *q, wam7_pose *
         wam7_apply(R, way, moved);
         for (int i = 0; i < 3; i++)
             for (int j = 0; j < 3; j++)
-                next[3 * i + j] = R[3 * i] * step[j] + R[3 * i + 1] * step[3 + j] + R[3 * i + 2] * step[6 + j];
+                next[3 * i + j] =
+                    R[3 * i] * step[j] + R[3 * i + 1] * step[3 + j] + R[3 * i + 2] * step[6 + j];
         for (int i = 0; i < 9; i++)
             R[i] = next[i];
         for (int i = 0; i < 3; i++)
@@ -122,7 +133,8 @@ static inline void wam7_locate(const wam7_arm *arm, const double *q, wam7_pose *
 }
 
 /* tau of a motion; qdd may be NULL for zero acceleration (the bias torque). */
-static inline void wam7_newton_euler(const wam7_pose *p, const double *qd, const double *qdd, double *tau) {
+static inline void wam7_newton_euler(const wam7_pose *p, const double *qd, const double *qdd,
+                                     double *tau) {
     double w[3] = {0, 0, 0}, wd[3] = {0, 0, 0}; /* of the link */
     double a[3], at[3] = {0, 0, 0};             /* acceleration of the point `at` of the link */
     double F[WAM7][3], N[WAM7][3], r[3], x[3], y[3];
@@ -159,7 +171,8 @@ static inline void wam7_newton_euler(const wam7_pose *p, const double *qd, const
         for (int i = 0; i < 3; i++)
             N[k][i] = x[i] + y[i];
     }
-    double f[3] = {0, 0, 0}, n[3] = {0, 0, 0}; /* force, and moment about the base's origin, of links k and beyond */
+    /* force, and moment about the base's origin, of links k and beyond */
+    double f[3] = {0, 0, 0}, n[3] = {0, 0, 0};
     for (int k = WAM7 - 1; k >= 0; k--) {
         wam7_cross(p->com[k], F[k], x);
         for (int i = 0; i < 3; i++) {
@@ -174,7 +187,8 @@ static inline void wam7_newton_euler(const wam7_pose *p, const double *qd, const
 }
 
 /* Join body (m2, c2, I2) to (m1, c1, I1): mass, centre of mass, inertia about it. */
-static inline void wam7_join(double *m1, double c1[3], double I1[9], double m2, const double c2[3], const double I2[9]) {
+static inline void wam7_join(double *m1, double c1[3], double I1[9], double m2, const double c2[3],
+                             const double I2[9]) {
     const double m = *m1 + m2, reduced = *m1 * m2 / m;
     double r[3];
     for (int i = 0; i < 3; i++)
@@ -212,7 +226,8 @@ static inline void wam7_mass(const wam7_pose *p, double M[WAM7][WAM7]) {
 }
 
 /* Inverse dynamics: tau of (q, qd, qdd), N m. With qd and qdd zero: gravity. */
-static inline void wam7_inverse(const wam7_arm *arm, const double *q, const double *qd, const double *qdd, double *tau) {
+static inline void wam7_inverse(const wam7_arm *arm, const double *q, const double *qd,
+                                const double *qdd, double *tau) {
     wam7_pose p;
     wam7_locate(arm, q, &p);
     wam7_newton_euler(&p, qd, qdd, tau);
@@ -220,7 +235,8 @@ static inline void wam7_inverse(const wam7_arm *arm, const double *q, const doub
 
 /* Hang a point mass on a link, at `place` in its frame. */
 static inline void wam7_carry(wam7_link *l, double mass, const double place[3]) {
-    const double I[6] = {l->inertia[0], l->inertia[1], l->inertia[2], l->inertia[3], l->inertia[4], l->inertia[5]};
+    const double I[6] = {l->inertia[0], l->inertia[1], l->inertia[2],
+                         l->inertia[3], l->inertia[4], l->inertia[5]};
     double full[9] = {I[0], I[3], I[4], I[3], I[1], I[5], I[4], I[5], I[2]};
     const double none[9] = {0};
     wam7_join(&l->mass, l->com, full, mass, place, none);
@@ -229,7 +245,8 @@ static inline void wam7_carry(wam7_link *l, double mass, const double place[3]) 
         l->inertia[i] = joined[i];
 }
 
-/* Solve M x = b in place of b; M is symmetric and positive definite, and is overwritten by its Cholesky factor. */
+/* Solve M x = b in place of b; M is symmetric and positive definite, and is overwritten by its
+ * Cholesky factor. */
 static inline void wam7_solve(double M[WAM7][WAM7], double *b) {
     for (int j = 0; j < WAM7; j++) {
         for (int k = 0; k < j; k++)
@@ -254,7 +271,8 @@ static inline void wam7_solve(double M[WAM7][WAM7], double *b) {
 }
 
 /* Forward dynamics: qdd under tau, rad/s^2. */
-static inline void wam7_forward(const wam7_arm *arm, const double *q, const double *qd, const double *tau, double *qdd) {
+static inline void wam7_forward(const wam7_arm *arm, const double *q, const double *qd,
+                                const double *tau, double *qdd) {
     wam7_pose p;
     double M[WAM7][WAM7], bias[WAM7];
     wam7_locate(arm, q, &p);

@@ -3,14 +3,16 @@
  *     a   = rdd + Kp (r - q) + Kd (rd - qd)
  *     tau = M(q) a + C(q, qd) qd + friction(v)
  *
- * Friction, where `compensate` is on, is the two sliding regions of the fast-prototyping paper: a cubic below the speed `split`, a
- * parabola above, the same for both directions. Its speed is that of the reference: it does not chatter, and it knows the reversal.
+ * Friction, where `compensate` is on, is the two sliding regions of the fast-prototyping paper: a
+ * cubic below the speed `split`, a parabola above, the same for both directions. Its speed is that
+ * of the reference: it does not chatter, and it knows the reversal.
  */
 #include "isr.h"
 #define N 2
 #include "motion.h"
 
-static double Kp[N] = {1600.0, 1600.0}, Kd[N] = {80.0, 80.0}; /* 1/s^2, 1/s: both joints at 40 rad/s, critically damped */
+/* 1/s^2, 1/s: both joints at 40 rad/s, critically damped */
+static double Kp[N] = {1600.0, 1600.0}, Kd[N] = {80.0, 80.0};
 static double p1, p2, p3;
 static bool compensate;
 static double low1[4] = {8.45, 5.3, 0.0, 0.0}, high1[3] = {8.45, 5.3, 0.0};
@@ -28,19 +30,23 @@ void UserInit(void) {
     PARAMETER(p2, 0.196, "kg m^2", 0.0, 5.0, "inertia of link 2 about axis 2");
     PARAMETER(p3, 0.242, "kg m^2", 0.0, 5.0, "coupling of the links");
     PARAMETER(compensate, 0, "", 0, 1, "add the friction torque");
-    PARAMETER_ARRAY(low1, "N m (s/rad)^k", NO_MIN, NO_MAX, "friction of joint 1 below split: c0 + c1 v + c2 v^2 + c3 v^3");
-    PARAMETER_ARRAY(high1, "N m (s/rad)^k", NO_MIN, NO_MAX, "friction of joint 1 above split: c0 + c1 v + c2 v^2");
+    PARAMETER_ARRAY(low1, "N m (s/rad)^k", NO_MIN, NO_MAX,
+                    "friction of joint 1 below split: c0 + c1 v + c2 v^2 + c3 v^3");
+    PARAMETER_ARRAY(high1, "N m (s/rad)^k", NO_MIN, NO_MAX,
+                    "friction of joint 1 above split: c0 + c1 v + c2 v^2");
     PARAMETER_ARRAY(low2, "N m (s/rad)^k", NO_MIN, NO_MAX, "friction of joint 2 below split");
     PARAMETER_ARRAY(high2, "N m (s/rad)^k", NO_MIN, NO_MAX, "friction of joint 2 above split");
     PARAMETER_ARRAY(split, "rad/s", 0.0, 100.0, "speed where the two polynomials meet");
-    PARAMETER(still, 0.005, "rad/s", 1e-6, 1.0, "below about this speed the joint counts as standing: no compensation");
+    PARAMETER(still, 0.005, "rad/s", 1e-6, 1.0,
+              "below about this speed the joint counts as standing: no compensation");
     SIGNAL(tau, "N m", "commands");
     SIGNAL(friction, "N m", "friction torque that is compensated");
 }
 
 static double sliding(double v, const double *low, const double *high, double where) {
     const double s = fabs(v);
-    const double size = s < where ? low[0] + s * (low[1] + s * (low[2] + s * low[3])) : high[0] + s * (high[1] + s * high[2]);
+    const double size = s < where ? low[0] + s * (low[1] + s * (low[2] + s * low[3]))
+                                  : high[0] + s * (high[1] + s * high[2]);
     return size * tanh(v / still); /* no torque at a standstill, all of it a little above */
 }
 

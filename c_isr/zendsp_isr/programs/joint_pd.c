@@ -1,8 +1,10 @@
-/* joint_pd.c: PID in every joint, for any machine whose command is a torque: holds where it stands, sways, or follows the table ref.
+/* joint_pd.c: PID in every joint, for any machine whose command is a torque: holds where it stands,
+ * sways, or follows the table ref.
  *
  *     tau = J (w^2 e + 2 damping w ed) + integral of J w^2 e / reset        w = 2 pi bandwidth
  *
- * J is what the machine says that each joint turns; where it says nothing, what its torque accelerates by 100 rad/s^2.
+ * J is what the machine says that each joint turns; where it says nothing, what its torque
+ * accelerates by 100 rad/s^2.
  */
 #include "isr.h"
 #define N JOINTS
@@ -25,12 +27,14 @@ void UserInit(void) {
     PARAMETER(damping, 1.0, "", 0.1, 3.0, "damping ratio");
     PARAMETER(reset, 0.3, "s", 0.05, 1000.0, "time constant of the integral");
     PARAMETER(amplitude, 0.0, "rad", 0.0, 1.0, "sway of every joint about the reference; 0: none");
-    PARAMETER(period, 4.0, "s", 0.5, 60.0, "of the sway of joint 1; each next joint sways a fifth faster");
+    PARAMETER(period, 4.0, "s", 0.5, 60.0,
+              "of the sway of joint 1; each next joint sways a fifth faster");
     PARAMETER_FIRST(J, N, "kg m^2", 1e-6, 1000.0, "inertia that each joint turns");
     SIGNAL_FIRST(tau, N, "N m", "commands");
 }
 
-/* Sway: in and out with the drives, every joint at a frequency of its own, so that a recording tells the joints apart. */
+/* Sway: in and out with the drives, every joint at a frequency of its own, so that a recording
+ * tells the joints apart. */
 static void sway(void) {
     double faster = 1.0;
     phase = DRIVE_ENABLED && !FIRST_SAMPLE ? phase + motion.pace * SAMPLE_PERIOD / period : 0.0;
@@ -49,7 +53,8 @@ void UserISR_INT2(void) {
     sway();
     for (int32_t j = 0; j < N; j++) {
         const double most = TORQUE_MAX(j), stiff = J[j] * w * w;
-        const double wanted = stiff * e[j] + 2.0 * damping * J[j] * w * (rd[j] - qd[j]) + sum[j] + tau_ff[j];
+        const double wanted =
+            stiff * e[j] + 2.0 * damping * J[j] * w * (rd[j] - qd[j]) + sum[j] + tau_ff[j];
         tau[j] = wanted > most ? most : wanted < -most ? -most : wanted;
         if (!DRIVE_ENABLED || FIRST_SAMPLE)
             sum[j] = 0.0;

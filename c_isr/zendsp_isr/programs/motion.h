@@ -7,15 +7,17 @@
  *     void UserInit(void)     { MotionInit(); … }
  *     void UserISR_INT2(void) { MotionStep(); … q, qd; r, rd, rdd; tau_ff … }
  *
- * A program for any machine says `#define N JOINTS` and `#define MOTION_MOST 8`: arrays then have eight elements, of which the
- * host sees those of the machine.
+ * A program for any machine says `#define N JOINTS` and `#define MOTION_MOST 8`: arrays then have
+ * eight elements, of which the host sees those of the machine.
  *
- * The host downloads the table `ref`, one row a step, N columns of positions (the q of a reference file), and with it, if the
- * program wants a torque as well, `ref_tau`. Both in one synchronous update; the motion begins when they switch over, when `play`
- * changes, or when the drives come on: from where the machine stands, over `approach_time`, into the first row. Between rows the
- * position is interpolated; its speed and acceleration are differences over one row. While `hold` is set the reference's time slows
- * down within MOTION_HALT seconds and stands: the machine comes to rest on its path and goes on from there. Only a
- * program that follows r may offer it, with MotionHolds() after MotionInit(). docs/references.md has the convention.
+ * The host downloads the table `ref`, one row a step, N columns of positions (the q of a reference
+ * file), and with it, if the program wants a torque as well, `ref_tau`. Both in one synchronous
+ * update; the motion begins when they switch over, when `play` changes, or when the drives come on:
+ * from where the machine stands, over `approach_time`, into the first row. Between rows the
+ * position is interpolated; its speed and acceleration are differences over one row. While `hold`
+ * is set the reference's time slows down within MOTION_HALT seconds and stands: the machine comes
+ * to rest on its path and goes on from there. Only a program that follows r may offer it, with
+ * MotionHolds() after MotionInit(). docs/references.md has the convention.
  */
 #ifndef ZENDSP_MOTION_H
 #define ZENDSP_MOTION_H
@@ -33,7 +35,8 @@
 #define MOTION_HALT 0.3 /* s from full speed to rest */
 #endif
 #ifndef MOTION_APPROACH
-#define MOTION_APPROACH 1.0 /* s, initial value of approach_time; longer for a machine whose joints come from far */
+#define MOTION_APPROACH                                                                            \
+    1.0 /* s, initial value of approach_time; longer for a machine whose joints come from far */
 #endif
 #ifndef MOTION_ROWS
 #define MOTION_ROWS 60000 /* 60 s at 1 kHz */
@@ -46,13 +49,15 @@ static double approach_time, cutoff;
 
 static double q[MOTION_MOST], qd[MOTION_MOST];                   /* measured, rad and rad/s */
 static double r[MOTION_MOST], rd[MOTION_MOST], rdd[MOTION_MOST]; /* reference */
-static double e[MOTION_MOST], tau_ff[MOTION_MOST];               /* r - q; torque of the reference, N m */
+/* r - q; torque of the reference, N m */
+static double e[MOTION_MOST], tau_ff[MOTION_MOST];
 static double play_time; /* s since the first row; negative while approaching */
 static bool playing;
 
 static struct motion {
     bool tabled;    /* use_table, as it was */
-    double last[MOTION_MOST], start[MOTION_MOST], t0; /* positions one sample ago and at the beginning, and when that was */
+    /* positions one sample ago and at the beginning, and when that was */
+    double last[MOTION_MOST], start[MOTION_MOST], t0;
     double pace; /* of the reference's time: 1 runs, 0 stands */
     uint32_t seen;
     int32_t played;
@@ -61,8 +66,10 @@ static struct motion {
 static inline void MotionInit(void) {
     PARAMETER(use_table, 1, "", 0, 1, "follow the table ref; 0 holds the position");
     PARAMETER(row_rate, 1000, "1/s", 1, 100000, "rows of ref a second");
-    PARAMETER(approach_time, MOTION_APPROACH, "s", 0.0, 60.0, "time from where the machine stands to the first row");
-    PARAMETER(play, 0, "", 0, 2147483647, "any change plays ref again from where the machine stands");
+    PARAMETER(approach_time, MOTION_APPROACH, "s", 0.0, 60.0,
+              "time from where the machine stands to the first row");
+    PARAMETER(play, 0, "", 0, 2147483647,
+              "any change plays ref again from where the machine stands");
     PARAMETER(cutoff, MOTION_CUTOFF, "Hz", 1.0, 1000.0, "velocity filter");
     TABLE(ref, MOTION_ROWS, N, "rad", "reference positions, one row a step");
     TABLE(ref_tau, MOTION_ROWS, N, "N m", "torque that goes with them");
@@ -77,8 +84,10 @@ static inline void MotionInit(void) {
     SIGNAL(playing, "", "true from the first row to the last");
 }
 
-/* For programs whose command follows r: a host that is lost may then leave the machine standing under control. */
-#define MotionHolds() PARAMETER(hold, 0, "", 0, 1, "come to rest on the reference and stay there; 0 goes on")
+/* For programs whose command follows r: a host that is lost may then leave the machine standing
+ * under control. */
+#define MotionHolds()                                                                              \
+    PARAMETER(hold, 0, "", 0, 1, "come to rest on the reference and stay there; 0 goes on")
 
 /* Fifth-order step, at rest at both ends. */
 static inline double MotionSmooth(double s) {
@@ -92,7 +101,8 @@ static inline double MotionAt(double t, int32_t j) {
     const double from = motion.start[j];
     if (!use_table || ref.rows == 0)
         return from;
-    const double goal = TableValue(&ref, (t - approach_time) * row_rate, j); /* before row 0 and after the last: these hold */
+    /* before row 0 and after the last: these hold */
+    const double goal = TableValue(&ref, (t - approach_time) * row_rate, j);
     return from + (approach_time > 0.0 ? MotionSmooth(t / approach_time) : 1.0) * (goal - from);
 }
 
@@ -106,7 +116,8 @@ static inline void MotionMeasure(void) {
 }
 
 static inline void MotionBegin(void) {
-    for (int32_t j = 0; j < N; j++) /* while the drives are on, from the reference, so that nothing jumps */
+    for (int32_t j = 0; j < N;
+         j++) /* while the drives are on, from the reference, so that nothing jumps */
         motion.start[j] = !FIRST_SAMPLE && DRIVE_ENABLED ? r[j] : q[j];
     motion.t0 = SAMPLE_TIME;
     motion.seen = ref.version;
@@ -126,7 +137,8 @@ static inline double MotionPace(void) {
 
 static inline void MotionStep(void) {
     MotionMeasure();
-    if (FIRST_SAMPLE || !DRIVE_ENABLED || motion.seen != ref.version || motion.played != play || motion.tabled != use_table)
+    if (FIRST_SAMPLE || !DRIVE_ENABLED || motion.seen != ref.version || motion.played != play ||
+        motion.tabled != use_table)
         MotionBegin();
     const double slowing = MotionPace(), pace = motion.pace;
     const double t = SAMPLE_TIME - motion.t0, h = 1.0 / row_rate;
@@ -140,7 +152,8 @@ static inline void MotionStep(void) {
         rdd[j] = pace * pace * (after - 2.0 * r[j] + before) / (h * h) + slowing * speed;
         e[j] = r[j] - q[j];
         /* a torque is held, not interpolated; it belongs to the motion, and fades with it */
-        tau_ff[j] = playing ? pace * TableValue(&ref_tau, floor(play_time * row_rate + 1e-6), j) : 0.0;
+        tau_ff[j] =
+            playing ? pace * TableValue(&ref_tau, floor(play_time * row_rate + 1e-6), j) : 0.0;
     }
 }
 

@@ -1,11 +1,14 @@
-/* pd.c: PD control of the planar arm around a circle in joint space, or around a reference that the host has downloaded.
+/* pd.c: PD control of the planar arm around a circle in joint space, or around a reference that the
+ * host has downloaded.
  *
- *     tau = Kp (r - q) + Kd (rd - qd)        rd, qd: differences of r and q through a first-order filter
+ *     tau = Kp (r - q) + Kd (rd - qd)        rd, qd: differences of r and q through a first-order
+ * filter
  *
- * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command, along the reference:
- * a measured speed at rest would chatter, a reference knows its reversals.
+ * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
+ * along the reference: a measured speed at rest would chatter, a reference knows its reversals.
  *
- * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left smoothly from where the arm stands.
+ * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left
+ * smoothly from where the arm stands.
  */
 #include "isr.h"
 #if __has_include("compensation.c")
@@ -46,7 +49,8 @@ void UserInit(void) {
     PARAMETER(center2, 0.6, "rad", -1.5, 1.5, "circle: center, joint 2");
     PARAMETER(radius, 0.4, "rad", 0.0, 1.0, "circle: radius; 0 holds the center");
     PARAMETER(turn_time, 4.5, "s", 0.5, 1000.0, "circle: time for a turn");
-    PARAMETER(approach_time, 1.5, "s", 0.1, 60.0, "time from where the arm stands to the reference");
+    PARAMETER(approach_time, 1.5, "s", 0.1, 60.0,
+              "time from where the arm stands to the reference");
     PARAMETER(use_table, 0, "", 0, 1, "follow the table ref in place of the circle");
     PARAMETER(row_rate, 1000, "1/s", 1, 100000, "rows of ref a second");
     PARAMETER(hold, 0, "", 0, 1, "come to rest on the reference and stay there; 0 goes on");
@@ -89,8 +93,8 @@ static void reference(double t) {
     r2 = start[1] + blend * (target2 - start[1]);
 }
 
-/* The drives come on: begin from where the arm stands. A new table, or from circle to table and back: lead over to it from the
- * present reference, without a step. */
+/* The drives come on: begin from where the arm stands. A new table, or from circle to table and
+ * back: lead over to it from the present reference, without a step. */
 static void begin(void) {
     const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED;
     if (FIRST_SAMPLE) {
@@ -113,14 +117,16 @@ static void begin(void) {
     }
 }
 
-/* While `hold` is set the reference's time slows down within HALT seconds and stands, so that nothing jumps; then it runs up again. */
+/* While `hold` is set the reference's time slows down within HALT seconds and stands, so that
+ * nothing jumps; then it runs up again. */
 static void slow_down(void) {
     const double step = SAMPLE_PERIOD / HALT;
     pace = hold ? fmax(pace - step, 0.0) : fmin(pace + step, 1.0);
     t0 += (1.0 - pace) * SAMPLE_PERIOD;
 }
 
-/* Speed of the reference from one sample to the next. What is faster than any joint of the arm is a step, and a step has no speed. */
+/* Speed of the reference from one sample to the next. What is faster than any joint of the arm is a
+ * step, and a step has no speed. */
 static double slope(double now, double before) {
     const double speed = (now - before) / SAMPLE_PERIOD;
     return fabs(speed) < STEP_SPEED ? speed : 0.0;

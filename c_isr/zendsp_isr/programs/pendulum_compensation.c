@@ -1,9 +1,10 @@
-/* pendulum_compensation.c: friction compensated at the feedback level, around a trajectory that was planned without friction.
+/* pendulum_compensation.c: friction compensated at the feedback level, around a trajectory that was
+ * planned without friction.
  *
  *     tau = ref_tau + kp (r - q) + kv (rd - qd) + fc tanh(beta qd)
  *
- * The rival of pendulum_track.c in the pendulum paper: the friction term sees only the measured, filtered, late speed; the goal is
- * reached, by another path, with oscillations.
+ * The rival of pendulum_track.c in the pendulum paper: the friction term sees only the measured,
+ * filtered, late speed; the goal is reached, by another path, with oscillations.
  */
 #include "isr.h"
 #define N 1

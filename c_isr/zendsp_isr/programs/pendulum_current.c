@@ -1,9 +1,10 @@
-/* pendulum_current.c: the inner PI current loop of the pendulum, in user code. Open the machine with drive = voltage.
+/* pendulum_current.c: the inner PI current loop of the pendulum, in user code. Open the machine
+ * with drive = voltage.
  *
  *     i_ref = tau_ref / k_a,   v = kp (i_ref - i) + ki ∫ (i_ref - i) dt,   |v| <= supply
  *
- * tau_ref is the paper's open-loop law, or a constant. With voltage_mode on, `volts` goes straight to the motor: then v/i against
- * qd/i is a straight line of slope k_a and intercept R_a.
+ * tau_ref is the paper's open-loop law, or a constant. With voltage_mode on, `volts` goes straight
+ * to the motor: then v/i against qd/i is a straight line of slope k_a and intercept R_a.
  */
 #include "isr.h"
 #define N 1

@@ -1,8 +1,10 @@
-/* pendulum_torque.c: a torque played open loop: the table ref_tau (an optimal swing, a PRBS, a chirp …), or without a table the law
+/* pendulum_torque.c: a torque played open loop: the table ref_tau (an optimal swing, a PRBS, a
+ * chirp …), or without a table the law
  *
  *     tau(t) = level (1 - exp(-rate t)) + a1 sin(w1 t + phi1) + a2 sin(w2 t + phi2)
  *
- * from which the pendulum paper estimates its mechanical parameters (Hardware 2025, 3(3), 11). Change `go` to begin the law.
+ * from which the pendulum paper estimates its mechanical parameters (Hardware 2025, 3(3), 11).
+ * Change `go` to begin the law.
  */
 #include "isr.h"
 #define N 1

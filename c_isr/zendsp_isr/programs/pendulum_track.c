@@ -1,8 +1,10 @@
-/* pendulum_track.c: PD around an optimal trajectory: its torque fed forward, its motion followed (tables ref and ref_tau).
+/* pendulum_track.c: PD around an optimal trajectory: its torque fed forward, its motion followed
+ * (tables ref and ref_tau).
  *
  *     tau = ref_tau + kp (r - q) + kv (rd - qd)
  *
- * With kp = kv = 0 it is the same swing played open loop. Gains of the pendulum paper (Hardware 2025, 3(3), 11).
+ * With kp = kv = 0 it is the same swing played open loop. Gains of the pendulum paper (Hardware
+ * 2025, 3(3), 11).
  */
 #include "isr.h"
 #define N 1

@@ -1,7 +1,8 @@
-/* torque_steps.c: static friction. A torque that grows by small steps until the joint breaks away; the other joints get none.
+/* torque_steps.c: static friction. A torque that grows by small steps until the joint breaks away;
+ * the other joints get none.
  *
- * Set `joint`, `direction`, then change `go`. When `moved` turns true, `breakaway` is the torque of the last step, and the torque
- * is taken away. Works on any machine without gravity on that joint.
+ * Set `joint`, `direction`, then change `go`. When `moved` turns true, `breakaway` is the torque of
+ * the last step, and the torque is taken away. Works on any machine without gravity on that joint.
  */
 #include "isr.h"
 

@@ -1,8 +1,10 @@
-/* wam_gravity.h: the torque that holds the Barrett WAM against its weight, from masses and centres of mass (Barrett AC-02).
+/* wam_gravity.h: the torque that holds the Barrett WAM against its weight, from masses and centres
+ * of mass (Barrett AC-02).
  *
  *     g_k = axis_k · Σ_{i >= k} (com_i - origin_k) x m_i (0, 0, 9.81)
  *
- * Standard Denavit-Hartenberg frames; the sum is carried from the base outwards in two running totals.
+ * Standard Denavit-Hartenberg frames; the sum is carried from the base outwards in two running
+ * totals.
  */
 #ifndef ZENDSP_WAM_GRAVITY_H
 #define ZENDSP_WAM_GRAVITY_H
@@ -24,11 +26,13 @@ static const struct wam_link {
 
 static inline void WamGravity(const double *angle, double *torque) {
     double R[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, o[3] = {0, 0, 0};
-    double axis[7][2], origin[7][2], moment[7][2], mass[7]; /* gravity is along z: only x and y count */
+    /* gravity is along z: only x and y count */
+    double axis[7][2], origin[7][2], moment[7][2], mass[7];
     for (int k = 0; k < 7; k++) {
         const struct wam_link *l = &wam_links[k];
         const double c = cos(angle[k]), s = sin(angle[k]);
-        const double turn[3][3] = {{c, -s * l->ca, s * l->sa}, {s, c * l->ca, -c * l->sa}, {0.0, l->sa, l->ca}};
+        const double turn[3][3] = {
+            {c, -s * l->ca, s * l->sa}, {s, c * l->ca, -c * l->sa}, {0.0, l->sa, l->ca}};
         const double way[3] = {l->a * c, l->a * s, l->d};
         double next[3][3];
         for (int i = 0; i < 2; i++) {
@@ -45,14 +49,16 @@ static inline void WamGravity(const double *angle, double *torque) {
                 R[i][j] = next[i][j];
         mass[k] = l->mass;
         for (int i = 0; i < 2; i++)
-            moment[k][i] = l->mass * (o[i] + R[i][0] * l->com[0] + R[i][1] * l->com[1] + R[i][2] * l->com[2]);
+            moment[k][i] =
+                l->mass * (o[i] + R[i][0] * l->com[0] + R[i][1] * l->com[1] + R[i][2] * l->com[2]);
     }
     double m = 0.0, x = 0.0, y = 0.0; /* of all links from k on */
     for (int k = 6; k >= 0; k--) {
         m += mass[k];
         x += moment[k][0];
         y += moment[k][1];
-        torque[k] = 9.81 * (axis[k][0] * (y - m * origin[k][1]) - axis[k][1] * (x - m * origin[k][0]));
+        torque[k] =
+            9.81 * (axis[k][0] * (y - m * origin[k][1]) - axis[k][1] * (x - m * origin[k][0]));
     }
 }
 

@@ -1,4 +1,5 @@
-/* wam_pd_gravity.c: joint PD with gravity compensation on the WAM, as in the 7-DOF whole-arm paper; follows the table ref.
+/* wam_pd_gravity.c: joint PD with gravity compensation on the WAM, as in the 7-DOF whole-arm paper;
+ * follows the table ref.
  *
  *     tau = Kp (r - q) + Kd (rd - qd) + g(q)
  */

@@ -1,23 +1,28 @@
-/* batch.c: synchronous updates: taken from the monitor's ring, applied whole at the start of one sample. */
+/* batch.c: synchronous updates: taken from the monitor's ring, applied whole at the start of one
+ * sample. */
 #include <string.h> /* memcpy */
 
 #include "runner.h"
 
-/* Batches taken from the ring in one sample; the rest waits for the next, so a flood cannot stretch a sample. */
+/* Batches taken from the ring in one sample; the rest waits for the next, so a flood cannot stretch
+ * a sample. */
 enum { TAKEN_AT_ONCE = 16 };
 
-/* Move committed batches from the ring into the list that is sorted by at_tick (first come first where equal). */
+/* Move committed batches from the ring into the list that is sorted by at_tick (first come first
+ * where equal). */
 void batch_collect(runner *r) {
     control *c = r->control;
     const uint64_t head = load64(&c->ring_head);
     uint64_t tail = c->ring_tail;
-    for (int taken = 0; tail != head && taken < TAKEN_AT_ONCE && r->waiting_used < LAYOUT_BATCHES; taken++, tail++) {
+    for (int taken = 0;
+         tail != head && taken < TAKEN_AT_ONCE && r->buffers.waiting_used < LAYOUT_BATCHES;
+         taken++, tail++) {
         const uint32_t index = c->ring[tail % LAYOUT_BATCHES] % LAYOUT_BATCHES;
         const batch *b = (const batch *)(r->data + c->batch_offset + index * c->batch_stride);
-        int place = r->waiting_used++;
-        for (; place > 0 && r->waiting[place - 1]->at_tick > b->at_tick; place--)
-            r->waiting[place] = r->waiting[place - 1];
-        r->waiting[place] = b;
+        int place = r->buffers.waiting_used++;
+        for (; place > 0 && r->buffers.waiting[place - 1]->at_tick > b->at_tick; place--)
+            r->buffers.waiting[place] = r->buffers.waiting[place - 1];
+        r->buffers.waiting[place] = b;
     }
     store64(&c->ring_tail, tail);
 }
@@ -39,7 +44,8 @@ static void switch_table(runner *r, variable_entry *v, int32_t *value) {
 static void exchange(unsigned char *mine, unsigned char *theirs, int32_t size) {
     unsigned char piece[64];
     for (int32_t at = 0; at < size; at += (int32_t)sizeof piece) {
-        const size_t n = (size_t)(size - at < (int32_t)sizeof piece ? size - at : (int32_t)sizeof piece);
+        const size_t n =
+            (size_t)(size - at < (int32_t)sizeof piece ? size - at : (int32_t)sizeof piece);
         memcpy(piece, mine + at, n);
         memcpy(mine + at, theirs + at, n);
         memcpy(theirs + at, piece, n);
@@ -73,11 +79,11 @@ static void apply(runner *r, batch *b, uint64_t tick) {
 void batch_apply(runner *r, uint64_t tick) {
     batch_collect(r);
     int done = 0;
-    while (done < r->waiting_used && r->waiting[done]->at_tick <= tick)
-        apply(r, (batch *)(uintptr_t)r->waiting[done++], tick);
+    while (done < r->buffers.waiting_used && r->buffers.waiting[done]->at_tick <= tick)
+        apply(r, (batch *)(uintptr_t)r->buffers.waiting[done++], tick);
     if (done > 0) {
-        r->waiting_used -= done;
-        for (int i = 0; i < r->waiting_used; i++)
-            r->waiting[i] = r->waiting[i + done];
+        r->buffers.waiting_used -= done;
+        for (int i = 0; i < r->buffers.waiting_used; i++)
+            r->buffers.waiting[i] = r->buffers.waiting[i + done];
     }
 }

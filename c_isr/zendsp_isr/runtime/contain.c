@@ -1,9 +1,11 @@
-/* contain.c: user code starts nothing, ends nobody else, and nothing that it might start could reach the machine.
+/* contain.c: user code starts nothing, ends nobody else, and nothing that it might start could
+ * reach the machine.
  *
- * A filter of system calls (seccomp) refuses new processes, new threads, other programs and signals to others, with EPERM. Where
- * the system has no filter, what is left: no process may be added for this user (RLIMIT_NPROC), a child of fork() ends at
- * once, has none of the shared memory and none of the open files after an exec, and is not real-time. What is started all the
- * same stays beneath the runner (subreaper), also in a session of its own, and ends with it.
+ * A filter of system calls (seccomp) refuses new processes, new threads, other programs and signals
+ * to others, with EPERM. Where the system has no filter, what is left: no process may be added for
+ * this user (RLIMIT_NPROC), a child of fork() ends at once, has none of the shared memory and none
+ * of the open files after an exec, and is not real-time. What is started all the same stays beneath
+ * the runner (subreaper), also in a session of its own, and ends with it.
  */
 #define _GNU_SOURCE
 #include <asm/sockios.h>  /* FIOSETOWN */
@@ -43,7 +45,8 @@ enum { MOST_FILES = 256, LAST_FILE = 65536, X32_CALL = 0x40000000, ROUNDS = 1000
 static int refused; /* errno of the filter, 0: it holds */
 
 #ifdef NATIVE
-#define FIELD(name) BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, name))
+#define FIELD(name)                                                                                \
+    BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, name))
 #define DENY(error) BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | (error))
 #define ALLOW BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW)
 #define DENY_CALL(number) BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 1), DENY(EPERM)
@@ -53,13 +56,14 @@ static int refused; /* errno of the filter, 0: it holds */
 #else
 #define LOW_WORD 4u
 #endif
-#define ARGUMENT(index) \
-    BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)offsetof(struct seccomp_data, args[index]) + LOW_WORD)
+#define ARGUMENT(index)                                                                            \
+    BPF_STMT(BPF_LD | BPF_W | BPF_ABS,                                                             \
+             (uint32_t)offsetof(struct seccomp_data, args[index]) + LOW_WORD)
 /* A signal: to this process, or its group. */
-#define OWN_ONLY(number, own)                                                                                   \
-    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), ARGUMENT(0),                                           \
-        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (own), 2, 0), BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), \
-        ALLOW
+#define OWN_ONLY(number, own)                                                                      \
+    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), ARGUMENT(0),                              \
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (own), 2, 0),                                          \
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), ALLOW
 /* One command of a call that has many. */
 #define DENY_COMMAND(number, command)                                                     \
     BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 4), ARGUMENT(1),                      \
@@ -125,8 +129,8 @@ static int filter_calls(void) {
     const struct sock_fprog program = {.len = sizeof code / sizeof code[0], .filter = code};
     if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0)
         return errno;
-    /* all threads at once, since the background runs user code too; and without the mitigation that older kernels add to a
-     * filter, which slows every load after a store */
+    /* all threads at once, since the background runs user code too; and without the mitigation that
+     * older kernels add to a filter, which slows every load after a store */
     const unsigned long how = SECCOMP_FILTER_FLAG_TSYNC | SECCOMP_FILTER_FLAG_SPEC_ALLOW;
     const long other = syscall(__NR_seccomp, SECCOMP_SET_MODE_FILTER, how, &program);
     return other == 0 ? 0 : other > 0 ? EBUSY : errno;
@@ -144,7 +148,8 @@ static void limit(int what, rlim_t most) {
         setrlimit((__rlimit_resource_t)what, &both);
 }
 
-/* Bytes that count for RLIMIT_DATA, of the machine and of our own: user code is given so many more. */
+/* Bytes that count for RLIMIT_DATA, of the machine and of our own: user code is given so many more.
+ */
 static rlim_t used_memory(void) {
     unsigned long pages = 0;
     FILE *statm = fopen("/proc/self/statm", "re");
@@ -159,7 +164,8 @@ static rlim_t used_memory(void) {
 /* A child does not get this memory. */
 void contain_memory(void *at, size_t bytes) { madvise(at, bytes, MADV_DONTFORK); }
 
-/* Before the first line of user code, constructors included; the machine is open and our own threads run. */
+/* Before the first line of user code, constructors included; the machine is open and our own
+ * threads run. */
 void contain_enter(control *c) {
     for (int file = 3; file < LAST_FILE; file++) {
         const int flags = fcntl(file, F_GETFD);
@@ -185,12 +191,14 @@ void contain_say(control *c) {
     if (refused == 0)
         snprintf(rest, sizeof c->scheduling - used, "; user code starts nothing");
     else
-        snprintf(rest, sizeof c->scheduling - used,
-                 "; NO FILTER OF SYSTEM CALLS (seccomp: %s): %s", strerror(refused),
-                 geteuid() == 0 ? "user code of root could start processes" : "processes are refused by their number");
+        snprintf(rest, sizeof c->scheduling - used, "; NO FILTER OF SYSTEM CALLS (seccomp: %s): %s",
+                 strerror(refused),
+                 geteuid() == 0 ? "user code of root could start processes"
+                                : "processes are refused by their number");
 }
 
-/* One signal for each process right beneath this one; what is beneath those comes up to here. Returns how many there were. */
+/* One signal for each process right beneath this one; what is beneath those comes up to here.
+ * Returns how many there were. */
 static int end_those_right_beneath(void) {
     int found = 0;
     DIR *threads = opendir("/proc/self/task");

@@ -1,4 +1,5 @@
-/* dictionary.c: the variables that the running code declares, and where each stands in the data file. Runs before the loop. */
+/* dictionary.c: the variables that the running code declares, and where each stands in the data
+ * file. Runs before the loop. */
 #define _GNU_SOURCE
 #include <errno.h>    /* errno */
 #include <fcntl.h>    /* open */
@@ -10,7 +11,8 @@
 
 #include "runner.h"
 
-static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t), sizeof(bool)};
+static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t),
+                                       sizeof(bool)};
 
 static void refuse(control *c, const char *name, const char *why) {
     if (c->error[0] == 0)
@@ -24,8 +26,10 @@ static variable_entry *new_entry(control *c, const char *name) {
     }
     for (int32_t i = 0; i < c->variables; i++)
         if (strcmp(c->variable[i].name, name) == 0) {
-            refuse(c, name, c->variable[i].kind == KIND_BUILTIN ? "the name is taken by a built-in signal; choose another"
-                                                                : "declared twice");
+            refuse(c, name,
+                   c->variable[i].kind == KIND_BUILTIN
+                       ? "the name is taken by a built-in signal; choose another"
+                       : "declared twice");
             return NULL;
         }
     if (c->variables >= LAYOUT_VARIABLES) {
@@ -51,7 +55,8 @@ static void set_every(void *address, int32_t type, int32_t length, double value)
 }
 
 static const char *objection(const zendsp_declaration *d) {
-    if (d->kind < KIND_PARAMETER || d->kind > KIND_TABLE || d->type < TYPE_DOUBLE || d->type > TYPE_BOOL || !d->address)
+    if (d->kind < KIND_PARAMETER || d->kind > KIND_TABLE || d->type < TYPE_DOUBLE ||
+        d->type > TYPE_BOOL || !d->address)
         return "not a declaration of isr.h";
     if (d->kind == KIND_TABLE && (d->rows < 1 || d->columns < 1))
         return "a table needs at least one row and one column";
@@ -84,7 +89,7 @@ void dictionary_declare(const zendsp_declaration *d) {
     v->minimum = d->minimum;
     v->maximum = d->maximum;
     v->pointer = (uint64_t)(uintptr_t)d->address;
-    v->address = v->pointer - the_runner.image;
+    v->address = v->pointer - the_runner.config.image;
     v->type = d->type;
     v->kind = d->kind;
     if (d->kind == KIND_TABLE) {
@@ -100,7 +105,8 @@ void dictionary_declare(const zendsp_declaration *d) {
     }
 }
 
-static void own(control *c, int32_t kind, const char *name, const char *unit, const char *text, void *at, int32_t type, int32_t length) {
+static void own(control *c, int32_t kind, const char *name, const char *unit, const char *text,
+                void *at, int32_t type, int32_t length) {
     variable_entry *v = new_entry(c, name);
     if (!v)
         return;
@@ -119,7 +125,7 @@ static void own(control *c, int32_t kind, const char *name, const char *unit, co
 /* Signals that exist without being declared, and the settings. */
 void dictionary_builtins(runner *r) {
     control *c = r->control;
-    builtins *b = &r->now;
+    builtins *b = &r->buffers.now;
     settings *s = &r->set;
     const int32_t joints = c->info.joints, adcs = c->info.adcs;
     const char *unit = c->info.joint[0].unit;
@@ -133,8 +139,10 @@ void dictionary_builtins(runner *r) {
     own(c, B, "late_us", "us", "start of the sample behind its deadline", &b->late_us, D, 1);
     own(c, B, "drive", "", "drive mode: 0 off, 1 torque, 2 velocity", &b->drive, D, 1);
     own(c, B, "enc", "counts", "encoders", b->enc, D, joints);
-    own(c, B, "aout", "mV", "analog outputs: the command that acts from this sample on", b->aout, D, joints);
-    own(c, B, "cmd", "mV", "command computed in this sample; acts from the next", b->cmd, D, joints);
+    own(c, B, "aout", "mV", "analog outputs: the command that acts from this sample on", b->aout, D,
+        joints);
+    own(c, B, "cmd", "mV", "command computed in this sample; acts from the next", b->cmd, D,
+        joints);
     if (adcs > 0)
         own(c, B, "adc", c->info.adc_unit[0], "analog inputs", b->adc, D, adcs);
     own(c, B, "din", "", "digital inputs, one bit each", &b->din, D, 1);
@@ -144,7 +152,8 @@ void dictionary_builtins(runner *r) {
     own(c, S, "limit.speed_max", speed, "trip above", s->speed_max, D, joints);
     own(c, S, "limit.torque_max", torque, "trip above, or clamp", s->torque_max, D, joints);
     own(c, S, "limit.command_max", "mV", "trip above, or clamp", s->command_max, D, joints);
-    own(c, S, "limit.torque_clamp", "", "1: clamp commands at their limits instead of tripping", &s->torque_clamp, I, 1);
+    own(c, S, "limit.torque_clamp", "", "1: clamp commands at their limits instead of tripping",
+        &s->torque_clamp, I, 1);
     own(c, S, "drive.ramp", "s", "soft start and soft stop", &s->ramp, D, 1);
     own(c, S, "overrun.policy", "", "0 count, 1 skip, 2 trip", &s->overrun_policy, I, 1);
     own(c, S, "overrun.limit", "", "overruns in a row that trip", &s->overrun_limit, I, 1);
@@ -171,18 +180,22 @@ static uint32_t lay_out_snapshot(runner *r) {
     qsort(sorted, used, sizeof sorted[0], by_pointer);
     for (size_t i = 0; i < used; i++) {
         variable_entry *v = sorted[i];
-        range *last = r->ranges_used > 0 ? &r->ranges[r->ranges_used - 1] : NULL;
+        range *last =
+            r->config.ranges_used > 0 ? &r->config.ranges[r->config.ranges_used - 1] : NULL;
         const uint64_t end = last ? (uint64_t)(uintptr_t)last->from + last->size : 0;
         if (last && v->pointer <= end + 32 && v->pointer + (uint64_t)v->size >= end) {
-            last->size = (uint32_t)(v->pointer + (uint64_t)v->size - (uint64_t)(uintptr_t)last->from);
+            last->size =
+                (uint32_t)(v->pointer + (uint64_t)v->size - (uint64_t)(uintptr_t)last->from);
         } else {
             at = last ? (last->to + last->size + 15u) & ~15u : 0;
-            last = &r->ranges[r->ranges_used++];
+            last = &r->config.ranges[r->config.ranges_used++];
             /* keep the alignment of the source, so that values are aligned in the snapshot too */
-            *last = (range){.from = (const unsigned char *)(uintptr_t)v->pointer, .to = at + (uint32_t)(v->pointer & 7u),
+            *last = (range){.from = (const unsigned char *)(uintptr_t)v->pointer,
+                            .to = at + (uint32_t)(v->pointer & 7u),
                             .size = (uint32_t)v->size};
         }
-        v->snapshot = (int32_t)(last->to + (uint32_t)(v->pointer - (uint64_t)(uintptr_t)last->from));
+        v->snapshot =
+            (int32_t)(last->to + (uint32_t)(v->pointer - (uint64_t)(uintptr_t)last->from));
         at = last->to + last->size;
     }
     return (at + 63u) & ~63u;
@@ -196,8 +209,9 @@ static uint64_t batch_bytes(const control *c) {
         if (v->kind == KIND_TABLE)
             bytes += sizeof(batch_entry) + 8;
         else if (v->kind == KIND_PARAMETER || v->kind == KIND_SETTING)
-            bytes += v->length <= 64 ? (uint64_t)v->length * (sizeof(batch_entry) + 8)
-                                     : sizeof(batch_entry) + 2u * (((uint64_t)v->size + 7u) & ~7ull);
+            bytes += v->length <= 64
+                         ? (uint64_t)v->length * (sizeof(batch_entry) + 8)
+                         : sizeof(batch_entry) + 2u * (((uint64_t)v->size + 7u) & ~7ull);
     }
     return (bytes + 63u) & ~63ull;
 }
@@ -210,7 +224,8 @@ static int map_data(runner *r) {
     /* allocate now: a full /dev/shm shall be an error here, not a SIGBUS in the loop */
     const int failed = file < 0 ? errno : posix_fallocate(file, 0, (off_t)c->data_bytes);
     if (failed) {
-        snprintf(c->error, sizeof c->error, "shared memory: %llu bytes for variables and tables: %s",
+        snprintf(c->error, sizeof c->error,
+                 "shared memory: %llu bytes for variables and tables: %s",
                  (unsigned long long)c->data_bytes, strerror(failed));
         if (file >= 0)
             close(file);
@@ -249,7 +264,8 @@ int dictionary_finish(runner *r) {
     c->data_bytes = at;
     if (map_data(r) != 0)
         return -1;
-    for (int i = 0; i < r->ranges_used; i++)
-        memcpy(r->data + r->ranges[i].to, r->ranges[i].from, r->ranges[i].size);
+    for (int i = 0; i < r->config.ranges_used; i++)
+        memcpy(r->data + r->config.ranges[i].to, r->config.ranges[i].from,
+               r->config.ranges[i].size);
     return 0;
 }

@@ -6,11 +6,14 @@
 #include "timing.h"
 
 enum { CATCH_UP = 1000 }; /* most samples that a simulated machine makes good after a stall */
-enum { MOST_LATE = 100 }; /* overruns in a row after which the machine's watchdog is left alone, whatever a host has set */
+/* Overruns in a row after which the machine's watchdog is left alone, whatever a host has set. */
+enum { MOST_LATE = 100 };
 static const uint64_t idle_poll_ns = 500000; /* while paused */
-static const double coast_s = 1.0; /* machine time that the fast clock goes on after STOP, for the machine to come to rest */
+/* Machine time that the fast clock goes on after STOP, for the machine to come to rest. */
+static const double coast_s = 1.0;
 
-/* Make this sample readable from outside, whole: readers copy a slot and check that it was not rewritten meanwhile. */
+/* Make this sample readable from outside, whole: readers copy a slot and check that it was not
+ * rewritten meanwhile. */
 static void publish(runner *r, uint64_t tick) {
     control *c = r->control;
     const uint64_t n = c->newest;
@@ -20,26 +23,30 @@ static void publish(runner *r, uint64_t tick) {
     __atomic_store_n(&slot->sequence, 2 * n + 1, __ATOMIC_RELAXED);
     __atomic_thread_fence(__ATOMIC_RELEASE);
     slot->tick = tick;
-    for (int i = 0; i < r->ranges_used; i++)
-        memcpy(values + r->ranges[i].to, r->ranges[i].from, r->ranges[i].size);
+    const runner_config *config = &r->config;
+    for (int i = 0; i < config->ranges_used; i++)
+        memcpy(values + config->ranges[i].to, config->ranges[i].from, config->ranges[i].size);
     store64(&slot->sequence, 2 * n + 2);
     store64(&c->newest, n + 1);
 }
 
 static void fill_inputs(runner *r) {
-    control *c = r->control;
+    const control *c = r->control;
+    const machine_sensors *sensors = &r->buffers.sensors;
+    zendsp_io *io = &r->buffers.io;
+    builtins *now = &r->buffers.now;
     const double t = (double)c->tick / c->rate_hz;
-    r->io.tick = c->tick;
-    r->io.t = t;
-    r->io.din = r->sensors.din;
-    memcpy(r->io.enc, r->sensors.enc, sizeof r->io.enc);
-    memcpy(r->io.adc, r->sensors.adc, sizeof r->io.adc);
-    r->now.tick = (double)c->tick;
-    r->now.t = t;
-    r->now.din = (double)r->sensors.din;
+    io->tick = c->tick;
+    io->t = t;
+    io->din = sensors->din;
+    memcpy(io->enc, sensors->enc, sizeof io->enc);
+    memcpy(io->adc, sensors->adc, sizeof io->adc);
+    now->tick = (double)c->tick;
+    now->t = t;
+    now->din = (double)sensors->din;
     for (int j = 0; j < MACHINE_JOINTS; j++)
-        r->now.enc[j] = (double)r->sensors.enc[j];
-    memcpy(r->now.adc, r->sensors.adc, sizeof r->now.adc);
+        now->enc[j] = (double)sensors->enc[j];
+    memcpy(now->adc, sensors->adc, sizeof now->adc);
 }
 
 /* The control law of this sample: the user's, or the machine's homing. */
@@ -47,55 +54,62 @@ static void compute(runner *r) {
     control *c = r->control;
     if (c->running == RUN_HOME) {
         store32(&c->within, WITHIN_MACHINE);
-        const int answer = r->machine->home ? r->machine->home(r->handle, &r->sensors, &r->held) : MACHINE_HOME_DONE;
+        const runner_config *config = &r->config;
+        const int answer =
+            config->machine->home
+                ? config->machine->home(config->handle, &r->buffers.sensors, &r->state.held)
+                : MACHINE_HOME_DONE;
         store32(&c->within, WITHIN_RUNTIME);
         safety_home(r, answer);
         return;
     }
     store32(&c->within, WITHIN_ISR);
-    r->isr();
+    r->config.isr();
     store32(&c->within, WITHIN_RUNTIME);
     safety_command(r);
 }
 
-/* One sample: outputs of the sample before → conversion → updates → control law → everything recorded. */
+/* One sample: outputs of the sample before → conversion → updates → control law → everything
+ * recorded. */
 static void sample(runner *r, uint64_t begin, uint64_t late) {
     control *c = r->control;
     store64(&c->heartbeat, c->heartbeat | 1u);
     safety_requests(r);
     safety_output(r);
-    r->machine->write(r->handle, &r->acting);
-    r->machine->read(r->handle, &r->sensors);
+    r->config.machine->write(r->config.handle, &r->buffers.acting);
+    r->config.machine->read(r->config.handle, &r->buffers.sensors);
     if (safety_inputs(r)) {
         safety_output(r);
-        r->machine->write(r->handle, &r->acting);
+        r->config.machine->write(r->config.handle, &r->buffers.acting);
     }
     batch_apply(r, c->tick);
     stream_exchange(r);
     fill_inputs(r);
-    r->acquired = false;
-    r->now.late_us = 1e-3 * (double)late;
+    r->state.acquired = false;
+    r->buffers.now.late_us = 1e-3 * (double)late;
     compute(r);
     const uint64_t exec = now_ns() - begin;
-    r->now.exec_us = 1e-3 * (double)exec;
-    r->now.dout = (double)r->io.dout;
+    r->buffers.now.exec_us = 1e-3 * (double)exec;
+    r->buffers.now.dout = (double)r->buffers.io.dout;
     stream_sample(r);
     publish(r, c->tick);
     timing_count(&c->timing, late, exec);
 }
 
 static void step_machine(runner *r) {
-    if (r->machine->step) {
+    if (r->config.machine->step) {
         store32(&r->control->within, WITHIN_MACHINE);
-        r->machine->step(r->handle, r->io.period);
+        r->config.machine->step(r->config.handle, r->buffers.io.period);
         store32(&r->control->within, WITHIN_RUNTIME);
     }
 }
 
 /* The machine's own watchdog: nothing that hangs, ends or is late again and again comes here. */
 static void keep_alive(runner *r) {
-    if (r->machine->keep_alive && r->overruns_in_row < (uint32_t)r->set.overrun_limit && r->overruns_in_row < MOST_LATE)
-        r->machine->keep_alive(r->handle);
+    const machine_ops *machine = r->config.machine;
+    const uint32_t overruns = r->state.overruns_in_row;
+    if (machine->keep_alive && overruns < (uint32_t)r->set.overrun_limit && overruns < MOST_LATE)
+        machine->keep_alive(r->config.handle);
 }
 
 static void finish_sample(runner *r) {
@@ -113,26 +127,26 @@ static void idle(runner *r) {
     store32(&c->running, RUN_PAUSED);
     safety_requests(r);
     const uint64_t applied = c->ring_tail;
-    const int waiting = r->waiting_used;
+    const int waiting = r->buffers.waiting_used;
     batch_apply(r, c->tick);
     stream_idle(r);
     if (!c->info.simulated) {
         if (first)
-            r->machine->safe(r->handle);
-        r->machine->read(r->handle, &r->sensors);
+            r->config.machine->safe(r->config.handle);
+        r->config.machine->read(r->config.handle, &r->buffers.sensors);
         safety_anew(r); /* a command from before the pause shall not act after it */
         c->drive_mode = MACHINE_OFF;
-        r->speed_known = 0;
+        r->state.speed_known = 0;
         fill_inputs(r);
         publish(r, c->tick);
-    } else if (c->ring_tail != applied || r->waiting_used != waiting || c->newest == 0) {
+    } else if (c->ring_tail != applied || r->buffers.waiting_used != waiting || c->newest == 0) {
         if (c->newest == 0) {
-            r->machine->read(r->handle, &r->sensors);
+            r->config.machine->read(r->config.handle, &r->buffers.sensors);
             fill_inputs(r);
         }
         publish(r, c->tick);
     }
-    r->overruns_in_row = 0;
+    r->state.overruns_in_row = 0;
     keep_alive(r);
     store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);
     sleep_ns(idle_poll_ns);
@@ -150,18 +164,21 @@ static uint64_t wait_for(uint64_t deadline, uint64_t spin) {
     return now;
 }
 
-/* Samples that the clock has left behind: by the setting, run late (count), or left out with the machine moving on (skip). */
+/* Samples that the clock has left behind: by the setting, run late (count), or left out with the
+ * machine moving on (skip). */
 static uint64_t after_sample(runner *r, uint64_t deadline) {
     control *c = r->control;
     const uint64_t period = c->period_ns, next = deadline + period, now = now_ns();
     if (now <= next) {
-        r->overruns_in_row = 0;
+        r->state.overruns_in_row = 0;
         return next;
     }
     c->timing.overruns++;
-    r->overruns_in_row++;
-    if (r->set.overrun_policy == OVERRUN_TRIP && r->overruns_in_row >= (uint32_t)r->set.overrun_limit)
-        safety_trip(r, TRIP_OVERRUN, 0, (double)r->overruns_in_row, (double)r->set.overrun_limit);
+    r->state.overruns_in_row++;
+    if (r->set.overrun_policy == OVERRUN_TRIP &&
+        r->state.overruns_in_row >= (uint32_t)r->set.overrun_limit)
+        safety_trip(r, TRIP_OVERRUN, 0, (double)r->state.overruns_in_row,
+                    (double)r->set.overrun_limit);
     const uint64_t behind = (now - next) / period;
     if (behind == 0 || (r->set.overrun_policy != OVERRUN_SKIP && behind <= CATCH_UP))
         return next;
@@ -184,19 +201,21 @@ static void hold_speed(runner *r, uint64_t began, uint64_t first_tick) {
         sleep_until_ns(due);
 }
 
-/* How long to wait awake: what is left of 0.8 of the period after the sample's own work. A FIFO thread that never sleeps is stopped by
- * the kernel for 50 ms in every second (sched_rt_runtime_us). */
+/* How long to wait awake: what is left of 0.8 of the period after the sample's own work. A FIFO
+ * thread that never sleeps is stopped by the kernel for 50 ms in every second
+ * (sched_rt_runtime_us). */
 static uint64_t spin_beside(const runner *r, uint64_t spin) {
     const uint64_t most = r->control->period_ns - r->control->period_ns / 5;
-    return r->busy_ns >= most ? 0 : spin < most - r->busy_ns ? spin : most - r->busy_ns;
+    const uint64_t busy = r->state.busy_ns;
+    return busy >= most ? 0 : spin < most - busy ? spin : most - busy;
 }
 
 static void run_real(runner *r, uint64_t *deadline, uint64_t spin) {
     const uint64_t begin = wait_for(*deadline, spin_beside(r, spin));
     sample(r, begin, begin - *deadline);
     finish_sample(r);
-    const uint64_t busy = now_ns() - begin;
-    r->busy_ns = busy > r->busy_ns ? r->busy_ns + (busy - r->busy_ns) / 8 : r->busy_ns - (r->busy_ns - busy) / 8;
+    const uint64_t busy = now_ns() - begin, before = r->state.busy_ns;
+    r->state.busy_ns = busy > before ? before + (busy - before) / 8 : before - (before - busy) / 8;
     *deadline = after_sample(r, *deadline);
 }
 
@@ -214,14 +233,15 @@ void loop(runner *r) {
     const uint64_t spin = (uint64_t)(1e3 * spin_us);
     uint64_t deadline = 0, began = 0, first_tick = 0;
     if (!c->info.simulated)
-        r->machine->safe(r->handle);
+        r->config.machine->safe(r->config.handle);
     for (;;) {
         uint32_t run = load32(&c->run);
         if (run == RUN_QUIT)
             return;
         const uint64_t until = load64(&c->run_until);
         if (run != RUN_PAUSED && ((until != 0 && c->tick >= until) || coasted(r))) {
-            __atomic_compare_exchange_n(&c->run, &run, RUN_PAUSED, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+            __atomic_compare_exchange_n(&c->run, &run, RUN_PAUSED, false, __ATOMIC_ACQ_REL,
+                                        __ATOMIC_ACQUIRE);
             continue;
         }
         if (run == RUN_PAUSED) {
@@ -237,7 +257,7 @@ void loop(runner *r) {
             first_tick = c->tick;
             deadline = began + c->period_ns;
             if (run == RUN_HOME)
-                safety_anew(r); /* nothing of the program's acts while homing, nor anything of before after it */
+                safety_anew(r); /* nothing of the program's acts while homing, or of before it */
         }
         if (c->clock == CLOCK_REAL) {
             run_real(r, &deadline, spin);

@@ -1,4 +1,5 @@
-/* main.c: the runner process: map the shared memory, load machine and program, run UserInit, enter the loop.
+/* main.c: the runner process: map the shared memory, load machine and program, run UserInit, enter
+ * the loop.
  *
  *     runner CONTROL          run
  *     runner --safe CONTROL   put the machine of a crashed runner into its safe state, and end
@@ -48,7 +49,8 @@ static control *map_control(const char *path) {
 
 static int fail(control *c, const char *what, const char *why) {
     if (c->error[0] == 0)
-        snprintf(c->error, sizeof c->error, "%s%s%s", what, why && why[0] ? ": " : "", why ? why : "");
+        snprintf(c->error, sizeof c->error, "%s%s%s", what, why && why[0] ? ": " : "",
+                 why ? why : "");
     store32(&c->phase, PHASE_FAILED);
     return 1;
 }
@@ -59,17 +61,23 @@ static int open_machine(runner *r) {
     void *library = dlopen(c->machine_path, RTLD_NOW | RTLD_LOCAL);
     if (!library)
         return fail(c, "machine", dlerror());
-    r->machine = dlsym(library, "zendsp_machine");
-    if (!r->machine)
+    const machine_ops *machine = dlsym(library, "zendsp_machine");
+    r->config.machine = machine;
+    if (!machine)
         return fail(c, "machine", "exports no 'zendsp_machine' (see docs/machines.md)");
-    if (r->machine->abi != MACHINE_ABI)
+    if (machine->abi != MACHINE_ABI)
         return fail(c, "machine", "compiled against another machine.h; compile it again");
-    if (r->machine->open(&r->handle, c->machine_config, 1.0 / c->rate_hz, &c->info, why, sizeof why) != 0)
+    void **handle = &r->config.handle;
+    const double period = 1.0 / c->rate_hz;
+    if (machine->open(handle, c->machine_config, period, &c->info, why, sizeof why) != 0)
         return fail(c, "machine", why[0] ? why : "open failed");
-    if (c->info.joints < 1 || c->info.joints > MACHINE_JOINTS || c->info.adcs < 0 || c->info.adcs > MACHINE_ADCS)
+    if (c->info.joints < 1 || c->info.joints > MACHINE_JOINTS || c->info.adcs < 0 ||
+        c->info.adcs > MACHINE_ADCS)
         return fail(c, "machine", "joints or adcs out of range in machine_info");
-    if ((r->machine->step != NULL) != (c->info.simulated != 0))
-        return fail(c, "machine", "a simulated machine has step(), hardware has none; machine_info.simulated disagrees");
+    if ((machine->step != NULL) != (c->info.simulated != 0))
+        return fail(c, "machine",
+                    "a simulated machine has step(), hardware has none; machine_info.simulated"
+                    " disagrees");
     if (c->clock == CLOCK_FAST && !c->info.simulated)
         return fail(c, "machine", "the fast clock needs a simulated machine");
     return 0;
@@ -78,12 +86,13 @@ static int open_machine(runner *r) {
 static int find_end(struct dl_phdr_info *info, size_t size, void *data) {
     runner *r = data;
     (void)size;
-    if (info->dlpi_addr != r->image)
+    if (info->dlpi_addr != r->config.image)
         return 0;
     for (int i = 0; i < info->dlpi_phnum; i++) {
-        const uint64_t end = info->dlpi_addr + info->dlpi_phdr[i].p_vaddr + info->dlpi_phdr[i].p_memsz;
-        if (info->dlpi_phdr[i].p_type == PT_LOAD && end > r->image_end)
-            r->image_end = end;
+        const uint64_t end =
+            info->dlpi_addr + info->dlpi_phdr[i].p_vaddr + info->dlpi_phdr[i].p_memsz;
+        if (info->dlpi_phdr[i].p_type == PT_LOAD && end > r->config.image_end)
+            r->config.image_end = end;
     }
     return 1;
 }
@@ -97,19 +106,21 @@ static int load_program(runner *r) {
         return fail(c, "program", dlerror());
     const int32_t *abi = dlsym(library, "zendsp_isr_abi");
     if (!abi || *abi != ZENDSP_ISR_ABI)
-        return fail(c, "program", abi ? "compiled against another isr.h; compile it again" : "does not include isr.h");
+        return fail(c, "program",
+                    abi ? "compiled against another isr.h; compile it again"
+                        : "does not include isr.h");
     zendsp_io **io = dlsym(library, "zendsp");
     void (*init)(void) = NULL;
     *(void **)&init = dlsym(library, "UserInit");
-    *(void **)&r->isr = dlsym(library, "UserISR_INT2");
-    *(void **)&r->background = dlsym(library, "UserBackground");
-    if (!io || !init || !r->isr)
+    *(void **)&r->config.isr = dlsym(library, "UserISR_INT2");
+    *(void **)&r->config.background = dlsym(library, "UserBackground");
+    if (!io || !init || !r->config.isr)
         return fail(c, "program", "needs UserInit and UserISR_INT2");
     Dl_info where;
     if (dladdr((void *)(uintptr_t)abi, &where) != 0)
-        r->image = (uint64_t)(uintptr_t)where.dli_fbase;
+        r->config.image = (uint64_t)(uintptr_t)where.dli_fbase;
     dl_iterate_phdr(find_end, r);
-    *io = &r->io;
+    *io = &r->buffers.io;
     store32(&c->phase, PHASE_INIT);
     store32(&c->within, WITHIN_INIT);
     init();
@@ -119,19 +130,25 @@ static int load_program(runner *r) {
 
 static void acquire(void) { stream_sample(&the_runner); }
 
+static void close_machine(const runner *r) {
+    if (r->config.machine->close)
+        r->config.machine->close(r->config.handle);
+}
+
 static void prepare_io(runner *r) {
     const control *c = r->control;
-    r->io.period = 1.0 / c->rate_hz;
-    r->io.joints = c->info.joints;
-    r->io.declare = dictionary_declare;
-    r->io.acquire = acquire;
+    zendsp_io *io = &r->buffers.io;
+    io->period = 1.0 / c->rate_hz;
+    io->joints = c->info.joints;
+    io->declare = dictionary_declare;
+    io->acquire = acquire;
     for (int j = 0; j < MACHINE_JOINTS; j++) {
         const machine_joint *joint = &c->info.joint[j];
-        r->io.counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
-        r->io.zero_counts[j] = joint->zero_counts;
-        r->io.mv_per_torque[j] = joint->mv_per_torque;
-        r->io.torque_max[j] = joint->torque_max;
-        r->io.inertia[j] = joint->inertia;
+        io->counts_per_unit[j] = joint->counts_per_unit != 0.0 ? joint->counts_per_unit : 1.0;
+        io->zero_counts[j] = joint->zero_counts;
+        io->mv_per_torque[j] = joint->mv_per_torque;
+        io->torque_max[j] = joint->torque_max;
+        io->inertia[j] = joint->inertia;
     }
 }
 
@@ -148,7 +165,8 @@ static void on_crash(int number, siginfo_t *info, void *context) {
 #endif
     r->control->crash_signal = number;
     r->control->crash_within = this_thread_is ? this_thread_is : (int32_t)r->control->within;
-    r->control->crash_address = at >= r->image && at < r->image_end ? at - r->image : 0;
+    r->control->crash_address =
+        at >= r->config.image && at < r->config.image_end ? at - r->config.image : 0;
     /* SA_RESETHAND: returning repeats the fault, now with its default action */
     if (number == SIGABRT)
         raise(number);
@@ -164,7 +182,8 @@ static void catch_signals(void) {
     static unsigned char own_stack[65536];
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL); /* a stack overflow needs another stack to be told on */
-    struct sigaction crash = {.sa_sigaction = on_crash, .sa_flags = (int)(SA_SIGINFO | SA_ONSTACK | SA_RESETHAND)};
+    struct sigaction crash = {.sa_sigaction = on_crash,
+                              .sa_flags = (int)(SA_SIGINFO | SA_ONSTACK | SA_RESETHAND)};
     for (size_t i = 0; i < sizeof fatal / sizeof fatal[0]; i++)
         sigaction(fatal[i], &crash, NULL);
     struct sigaction end = {.sa_handler = on_end};
@@ -184,9 +203,8 @@ static int make_safe(const char *path) {
         fprintf(stderr, "runner: %s\n", copy.error);
         return 1;
     }
-    the_runner.machine->safe(the_runner.handle);
-    if (the_runner.machine->close)
-        the_runner.machine->close(the_runner.handle);
+    the_runner.config.machine->safe(the_runner.config.handle);
+    close_machine(&the_runner);
     return 0;
 }
 
@@ -195,8 +213,7 @@ static int look(const char *path) {
     r->control = map_control(path);
     if (!r->control || open_machine(r) != 0)
         return 1;
-    if (r->machine->close)
-        r->machine->close(r->handle);
+    close_machine(r);
     return 0;
 }
 
@@ -215,8 +232,10 @@ int main(int count, char **arguments) {
         return 1;
     r->page = map_file(r->control->stop_path, sizeof *r->page);
     if (!r->page || r->page->magic != LAYOUT_MAGIC || r->page->version != LAYOUT_VERSION)
-        return fail(r->control, "stop page", "cannot be mapped, or made by another version of zendsp");
-    store32(&r->page->stop, 0); /* asked while nothing was loaded, or of a runner that died: not of this program */
+        return fail(r->control, "stop page",
+                    "cannot be mapped, or made by another version of zendsp");
+    /* asked while nothing was loaded, or of a runner that died: not of this program */
+    store32(&r->page->stop, 0);
     catch_signals();
     if (open_machine(r) != 0)
         return 1;
@@ -233,9 +252,8 @@ int main(int count, char **arguments) {
     contain_say(r->control);
     store32(&r->control->phase, PHASE_READY);
     loop(r);
-    r->machine->safe(r->handle);
-    if (r->machine->close)
-        r->machine->close(r->handle);
+    r->config.machine->safe(r->config.handle);
+    close_machine(r);
     store32(&r->control->phase, PHASE_ENDED);
     contain_end_children();
     if (getppid() != r->control->monitor)

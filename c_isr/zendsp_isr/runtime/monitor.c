@@ -1,4 +1,5 @@
-/* monitor.c: what the monitor does on shared memory that needs ordering: Python has no acquire and release. Loaded by cffi. */
+/* monitor.c: what the monitor does on shared memory that needs ordering: Python has no acquire and
+ * release. Loaded by cffi. */
 #define _GNU_SOURCE
 #include <float.h>     /* DBL_MAX, FLT_MAX */
 #include <math.h>      /* fabs */
@@ -10,10 +11,11 @@
 #include "monitor.h"
 #include "timing.h" /* now_ns */
 
-/* Copy `bytes` of values from byte `from` on, all of the newest sample. Returns 1 and its tick, or 0 when the loop kept overwriting it
- * (never seen). Place and size come from the monitor's own memory: what user code may have scribbled over must not steer a copy. */
-int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride, uint64_t from, uint64_t bytes,
-                     unsigned char *values, uint64_t *tick) {
+/* Copy `bytes` of values from byte `from` on, all of the newest sample. Returns 1 and its tick, or
+ * 0 when the loop kept overwriting it (never seen). Place and size come from the monitor's own
+ * memory: what user code may have scribbled over must not steer a copy. */
+int monitor_snapshot(const uint64_t *newest_word, const unsigned char *slots, uint64_t stride,
+                     uint64_t from, uint64_t bytes, unsigned char *values, uint64_t *tick) {
     for (int attempt = 0; attempt < 1000; attempt++) {
         const uint64_t newest = __atomic_load_n(newest_word, __ATOMIC_ACQUIRE);
         if (newest == 0)
@@ -38,8 +40,9 @@ int monitor_ended(int pidfd) {
     return poll(&process, 1, 0) > 0;
 }
 
-/* Make a filled batch visible to the loop: from here on it is applied whole, before here not at all. Returns 0 and does nothing when
- * the runner (its pidfd, or -1 where the kernel has none) has ended. */
+/* Make a filled batch visible to the loop: from here on it is applied whole, before here not at
+ * all. Returns 0 and does nothing when the runner (its pidfd, or -1 where the kernel has none) has
+ * ended. */
 static int commit(control *c, batch *b, uint32_t index, int pidfd) {
     if (pidfd >= 0 && monitor_ended(pidfd))
         return 0;
@@ -66,9 +69,10 @@ static uint32_t fit(const update_part *part, double v) {
     }
 }
 
-/* Whether numbers may be written: FIT, or why not, with the place of the first that may not in its part. The one check of every
- * update, by whatever road it came. */
-uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values, uint32_t *wrong) {
+/* Whether numbers may be written: FIT, or why not, with the place of the first that may not in its
+ * part. The one check of every update, by whatever road it came. */
+uint32_t monitor_fit(const update_part *part, uint32_t parts, const double *values,
+                     uint32_t *wrong) {
     for (uint32_t i = 0; i < parts; values += part[i++].count)
         for (uint32_t k = 0; k < part[i].count; k++) {
             const uint32_t why = fit(part + i, values[k]);
@@ -101,7 +105,8 @@ static unsigned char *put(unsigned char *to, int32_t type, double v) {
 }
 
 /* Lay numbers that fit out as the entries of a batch. */
-void monitor_pack(const update_part *part, uint32_t parts, const double *values, unsigned char *to) {
+void monitor_pack(const update_part *part, uint32_t parts, const double *values,
+                  unsigned char *to) {
     for (const update_part *p = part; p < part + parts; p++) {
         memcpy(to, &p->entry, sizeof p->entry);
         to += sizeof p->entry;
@@ -112,10 +117,11 @@ void monitor_pack(const update_part *part, uint32_t parts, const double *values,
     }
 }
 
-/* Fill and commit an update: `values` hold the numbers of its parts, one after another. Returns 1; 0 when the runner has ended; -1,
- * nothing done, when one of them does not fit. */
-int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts, const double *values, batch *b, uint32_t index,
-                  uint64_t sequence, uint64_t at_tick) {
+/* Fill and commit an update: `values` hold the numbers of its parts, one after another. Returns 1;
+ * 0 when the runner has ended; -1, nothing done, when one of them does not fit. */
+int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts,
+                  const double *values, batch *b, uint32_t index, uint64_t sequence,
+                  uint64_t at_tick) {
     uint32_t wrong;
     if (monitor_fit(part, parts, values, &wrong) != FIT)
         return -1;
@@ -138,16 +144,20 @@ static void to_message(unsigned char *bytes, uint64_t word) {
         bytes[i] = (unsigned char)word;
 }
 
-/* Answer a reading that came before: fill `count` doubles, which stand at `places[2 * i]` of `values`, into `reply` at `places[2 * i + 1]`,
- * and their tick. Returns 0 when the program is not loaded any more or no longer runs (the long way says why), there is no sample, or
- * none from `least` on. */
-int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data, uint64_t slots_at, uint64_t stride, uint64_t from,
-                       uint64_t bytes, unsigned char *values, uint32_t count, const uint32_t *places, unsigned char *reply,
-                       uint32_t tick_at, uint64_t least) {
+/* Answer a reading that came before: fill `count` doubles, which stand at `places[2 * i]` of
+ * `values`, into `reply` at `places[2 * i + 1]`, and their tick. Returns 0 when the program is not
+ * loaded any more or no longer runs (the long way says why), there is no sample, or none from
+ * `least` on. */
+int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data,
+                       uint64_t slots_at, uint64_t stride, uint64_t from, uint64_t bytes,
+                       unsigned char *values, uint32_t count, const uint32_t *places,
+                       unsigned char *reply, uint32_t tick_at, uint64_t least) {
     uint64_t tick, word;
-    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE) || __atomic_load_n(&c->trip.reason, __ATOMIC_ACQUIRE))
+    if (__atomic_load_n(ended, __ATOMIC_ACQUIRE) ||
+        __atomic_load_n(&c->trip.reason, __ATOMIC_ACQUIRE))
         return 0;
-    if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick) || tick < least)
+    if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick) ||
+        tick < least)
         return 0;
     to_message(reply + tick_at, tick);
     for (uint32_t i = 0; i < count; i++) {
@@ -157,10 +167,12 @@ int monitor_read_again(const uint32_t *ended, const control *c, const unsigned c
     return 1;
 }
 
-/* Answer a write of one double that came before: the value stands at `value_at` of `request`, `sequence` goes to `sequence_at` of `reply`.
- * Returns what monitor_write does; 0 also when the program is not loaded any more. */
-int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const update_part *part, uint32_t value_at, unsigned char *reply,
-                        uint32_t sequence_at, const unsigned char *request, batch *b, uint32_t index, uint64_t sequence) {
+/* Answer a write of one double that came before: the value stands at `value_at` of `request`,
+ * `sequence` goes to `sequence_at` of `reply`. Returns what monitor_write does; 0 also when the
+ * program is not loaded any more. */
+int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const update_part *part,
+                        uint32_t value_at, unsigned char *reply, uint32_t sequence_at,
+                        const unsigned char *request, batch *b, uint32_t index, uint64_t sequence) {
     if (__atomic_load_n(ended, __ATOMIC_ACQUIRE))
         return 0;
     const uint64_t word = from_message(request + value_at);
@@ -172,18 +184,23 @@ int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const upda
 
 uint32_t monitor_load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
 uint64_t monitor_load64(const uint64_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
-void monitor_store32(uint32_t *word, uint32_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
-void monitor_store64(uint64_t *word, uint64_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
+void monitor_store32(uint32_t *word, uint32_t value) {
+    __atomic_store_n(word, value, __ATOMIC_RELEASE);
+}
+void monitor_store64(uint64_t *word, uint64_t value) {
+    __atomic_store_n(word, value, __ATOMIC_RELEASE);
+}
 
 /* RUN_… requested by the monitor, unless the runner is already quitting. */
 void monitor_run(control *c, uint32_t run) {
     uint32_t now = __atomic_load_n(&c->run, __ATOMIC_ACQUIRE);
-    while (now != RUN_QUIT && !__atomic_compare_exchange_n(&c->run, &now, run, 0, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE)) {
+    while (now != RUN_QUIT && !__atomic_compare_exchange_n(&c->run, &now, run, 0, __ATOMIC_ACQ_REL,
+                                                           __ATOMIC_ACQUIRE)) {
     }
 }
 
-/* Wait until a batch has been applied: awake for awake_ns, since falling asleep and waking take as long as a short sample, then mostly
- * asleep. Returns 1 when it has, 0 after timeout_ns. */
+/* Wait until a batch has been applied: awake for awake_ns, since falling asleep and waking take as
+ * long as a short sample, then mostly asleep. Returns 1 when it has, 0 after timeout_ns. */
 int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns) {
     const struct timespec nap = {.tv_sec = 0, .tv_nsec = 20000};
     const uint64_t begin = now_ns();
@@ -202,24 +219,29 @@ int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns)
     }
 }
 
-/* Chosen when it is loaded: one build serves every processor of its kind, and those of today do this in two thirds of the time. */
+/* Chosen when it is loaded: one build serves every processor of its kind, and those of today do
+ * this in two thirds of the time. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define WIDE
 #endif
-enum { FOLD = 4096 / sizeof(uint64_t), LINE = 64, AHEAD = 1024 }; /* words, as in zendsp_protocol/chunks.py; bytes */
+/* words, as in zendsp_protocol/chunks.py; bytes */
+enum { FOLD = 4096 / sizeof(uint64_t), LINE = 64, AHEAD = 1024 };
 typedef uint64_t lanes __attribute__((vector_size(32), aligned(8), may_alias));
 
-/* Copy words, and join them into `fold`, the first into word `at` of it, by exclusive or: on the way, since a second look at so many
- * would cost half as much again. */
-WIDE static void copy_folding(double *to, const double *from, uint64_t words, uint64_t *fold, uint64_t at) {
+/* Copy words, and join them into `fold`, the first into word `at` of it, by exclusive or: on the
+ * way, since a second look at so many would cost half as much again. */
+WIDE static void copy_folding(double *to, const double *from, uint64_t words, uint64_t *fold,
+                              uint64_t at) {
     while (words > 0) {
         if (at == 0 && words >= FOLD) {
             lanes *t = (lanes *)(void *)to, *f = (lanes *)(void *)fold;
             const lanes *s = (const lanes *)(const void *)from;
-            for (int i = 0; i < (int)(FOLD * sizeof(uint64_t) / sizeof(lanes)); i += (int)(LINE / sizeof(lanes))) {
-                __builtin_prefetch((const char *)(s + i) + AHEAD); /* processors stop looking ahead where a page ends */
+            for (int i = 0; i < (int)(FOLD * sizeof(uint64_t) / sizeof(lanes));
+                 i += (int)(LINE / sizeof(lanes))) {
+                /* processors stop looking ahead where a page ends */
+                __builtin_prefetch((const char *)(s + i) + AHEAD);
                 const lanes v = s[i], w = s[i + 1];
                 t[i] = v;
                 t[i + 1] = w;
@@ -238,10 +260,11 @@ WIDE static void copy_folding(double *to, const double *from, uint64_t words, ui
     }
 }
 
-/* Copy rows [first, first + count) of a ring of `capacity` rows, and join their bytes into `fold` (4096 bytes, or 0). Returns how many
- * leading rows may have been overwritten meanwhile. */
-uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity, uint64_t channels, uint64_t first,
-                      uint64_t count, double *to, uint64_t *fold) {
+/* Copy rows [first, first + count) of a ring of `capacity` rows, and join their bytes into `fold`
+ * (4096 bytes, or 0). Returns how many leading rows may have been overwritten meanwhile. */
+uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity,
+                      uint64_t channels, uint64_t first, uint64_t count, double *to,
+                      uint64_t *fold) {
     const uint64_t place = first % capacity;
     const uint64_t before_end = (capacity - place < count ? capacity - place : count) * channels;
     const uint64_t after = count * channels - before_end;
@@ -253,7 +276,8 @@ uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t c
         memcpy(to + before_end, rows, after * sizeof(double));
     }
     __atomic_thread_fence(__ATOMIC_ACQUIRE);
-    /* the row that the loop is writing now, and all before it by one round, are not to be trusted */
+    /* the row that the loop is writing now, and all before it by one round, are not to be trusted
+     */
     const uint64_t written = __atomic_load_n(count_word, __ATOMIC_ACQUIRE) + 1;
     const uint64_t oldest = written > capacity ? written - capacity : 0;
     return oldest > first ? (oldest - first < count ? oldest - first : count) : 0;

@@ -62,7 +62,8 @@ static void touch_stack(void) {
         pages[i] = 0;
 }
 
-/* While it runs, the loop asks that no processor sleep so deeply that waking takes time; the kernel drops the request with the process. */
+/* While it runs, the loop asks that no processor sleep so deeply that waking takes time; the kernel
+ * drops the request with the process. */
 void realtime_stay_awake(bool wanted) {
     if (!wanted && awake >= 0) {
         close(awake);
@@ -89,14 +90,16 @@ void realtime_enter(runner *r) {
         return;
     }
     const struct sched_param priority = {.sched_priority = c->priority};
-    /* not SCHED_FIFO: there, a program that hangs keeps the CPU from every other target on it until its watchdog ends it */
+    /* not SCHED_FIFO: there, a program that hangs keeps the CPU from every other target on it until
+     * its watchdog ends it */
     granted = sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &priority) == 0;
     if (granted)
         say(c, "SCHED_RR %d", c->priority);
     else
         say(c, "normal scheduling (SCHED_RR refused: %s)", strerror(errno));
     touch_stack();
-    /* not MCL_FUTURE: under a limit, mapping an acquisition later would fail; service.c locks each by itself */
+    /* not MCL_FUTURE: under a limit, mapping an acquisition later would fail; service.c locks each
+     * by itself */
     if (mlockall(MCL_CURRENT | MCL_ONFAULT) == 0)
         say(c, ", memory locked");
     else
@@ -106,6 +109,9 @@ void realtime_enter(runner *r) {
     say(c, prctl(PR_SET_TIMERSLACK, 1ul) == 0 ? ", timer slack 1 ns" : "");
     realtime_stay_awake(true);
     if (granted)
-        say(c, awake >= 0 ? ", processors kept from deep sleep while it runs" : ", processors may sleep (/dev/cpu_dma_latency: %s)", strerror(errno));
+        say(c,
+            awake >= 0 ? ", processors kept from deep sleep while it runs"
+                       : ", processors may sleep (/dev/cpu_dma_latency: %s)",
+            strerror(errno));
     realtime_stay_awake(false);
 }

@@ -1,7 +1,8 @@
 /* runner.h: the private state of the runner process, and what its files offer each other.
  *
- * Threads: the loop (main thread, real-time where permitted), service (maps streams, watches the monitor) and background
- * (UserBackground). loop.c, batch.c, stream.c and safety.c run inside the sample: no malloc, lock, print or unbounded loop there.
+ * Threads: the loop (main thread, real-time where permitted), service (maps streams, watches the
+ * monitor) and background (UserBackground). loop.c, batch.c, stream.c and safety.c run inside the
+ * sample: no malloc, lock, print or unbounded loop there.
  */
 #ifndef ZENDSP_RUNNER_H
 #define ZENDSP_RUNNER_H
@@ -15,7 +16,8 @@
 
 enum { SPEED_WINDOW = 256, RANGES = LAYOUT_VARIABLES };
 
-/* What every program can read and record without declaring it; doubles, so that channels treat all alike. */
+/* What every program can read and record without declaring it; doubles, so that channels treat all
+ * alike. */
 typedef struct builtins {
     double tick, t;
     double exec_us;              /* from the start of this sample to its command */
@@ -34,11 +36,11 @@ typedef struct settings {
     double speed_max[MACHINE_JOINTS];                                  /* rad/s */
     double torque_max[MACHINE_JOINTS];                                 /* N m */
     double command_max[MACHINE_JOINTS];                                /* mV */
-    int32_t torque_clamp;                                              /* 1: clamp the command instead of tripping */
-    double ramp;                                                       /* s, soft start and soft stop */
-    int32_t overrun_policy;                                            /* OVERRUN_… */
-    int32_t overrun_limit;                                             /* overruns in a row that trip */
-    int32_t stop_input;                                                /* digital input, -1: none */
+    int32_t torque_clamp;   /* 1: clamp the command instead of tripping */
+    double ramp;            /* s, soft start and soft stop */
+    int32_t overrun_policy; /* OVERRUN_… */
+    int32_t overrun_limit;  /* overruns in a row that trip */
+    int32_t stop_input;     /* digital input, -1: none */
     int32_t stop_level;
 } settings;
 
@@ -64,52 +66,68 @@ typedef struct stream {
     double before;   /* trigger source one sample earlier */
 } stream;
 
-typedef struct runner {
-    control *control;
-    stop_page *page;
-    unsigned char *data;
+/* Configuration: settled once, while machine and program are loaded; the loop only reads it. */
+typedef struct runner_config {
     const machine_ops *machine;
-    void *handle;
+    void *handle; /* of the machine, from its open() */
     void (*isr)(void);
     void (*background)(void);
     uint64_t image, image_end; /* where the program is loaded */
-
-    zendsp_io io;
-    machine_sensors sensors;
-    machine_actuators held; /* computed in the sample before, acts from this one */
-    machine_actuators acting;
-    builtins now;
-    settings set;
-
-    range ranges[RANGES];
+    range ranges[RANGES];      /* what a snapshot holds */
     int ranges_used;
+    uint32_t speed_window; /* samples over which a speed is measured */
+} runner_config;
 
-    const batch *waiting[LAYOUT_BATCHES]; /* taken from the ring, sorted by at_tick */
-    int waiting_used;
-
-    stream *streams[LAYOUT_STREAMS];  /* by the service thread: what to work with next (atomic) */
-    stream *active[LAYOUT_STREAMS];   /* by the loop: what it works with */
-    uint32_t offered[LAYOUT_STREAMS]; /* generation of streams[i] */
-    bool acquired;                    /* Acquire() was called in this sample */
-
-    int32_t counts_before[SPEED_WINDOW][MACHINE_JOINTS];
-    uint32_t speed_place, speed_window, speed_known;
-    double lowest[MACHINE_JOINTS], highest[MACHINE_JOINTS]; /* rad, limits in force (wider while a joint is brought back) */
+/* State: what one sample leaves to the next. The loop's alone. */
+typedef struct runner_state {
+    machine_actuators held;         /* computed in the sample before, acts from this one */
+    double lowest[MACHINE_JOINTS];  /* rad, limits in force: wider while a joint is brought back */
+    double highest[MACHINE_JOINTS]; /* rad */
+    uint32_t speed_place;           /* row of counts_before that is written next */
+    uint32_t speed_known;           /* rows of it that hold, at most speed_window */
     uint32_t overruns_in_row;
-    bool anew;        /* the program begins afresh at its next sample: FIRST_SAMPLE, and outputs are not taken during the run-in */
-    uint32_t run_in;  /* samples left of the run-in */
+    bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */
+    uint32_t run_in; /* samples left of the run-in, in which outputs are not taken */
     uint32_t off_seen;
-    uint64_t busy_ns; /* from the start of a sample to its end, machine included; smoothed over eight samples */
-    bool input_seen;
+    uint64_t busy_ns;               /* a sample, machine included; smoothed over eight samples */
+    bool acquired;                  /* Acquire() was called in this sample */
+    stream *active[LAYOUT_STREAMS]; /* what rows are written into */
+} runner_state;
+
+/* Buffers: what values pass through, within a sample or from another thread. */
+typedef struct runner_buffers {
+    zendsp_io io; /* what the program sees */
+    machine_sensors sensors;
+    machine_actuators acting; /* what acts in this sample */
+    builtins now;
+    int32_t counts_before[SPEED_WINDOW][MACHINE_JOINTS]; /* a ring */
+    const batch *waiting[LAYOUT_BATCHES];                /* sorted by at_tick */
+    int waiting_used;
+    stream *streams[LAYOUT_STREAMS];  /* by the service thread: what to work with next (atomic) */
+    uint32_t offered[LAYOUT_STREAMS]; /* generation of streams[i] */
+} runner_buffers;
+
+typedef struct runner {
+    control *control;    /* shared with the monitor */
+    stop_page *page;     /* shared with hosts of the same user */
+    unsigned char *data; /* shared: snapshots, batches, tables */
+    runner_config config;
+    settings set; /* by synchronous updates, between two samples */
+    runner_state state;
+    runner_buffers buffers;
 } runner;
 
+/* The only one: UserInit's declarations and signal handlers are given no context. */
 extern runner the_runner;
-extern _Thread_local int32_t this_thread_is; /* WITHIN_BACKGROUND in the background thread, else 0 */
+extern _Thread_local int32_t
+    this_thread_is; /* WITHIN_BACKGROUND in the background thread, else 0 */
 
 /* dictionary.c */
-void dictionary_declare(const zendsp_declaration *declaration); /* called by user code in UserInit */
+void dictionary_declare(
+    const zendsp_declaration *declaration); /* called by user code in UserInit */
 void dictionary_builtins(runner *r);
-int dictionary_finish(runner *r); /* lays out and maps the data file; 0, or -1 with control->error set */
+int dictionary_finish(
+    runner *r); /* lays out and maps the data file; 0, or -1 with control->error set */
 
 /* realtime.c */
 void realtime_enter(runner *r);
@@ -149,9 +167,17 @@ void safety_command(runner *r);
 void safety_home(runner *r, int answer);
 void safety_trip(runner *r, uint32_t reason, int joint, double value, double limit);
 
-static inline uint32_t load32(const uint32_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
-static inline uint64_t load64(const uint64_t *word) { return __atomic_load_n(word, __ATOMIC_ACQUIRE); }
-static inline void store32(uint32_t *word, uint32_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
-static inline void store64(uint64_t *word, uint64_t value) { __atomic_store_n(word, value, __ATOMIC_RELEASE); }
+static inline uint32_t load32(const uint32_t *word) {
+    return __atomic_load_n(word, __ATOMIC_ACQUIRE);
+}
+static inline uint64_t load64(const uint64_t *word) {
+    return __atomic_load_n(word, __ATOMIC_ACQUIRE);
+}
+static inline void store32(uint32_t *word, uint32_t value) {
+    __atomic_store_n(word, value, __ATOMIC_RELEASE);
+}
+static inline void store64(uint64_t *word, uint64_t value) {
+    __atomic_store_n(word, value, __ATOMIC_RELEASE);
+}
 
 #endif

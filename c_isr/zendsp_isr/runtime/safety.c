@@ -5,7 +5,7 @@
 
 static double position_of(const runner *r, int j) {
     const machine_joint *joint = &r->control->info.joint[j];
-    return ((double)r->sensors.enc[j] - joint->zero_counts) / joint->counts_per_unit;
+    return ((double)r->buffers.sensors.enc[j] - joint->zero_counts) / joint->counts_per_unit;
 }
 
 static bool latched(const runner *r) { return r->control->trip.reason != TRIP_NONE; }
@@ -27,8 +27,8 @@ void safety_trip(runner *r, uint32_t reason, int joint, double value, double lim
 void safety_reset(runner *r) {
     const machine_info *info = &r->control->info;
     for (int j = 0; j < MACHINE_JOINTS; j++) {
-        r->set.position_min[j] = r->lowest[j] = info->joint[j].position_min;
-        r->set.position_max[j] = r->highest[j] = info->joint[j].position_max;
+        r->set.position_min[j] = r->state.lowest[j] = info->joint[j].position_min;
+        r->set.position_max[j] = r->state.highest[j] = info->joint[j].position_max;
         r->set.speed_max[j] = info->joint[j].speed_max;
         r->set.torque_max[j] = info->joint[j].torque_max;
         r->set.command_max[j] = info->joint[j].command_max;
@@ -38,27 +38,30 @@ void safety_reset(runner *r) {
     r->set.overrun_limit = 10;
     /* speed from counts over 10 ms: one count in one sample would be a coarse speed */
     const double samples = 0.01 * r->control->rate_hz;
-    r->speed_window = samples < 1.0 ? 1u : samples > SPEED_WINDOW - 1 ? SPEED_WINDOW - 1u : (uint32_t)samples;
-    r->speed_known = 0;
+    const double most = SPEED_WINDOW - 1;
+    r->config.speed_window = (uint32_t)(samples < 1.0 ? 1.0 : samples > most ? most : samples);
+    r->state.speed_known = 0;
     r->control->homed = !info->needs_homing;
-    r->held.mode = MACHINE_OFF;
-    r->io.first = 1; /* of a program that has just been loaded */
+    r->state.held.mode = MACHINE_OFF;
+    r->buffers.io.first = 1; /* of a program that has just been loaded */
 }
 
-/* A joint that was stopped outside its limits may be brought back: until it is inside, it may not go further out. */
+/* A joint that was stopped outside its limits may be brought back: until it is inside, it may not
+ * go further out. */
 static void widen(runner *r) {
     const double margin = 0.02; /* rad: room for the soft start */
     for (int j = 0; j < r->control->info.joints; j++) {
         const double q = position_of(r, j);
-        r->lowest[j] = q < r->set.position_min[j] ? q - margin : r->set.position_min[j];
-        r->highest[j] = q > r->set.position_max[j] ? q + margin : r->set.position_max[j];
+        r->state.lowest[j] = q < r->set.position_min[j] ? q - margin : r->set.position_min[j];
+        r->state.highest[j] = q > r->set.position_max[j] ? q + margin : r->set.position_max[j];
     }
 }
 
-/* What the program remembers no longer holds: it begins afresh, and its outputs are taken only after the run-in. */
+/* What the program remembers no longer holds: it begins afresh, and its outputs are taken only
+ * after the run-in. */
 void safety_anew(runner *r) {
-    r->anew = true;
-    r->held.mode = MACHINE_OFF;
+    r->state.anew = true;
+    r->state.held.mode = MACHINE_OFF;
     r->control->gain = 0.0;
 }
 
@@ -68,15 +71,15 @@ void safety_requests(runner *r) {
     const uint32_t acknowledge = load32(&c->acknowledge);
     if (acknowledge != c->acknowledged) {
         store32(&c->trip.reason, TRIP_NONE);
-        r->overruns_in_row = 0;
+        r->state.overruns_in_row = 0;
         safety_anew(r); /* what was computed before the trip shall not act */
         widen(r);
         store32(&c->acknowledged, acknowledge);
     }
     const uint32_t off = load32(&c->off);
-    if (off != r->off_seen && c->running == RUN_PAUSED)
+    if (off != r->state.off_seen && c->running == RUN_PAUSED)
         safety_anew(r); /* while it runs, the program sees for itself that the drives go off */
-    r->off_seen = off;
+    r->state.off_seen = off;
     /* after the acknowledgement: a STOP pressed meanwhile wins */
     const uint32_t stop = __atomic_exchange_n(&c->stop, TRIP_NONE, __ATOMIC_ACQ_REL);
     if (stop != TRIP_NONE)
@@ -93,9 +96,9 @@ void safety_requests(runner *r) {
 static void move_gain(runner *r) {
     control *c = r->control;
     /* while homing, the machine's own routine chooses the mode */
-    const int32_t wanted = c->running != RUN_HOME           ? __atomic_load_n(&c->drive, __ATOMIC_ACQUIRE)
-                           : r->held.mode != MACHINE_OFF ? r->held.mode
-                                                         : MACHINE_VELOCITY;
+    const int32_t wanted = c->running != RUN_HOME ? __atomic_load_n(&c->drive, __ATOMIC_ACQUIRE)
+                           : r->state.held.mode != MACHINE_OFF ? r->state.held.mode
+                                                               : MACHINE_VELOCITY;
     const double step = r->set.ramp > 0.0 ? 1.0 / (r->set.ramp * c->rate_hz) : 1.0;
     const bool same = wanted == c->drive_mode || c->drive_mode == MACHINE_OFF;
     if (wanted != MACHINE_OFF && same) {
@@ -112,13 +115,13 @@ static void move_gain(runner *r) {
 static bool running_in(runner *r) {
     if (r->control->running != RUN_ISR)
         return false;
-    if (r->anew) {
-        r->run_in = 1;
-        r->anew = false;
-        r->io.first = 1;
-        r->speed_known = 0; /* homing may have moved the zero of the encoders */
+    if (r->state.anew) {
+        r->state.run_in = 1;
+        r->state.anew = false;
+        r->buffers.io.first = 1;
+        r->state.speed_known = 0; /* homing may have moved the zero of the encoders */
     }
-    return r->run_in > 0;
+    return r->state.run_in > 0;
 }
 
 /* What acts from this sample on: the held command, or the safe state. */
@@ -133,55 +136,62 @@ void safety_output(runner *r) {
     } else {
         move_gain(r);
     }
-    r->acting.mode = c->drive_mode;
-    r->acting.dout = r->held.dout;
-    const bool live = !latched(r) && c->drive_mode != MACHINE_OFF && r->held.mode == c->drive_mode;
+    r->buffers.acting.mode = c->drive_mode;
+    r->buffers.acting.dout = r->state.held.dout;
+    const bool live =
+        !latched(r) && c->drive_mode != MACHINE_OFF && r->state.held.mode == c->drive_mode;
     for (int j = 0; j < MACHINE_JOINTS; j++) {
-        r->acting.aout[j] = live ? c->gain * r->held.aout[j] : 0.0;
-        r->now.aout[j] = r->acting.aout[j];
+        r->buffers.acting.aout[j] = live ? c->gain * r->state.held.aout[j] : 0.0;
+        r->buffers.now.aout[j] = r->buffers.acting.aout[j];
     }
-    r->now.drive = (double)c->drive_mode;
-    r->io.enabled = live || (!latched(r) && c->drive_mode != MACHINE_OFF);
+    r->buffers.now.drive = (double)c->drive_mode;
+    r->buffers.io.enabled = live || (!latched(r) && c->drive_mode != MACHINE_OFF);
 }
 
 static void check_motion(runner *r) {
     const control *c = r->control;
-    const uint32_t window = r->speed_window;
-    const uint32_t oldest = (r->speed_place + SPEED_WINDOW - window) % SPEED_WINDOW;
+    const machine_sensors *sensors = &r->buffers.sensors;
+    runner_state *s = &r->state;
+    const uint32_t window = r->config.speed_window;
+    const uint32_t oldest = (s->speed_place + SPEED_WINDOW - window) % SPEED_WINDOW;
     for (int j = 0; j < c->info.joints; j++) {
         const double q = position_of(r, j);
         if (q >= r->set.position_min[j] && q <= r->set.position_max[j]) {
-            r->lowest[j] = r->set.position_min[j];
-            r->highest[j] = r->set.position_max[j];
+            s->lowest[j] = r->set.position_min[j];
+            s->highest[j] = r->set.position_max[j];
         }
         if (c->drive_mode == MACHINE_OFF)
             continue;
-        if (c->homed && c->running != RUN_HOME && (q < r->lowest[j] || q > r->highest[j]))
-            safety_trip(r, TRIP_POSITION, j + 1, q, q < r->lowest[j] ? r->lowest[j] : r->highest[j]);
-        if (r->speed_known >= window) {
-            const int64_t moved = (int64_t)r->sensors.enc[j] - r->counts_before[oldest][j];
-            const double speed = (double)moved / c->info.joint[j].counts_per_unit * c->rate_hz / (double)window;
+        if (c->homed && c->running != RUN_HOME && (q < s->lowest[j] || q > s->highest[j]))
+            safety_trip(r, TRIP_POSITION, j + 1, q,
+                        q < s->lowest[j] ? s->lowest[j] : s->highest[j]);
+        if (s->speed_known >= window) {
+            const int64_t moved = (int64_t)sensors->enc[j] - r->buffers.counts_before[oldest][j];
+            const double speed =
+                (double)moved / c->info.joint[j].counts_per_unit * c->rate_hz / (double)window;
             if (fabs(speed) > r->set.speed_max[j])
                 safety_trip(r, TRIP_SPEED, j + 1, speed, r->set.speed_max[j]);
         }
-        if (r->sensors.fault >> j & 1u)
+        if (sensors->fault >> j & 1u)
             safety_trip(r, TRIP_SENSOR, j + 1, 0.0, 0.0);
     }
     for (int j = 0; j < c->info.joints; j++)
-        r->counts_before[r->speed_place][j] = r->sensors.enc[j];
-    r->speed_place = (r->speed_place + 1) % SPEED_WINDOW;
-    if (r->speed_known < window)
-        r->speed_known++;
+        r->buffers.counts_before[s->speed_place][j] = sensors->enc[j];
+    s->speed_place = (s->speed_place + 1) % SPEED_WINDOW;
+    if (s->speed_known < window)
+        s->speed_known++;
 }
 
-/* Check what was just read. Returns true when this very sample tripped: the outputs must be written again, safe. */
+/* Check what was just read. Returns true when this very sample tripped: the outputs must be written
+ * again, safe. */
 bool safety_inputs(runner *r) {
     control *c = r->control;
     const bool before = latched(r);
     if (c->info.simulated)
-        r->sensors.din |= c->simulated_din;
+        r->buffers.sensors.din |= c->simulated_din;
     const int32_t input = r->set.stop_input;
-    if (input >= 0 && input < 32 && (int32_t)(r->sensors.din >> input & 1u) == r->set.stop_level)
+    if (input >= 0 && input < 32 &&
+        (int32_t)(r->buffers.sensors.din >> input & 1u) == r->set.stop_level)
         safety_trip(r, TRIP_STOP_INPUT, 0, (double)r->set.stop_level, 0.0);
     check_motion(r);
     return latched(r) && !before;
@@ -219,34 +229,36 @@ static double checked(runner *r, int j, double mv) {
     return mv;
 }
 
-/* Check the command of this sample and hold it for the next. With the drives off or tripped, nothing is held. */
+/* Check the command of this sample and hold it for the next. With the drives off or tripped,
+ * nothing is held. */
 void safety_command(runner *r) {
     control *c = r->control;
     const bool enabled = !latched(r) && c->drive_mode != MACHINE_OFF;
-    r->held.mode = c->drive_mode;
-    r->held.dout = r->io.dout;
+    r->state.held.mode = c->drive_mode;
+    r->state.held.dout = r->buffers.io.dout;
     for (int j = 0; j < c->info.joints; j++) {
-        r->now.cmd[j] = r->io.aout[j];
-        r->held.aout[j] = enabled ? checked(r, j, r->io.aout[j]) : 0.0;
+        r->buffers.now.cmd[j] = r->buffers.io.aout[j];
+        r->state.held.aout[j] = enabled ? checked(r, j, r->buffers.io.aout[j]) : 0.0;
     }
-    r->io.first = 0;
-    if (r->run_in > 0)
-        r->run_in--;
+    r->buffers.io.first = 0;
+    if (r->state.run_in > 0)
+        r->state.run_in--;
 }
 
 /* The machine's homing routine has filled `held`; see what it says. */
 void safety_home(runner *r, int answer) {
     control *c = r->control;
     for (int j = 0; j < c->info.joints; j++)
-        r->held.aout[j] = latched(r) ? 0.0 : checked(r, j, r->held.aout[j]);
+        r->state.held.aout[j] = latched(r) ? 0.0 : checked(r, j, r->state.held.aout[j]);
     if (answer == MACHINE_HOME_FAILED)
         safety_trip(r, TRIP_HOMING, 0, 0.0, 0.0);
     if (answer == MACHINE_HOME_BUSY && !latched(r))
         return; /* cut short by a pause or a STOP: idle() and the acknowledgement see to it */
     if (answer == MACHINE_HOME_DONE && !latched(r))
         c->homed = 1;
-    r->speed_known = 0;
+    r->state.speed_known = 0;
     safety_anew(r);
     uint32_t home = RUN_HOME;
-    __atomic_compare_exchange_n(&c->run, &home, RUN_PAUSED, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+    __atomic_compare_exchange_n(&c->run, &home, RUN_PAUSED, false, __ATOMIC_ACQ_REL,
+                                __ATOMIC_ACQUIRE);
 }

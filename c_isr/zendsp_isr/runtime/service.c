@@ -1,21 +1,23 @@
-/* service.c: the threads beneath the loop: service (maps streams, sees the monitor go) and background (UserBackground). */
+/* service.c: the threads beneath the loop: service (maps streams, sees the monitor go) and
+ * background (UserBackground). */
 #define _GNU_SOURCE
-#include <errno.h>    /* errno */
-#include <fcntl.h>    /* open */
-#include <pthread.h>  /* threads */
-#include <signal.h>   /* sigaltstack */
-#include <stdlib.h>   /* calloc, free */
-#include <sys/mman.h> /* mmap */
+#include <errno.h>        /* errno */
+#include <fcntl.h>        /* open */
+#include <pthread.h>      /* threads */
+#include <signal.h>       /* sigaltstack */
+#include <stdlib.h>       /* calloc, free */
+#include <sys/mman.h>     /* mmap */
 #include <sys/resource.h> /* setpriority */
-#include <sys/stat.h> /* fstat */
-#include <sys/syscall.h> /* gettid */
-#include <unistd.h>   /* getppid, close */
+#include <sys/stat.h>     /* fstat */
+#include <sys/syscall.h>  /* gettid */
+#include <unistd.h>       /* getppid, close */
 
 #include "runner.h"
 #include "timing.h"
 
 static const void *source_of(const control *c, const channel *which, int32_t *type) {
-    static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t), sizeof(bool)};
+    static const int32_t size_of_type[] = {0, sizeof(double), sizeof(float), sizeof(int32_t),
+                                           sizeof(bool)};
     if (which->variable < 0 || which->variable >= c->variables)
         return NULL;
     const variable_entry *v = &c->variable[which->variable];
@@ -29,8 +31,9 @@ static const void *source_of(const control *c, const channel *which, int32_t *ty
 static int resolve(const control *c, stream *s) {
     stream_head *h = s->head;
     const uint64_t row = h->channels * sizeof(double);
-    if (h->magic != LAYOUT_MAGIC || h->version != LAYOUT_VERSION || h->channels < 1 || h->channels > LAYOUT_CHANNELS ||
-        h->decimation < 1 || h->capacity < 1 || h->rows + h->capacity * row > s->bytes)
+    if (h->magic != LAYOUT_MAGIC || h->version != LAYOUT_VERSION || h->channels < 1 ||
+        h->channels > LAYOUT_CHANNELS || h->decimation < 1 || h->capacity < 1 ||
+        h->rows + h->capacity * row > s->bytes)
         return EINVAL;
     for (uint32_t i = 0; i < h->channels; i++) {
         s->pointer[i] = source_of(c, &h->channel[i], &s->type[i]);
@@ -69,7 +72,7 @@ static stream *map(const control *c, const char *path, int *failed) {
         if (s->head)
             contain_memory(s->head, s->bytes);
         if (s->head && c->clock == CLOCK_REAL)
-            mlock(s->head, s->bytes); /* beyond a limit it is refused: then it is present, though not locked */
+            mlock(s->head, s->bytes); /* refused beyond a limit: then present, though not locked */
     } else {
         *failed = ENOMEM;
     }
@@ -81,31 +84,34 @@ static stream *map(const control *c, const char *path, int *failed) {
     return s;
 }
 
-/* Offer each newly requested stream to the loop; take back the old one once the loop has let go of it. */
+/* Offer each newly requested stream to the loop; take back the old one once the loop has let go of
+ * it. */
 static void serve_streams(runner *r) {
     for (int i = 0; i < LAYOUT_STREAMS; i++) {
         stream_slot *slot = &r->control->stream[i];
         const uint32_t wanted = load32(&slot->requested);
-        if (wanted == r->offered[i])
+        if (wanted == r->buffers.offered[i])
             continue;
-        stream *old = r->streams[i];
+        stream *old = r->buffers.streams[i];
         int failed = 0;
         stream *next = wanted % 2 ? map(r->control, slot->path, &failed) : NULL;
         slot->failed = failed;
-        __atomic_store_n(&r->streams[i], next, __ATOMIC_RELEASE);
-        store32(&r->offered[i], wanted);
-        while (load32(&slot->mapped) != wanted && load32(&r->control->run) != RUN_QUIT && getppid() == r->control->monitor)
+        __atomic_store_n(&r->buffers.streams[i], next, __ATOMIC_RELEASE);
+        store32(&r->buffers.offered[i], wanted);
+        while (load32(&slot->mapped) != wanted && load32(&r->control->run) != RUN_QUIT &&
+               getppid() == r->control->monitor)
             sleep_ns(200000);
         if (load32(&slot->mapped) == wanted)
             unmap(old);
     }
 }
 
-/* An orphan has nobody to report to: the loop makes the machine safe and ends; if it cannot, user code being stuck, we do. */
+/* An orphan has nobody to report to: the loop makes the machine safe and ends; if it cannot, user
+ * code being stuck, we do. */
 static void end_orphan(runner *r) {
     store32(&r->control->run, RUN_QUIT);
     sleep_ns(2000000000u);
-    r->machine->safe(r->handle);
+    r->config.machine->safe(r->config.handle);
     contain_end_group();
     _exit(1);
 }
@@ -130,11 +136,11 @@ static void *background(void *argument) {
     setpriority(PRIO_PROCESS, (id_t)syscall(SYS_gettid), 10);
     while (load32(&r->control->phase) < PHASE_READY)
         sleep_ns(1000000);
-    if (!r->background)
+    if (!r->config.background)
         return NULL;
     for (;;) {
         if (load32(&r->control->running) == RUN_ISR)
-            r->background();
+            r->config.background();
         sleep_ns(1000000);
     }
     return NULL;

@@ -18,10 +18,10 @@ static inline double value_of(const void *pointer, int32_t type) {
 /* Take over streams that the service thread has mapped since. */
 void stream_exchange(runner *r) {
     for (int i = 0; i < LAYOUT_STREAMS; i++) {
-        const uint32_t generation = load32(&r->offered[i]);
+        const uint32_t generation = load32(&r->buffers.offered[i]);
         if (generation == r->control->stream[i].mapped)
             continue;
-        r->active[i] = __atomic_load_n(&r->streams[i], __ATOMIC_ACQUIRE);
+        r->state.active[i] = __atomic_load_n(&r->buffers.streams[i], __ATOMIC_ACQUIRE);
         store32(&r->control->stream[i].mapped, generation);
     }
 }
@@ -109,26 +109,26 @@ static void advance(stream *s, uint64_t tick) {
 
 /* One row into every running stream; once a sample, by Acquire() or after the ISR. */
 void stream_sample(runner *r) {
-    if (r->acquired)
+    if (r->state.acquired)
         return;
-    r->acquired = true;
+    r->state.acquired = true;
     for (int i = 0; i < LAYOUT_STREAMS; i++)
-        if (r->active[i])
-            advance(r->active[i], r->control->tick);
+        if (r->state.active[i])
+            advance(r->state.active[i], r->control->tick);
 }
 
 /* While paused: requests are answered, nothing is stored. */
 void stream_idle(runner *r) {
     stream_exchange(r);
     for (int i = 0; i < LAYOUT_STREAMS; i++)
-        if (r->active[i])
-            requests(r->active[i], r->control->tick);
+        if (r->state.active[i])
+            requests(r->state.active[i], r->control->tick);
 }
 
 /* Samples that never ran: say how many rows are not there. */
 void stream_skip(runner *r, uint64_t samples) {
     for (int i = 0; i < LAYOUT_STREAMS; i++) {
-        stream *s = r->active[i];
+        stream *s = r->state.active[i];
         if (!s || (s->head->state != STREAM_ARMED && s->head->state != STREAM_RUNNING))
             continue;
         const uint64_t every = s->head->decimation;

@@ -14,16 +14,19 @@ static inline uint64_t now_ns(void) {
 }
 
 static inline void sleep_until_ns(uint64_t deadline) {
-    const struct timespec t = {.tv_sec = (time_t)(deadline / 1000000000u), .tv_nsec = (long)(deadline % 1000000000u)};
+    const struct timespec t = {.tv_sec = (time_t)(deadline / 1000000000u),
+                               .tv_nsec = (long)(deadline % 1000000000u)};
     clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, 0);
 }
 
 static inline void sleep_ns(uint64_t duration) {
-    const struct timespec t = {.tv_sec = (time_t)(duration / 1000000000u), .tv_nsec = (long)(duration % 1000000000u)};
+    const struct timespec t = {.tv_sec = (time_t)(duration / 1000000000u),
+                               .tv_nsec = (long)(duration % 1000000000u)};
     clock_nanosleep(CLOCK_MONOTONIC, 0, &t, 0);
 }
 
-/* Histogram bin of a duration: four bins an octave. Bin b ≥ 4 begins at (4 + b mod 4) · 2^(b/4 − 1) · … see histogram_edges. */
+/* Histogram bin of a duration: four bins an octave. Bin b ≥ 4 begins at (4 + b mod 4) · 2^(b/4 − 1)
+ * · … see histogram_edges. */
 static inline uint32_t timing_bin(uint64_t ns) {
     if (ns < 4)
         return (uint32_t)ns;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -93,10 +94,25 @@ def command(
     cores = jobs or os.cpu_count() or 1
     if out is not None:
         _writable(out)
+    asked = _Asked(train, model_path, heldout, out, as_json, seed, cores, effects)
     if each:
-        _each(train, model_path, heldout, out, as_json, seed, cores, effects, scheduler)
+        _each(asked, scheduler)
     else:
-        _together(train, model_path, heldout, out, as_json, run_on, seed, cores, effects)
+        _together(asked, run_on)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the options say of any diagnosis."""
+
+    train: tuple[Path, ...]
+    model: Path
+    heldout: tuple[Path, ...]
+    out: Path | None
+    as_json: bool
+    seed: int
+    jobs: int
+    effects: tuple[Path, ...]
 
 
 def _writable(out: Path) -> None:
@@ -111,38 +127,42 @@ def _writable(out: Path) -> None:
         raise ZendspError(f"--out {out}: is not writable")
 
 
-def _together(
-    train: tuple[Path, ...],
-    model_path: Path,
-    heldout: tuple[Path, ...],
-    out: Path | None,
-    as_json: bool,
-    run_on: str | None,
-    seed: int,
-    jobs: int,
-    effects: tuple[Path, ...],
-) -> None:
+def _together(asked: _Asked, run_on: str | None) -> None:
+    """One diagnosis of all recordings."""
     from zendsp.cli.progress import stages
     from zendsp.diagnosis import diagnose
     from zendsp.diagnosis.report.files import report_text, write_report
     from zendsp.physics.effects import load_effects
 
-    for file in effects:
+    for file in asked.effects:
         load_effects(file)
-    with stages(quiet=as_json) as tell:
+    out = asked.out
+    with stages(quiet=asked.as_json) as tell:
         result = diagnose(
-            list(train), model_path, list(heldout) or None, seed=seed, jobs=jobs, progress=tell
+            list(asked.train),
+            asked.model,
+            list(asked.heldout) or None,
+            seed=asked.seed,
+            jobs=asked.jobs,
+            progress=tell,
         )
         if run_on is not None and out is not None:
             from zendsp.experiment.next_recording import run_next
 
             result = run_next(
-                result, train, run_on, out, heldout=heldout, progress=tell, seed=seed, jobs=jobs
+                result,
+                asked.train,
+                run_on,
+                out,
+                heldout=asked.heldout,
+                progress=tell,
+                seed=asked.seed,
+                jobs=asked.jobs,
             )
         if out is not None:
             tell("writing the report")
             write_report(result, out)
-    if as_json:
+    if asked.as_json:
         click.echo(report_text(result))
         return
     from zendsp.diagnosis.report.summary import summary
@@ -152,35 +172,26 @@ def _together(
         click.echo(f"\nreport: {out / 'report.html'}")
 
 
-def _each(
-    train: tuple[Path, ...],
-    model_path: Path,
-    heldout: tuple[Path, ...],
-    out: Path | None,
-    as_json: bool,
-    seed: int,
-    jobs: int,
-    effects: tuple[Path, ...],
-    scheduler: str | None,
-) -> None:
+def _each(asked: _Asked, scheduler: str | None) -> None:
+    """A diagnosis of each recording."""
     from zendsp.cli.progress import stages
     from zendsp.diagnosis.fleet import diagnose_each, table
     from zendsp.errors import RecordingError
     from zendsp.physics.effects import load_effects
     from zendsp.physics.model_file import load_model
 
-    for file in effects:
+    for file in asked.effects:
         load_effects(file)
-    load_model(model_path)  # a wrong model is one error, not one for each recording
-    with stages(quiet=as_json) as tell:
+    load_model(asked.model)  # a wrong model is one error, not one for each recording
+    with stages(quiet=asked.as_json) as tell:
         items = diagnose_each(
-            train,
-            model_path,
-            heldout,
-            out=out,
-            seed=seed,
-            jobs=jobs,
-            effects=effects,
+            asked.train,
+            asked.model,
+            asked.heldout,
+            out=asked.out,
+            seed=asked.seed,
+            jobs=asked.jobs,
+            effects=asked.effects,
             scheduler=scheduler,
             progress=tell,
         )
@@ -188,7 +199,7 @@ def _each(
         raise RecordingError(
             f"none of {len(items)} recordings could be diagnosed; the first: {items[0].error}"
         )
-    if as_json:
+    if asked.as_json:
         rows = [{"recording": i.recording, "report": i.report, "error": i.error} for i in items]
         click.echo(json.dumps(rows, indent=1, ensure_ascii=False))
     else:

@@ -209,14 +209,7 @@ def command(
             if not resume:
                 forget(folder)
             made = making(folder, makers, seed, quick, sample or 0, cores, scheduler)
-            words = " ".join(
-                [
-                    "zendsp prove",
-                    *(["--quick"] if quick else []),
-                    f"--reality {','.join(makers)} --seed {seed}",
-                ]
-                + ([f"--sample {sample}"] if sample else [])
-            )
+            words = _words(makers, seed, quick, sample)
     except (FileExistsError, FileNotFoundError) as error:
         raise click.ClickException(str(error)) from error
     if make_only is not None:
@@ -232,6 +225,13 @@ def command(
     for line in missed:
         click.echo(f"below the mark: {line}", err=True)
     sys.exit(1 if missed or any(j.trouble for j in outcome.judged) else 0)
+
+
+def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None) -> str:
+    """The command that makes these cases again, for the page."""
+    words = ["zendsp prove", *(["--quick"] if quick else [])]
+    words.append(f"--reality {','.join(makers)} --seed {seed}")
+    return " ".join(words + ([f"--sample {sample}"] if sample else []))
 
 
 def prepared(folder: Path) -> Prepared:

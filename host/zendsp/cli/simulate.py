@@ -6,10 +6,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zendsp.cli.common import parse_assignments
+
+if TYPE_CHECKING:
+    from zendsp.recording import Recording
 
 
 @click.command("simulate")
@@ -92,8 +96,6 @@ def command(
     Example:  zendsp simulate inverse_dynamics.c --model imi_planar.toml --reference
     circle.mat --out circle_sim.mat
     """
-    import numpy as np
-
     from zendsp.cli.progress import stages
     from zendsp.errors import CompileFailed
     from zendsp.physics import simulate
@@ -127,36 +129,51 @@ def command(
     if plot is not None:
         rec.plot(wanted, plot)
         files["plot"] = str(plot)
-    found = rec.extra.get("step_check")
-    peaks = {name: np.abs(rec[name]).max(axis=0).tolist() for name in rec.names}
     if as_json:
         summary = {
             "rows": len(rec),
             "seconds": len(rec) * rec.sample_time,
-            "largest": peaks,
-            "step_check": found,
+            "largest": _peaks(rec),
+            "step_check": rec.extra.get("step_check"),
             **files,
         }
         click.echo(json.dumps(summary))
     else:
-        click.echo(
-            f"{len(rec)} rows of {rec.sample_time * 1e3:g} ms on the model {rec.machine}; largest"
-            " magnitudes:"
-        )
-        for channel in rec.channels:
-            text = ", ".join(f"{x:.5g}" for x in np.atleast_1d(peaks[channel.name]))
-            click.echo(f"  {channel.name:<12} {text} {channel.unit}".rstrip())
-        if found is not None:
-            last = max(found["halvings"][-1]["change"])
-            what = "settled" if found["converged"] else "NOT settled"
-            click.echo(
-                f"step check: {what} at {rec.extra['simulation']['inner']} steps a sample; halving"
-                f" it changes positions by {last:.2g}"
-            )
+        _say(rec)
         for path in files.values():
             click.echo(f"wrote {path}")
+    found = rec.extra.get("step_check")
     if found is not None and not found["converged"]:
         raise click.exceptions.Exit(1)
+
+
+def _peaks(rec: Recording) -> dict[str, Any]:
+    """Largest magnitudes of each signal."""
+    import numpy as np
+
+    return {name: np.abs(rec[name]).max(axis=0).tolist() for name in rec.names}
+
+
+def _say(rec: Recording) -> None:
+    """Print what came out of a simulation."""
+    import numpy as np
+
+    click.echo(
+        f"{len(rec)} rows of {rec.sample_time * 1e3:g} ms on the model {rec.machine}; largest"
+        " magnitudes:"
+    )
+    peaks = _peaks(rec)
+    for channel in rec.channels:
+        text = ", ".join(f"{x:.5g}" for x in np.atleast_1d(peaks[channel.name]))
+        click.echo(f"  {channel.name:<12} {text} {channel.unit}".rstrip())
+    found = rec.extra.get("step_check")
+    if found is not None:
+        last = max(found["halvings"][-1]["change"])
+        what = "settled" if found["converged"] else "NOT settled"
+        click.echo(
+            f"step check: {what} at {rec.extra['simulation']['inner']} steps a sample; halving"
+            f" it changes positions by {last:.2g}"
+        )
 
 
 def _numbers(text: str | None) -> list[float] | None:

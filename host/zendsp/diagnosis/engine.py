@@ -8,43 +8,39 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from zendsp.diagnosis.bodies.find import BodySearch, find_bodies
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import (
-    Parts,
-    Signals,
-    halves,
-    read_signals,
-    split,
-    with_same_columns,
-)
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
+from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
-from zendsp.diagnosis.decide.bodies import find_bodies
 from zendsp.diagnosis.decide.decide import Decision, decide
-from zendsp.diagnosis.decide.decide_bodies import decide_bodies, rejected_bodies, settled
+from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
-from zendsp.diagnosis.decide.fast_ripple import fine_ripples, fixed
+from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.torque_sensor import sided
-from zendsp.diagnosis.decide.transmission import by_one_sensor, measured_transmissions, said
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.report.propose import propose
-from zendsp.diagnosis.result import Diagnosis, FitTable, Left
+from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Left, Rejected
 from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
+from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import CALLED, Model
@@ -138,6 +134,66 @@ def _diagnose(
         return diagnose_simulator(
             _sources(recordings), given, _sources(heldout), seed=seed, jobs=jobs, progress=tell
         )
+    fit_signals, parts, notes = _ready(recordings, heldout, given, tell)
+    found = _find(parts, given, jobs, tell)
+    parts, decisions, whole = found.parts, found.decisions, found.whole
+    notes += [note for m in found.measured for note in m.notes]
+    findings, refinements, rejected = _name(found, given)
+    kinds = {d.kind for d in decisions}
+    verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
+    improved = whole.improved if findings else whole.calibrated
+    joints = range(1, given.joints + 1)
+    lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
+    places, times = _where(lacking)
+    tell("proposing the next recording")
+    proposal = propose(fit_signals, given, whole, found.searches, findings, decisions, seed)
+    tell("asking what could have been seen")
+    seen = detectable(parts, given, decisions, jobs)
+    alone = by_one_sensor(parts, found.bodies.model, decisions)
+    seen += (*(d for m in found.measured for d in m.detectable), *alone)
+    notes += said(alone)
+    return Diagnosis(
+        verdict=verdict,
+        findings=findings,
+        refinements=refinements,
+        regions=places if verdict != "complete" else (),
+        times=times if verdict != "complete" else (),
+        unit="m" if given.joint_kind(1) == "linear" else "rad",
+        estimation=_table(parts.fit, given, whole.calibrated, improved),
+        heldout=_table(parts.held, given, whole.calibrated, improved),
+        test=_table(parts.test, given, whole.calibrated, improved),
+        noise_floor=noise_floor(parts.test),
+        discrepancy=tuple(
+            Left(d.joint, d.after.value, (d.after.low, d.after.high)) for d in decisions
+        ),
+        detectable=seen,
+        rejected=rejected,
+        next_recording=proposal,
+        seconds=time.perf_counter() - begin,
+        notes=(*notes, *left_out(file_model(improved))),
+        given=given_file,
+        calibrated=file_model(whole.calibrated),
+        improved=file_model(improved),
+        unexplained=left_over(decisions, given),
+        missing=lacking,
+        remaining={j: mismatch(parts.fit, improved, j) for j in joints},
+        details={
+            "searches": found.searches,
+            "whole": whole,
+            "train": parts.fit,
+            "test": parts.test,
+            "decisions": decisions,
+        },
+    )
+
+
+def _ready(
+    recordings: Source | Sequence[Source],
+    heldout: Source | Sequence[Source] | None,
+    given: Model,
+    tell: Progress,
+) -> tuple[list[Signals], Parts, list[str]]:
+    """The signals to fit to, all recordings ready for the kernel, and what is wrong with them."""
     tell("reading the recordings")
     fit_signals, choose_signals, test_signals, notes = _read(recordings, heldout, given)
     tell("smoothing the motion")
@@ -149,11 +205,31 @@ def _diagnose(
     everything = Data((*fit.records, *choose.records, *test.records), fit.bandwidth)
     notes += check_motion(everything, given, names)
     notes += check_excitation(fit)
+    return fit_signals, parts, notes
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is known of a machine before it is put into words: bodies, transmissions, joints."""
+
+    parts: Parts
+    bodies: BodySearch
+    measured: list[Measured]
+    searches: list[JointSearch]
+    decisions: list[Decision]
+    whole: Assembled
+    claims: tuple[BodyClaim, ...]
+    fine: tuple[FineRipple, ...]
+
+
+def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
+    """Bodies first, then measured transmissions, then every joint; again where one changes what
+    the others have to explain.
+    """
     tell("calibrating the given model")
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
-    notes += [note for m in measured for note in m.notes]
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
     parts = _with_bodies(bare, beneath)
     searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
@@ -189,57 +265,20 @@ def _diagnose(
         ]
         calibrated = calibrated_machine(bare.fit, given, bases, jobs)
         whole = replace(whole, improved=improved, calibrated=calibrated)
-    findings, refinements, rejected = name_findings(parts.test, given, decisions, whole, claims)
-    rejected = (*rejected_bodies(bodies, claims), *rejected)
-    findings += tuple(ripple.finding for ripple in fine)
-    findings += tuple(finding for m in measured for finding in m.findings)
-    findings = sided(findings, parts, bodies.model)
-    kinds = {d.kind for d in decisions}
-    verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
-    improved = whole.improved if findings else whole.calibrated
-    joints = range(1, given.joints + 1)
-    lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
-    places, times = _where(lacking)
-    tell("proposing the next recording")
-    proposal = propose(fit_signals, given, whole, searches, findings, decisions, seed)
-    tell("asking what could have been seen")
-    seen = detectable(parts, given, decisions, jobs)
-    alone = by_one_sensor(parts, bodies.model, decisions)
-    seen += (*(d for m in measured for d in m.detectable), *alone)
-    notes += said(alone)
-    return Diagnosis(
-        verdict=verdict,
-        findings=findings,
-        refinements=refinements,
-        regions=places if verdict != "complete" else (),
-        times=times if verdict != "complete" else (),
-        unit="m" if given.joint_kind(1) == "linear" else "rad",
-        estimation=_table(parts.fit, given, whole.calibrated, improved),
-        heldout=_table(parts.held, given, whole.calibrated, improved),
-        test=_table(parts.test, given, whole.calibrated, improved),
-        noise_floor=noise_floor(parts.test),
-        discrepancy=tuple(
-            Left(d.joint, d.after.value, (d.after.low, d.after.high)) for d in decisions
-        ),
-        detectable=seen,
-        rejected=rejected,
-        next_recording=proposal,
-        seconds=time.perf_counter() - begin,
-        notes=(*notes, *left_out(file_model(improved))),
-        given=given_file,
-        calibrated=file_model(whole.calibrated),
-        improved=file_model(improved),
-        unexplained=left_over(decisions, given),
-        missing=lacking,
-        remaining={j: mismatch(parts.fit, improved, j) for j in joints},
-        details={
-            "searches": searches,
-            "whole": whole,
-            "train": parts.fit,
-            "test": parts.test,
-            "decisions": decisions,
-        },
+    return _Found(parts, bodies, measured, searches, decisions, whole, claims, tuple(fine))
+
+
+def _name(
+    found: _Found, given: Model
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Rejected, ...]]:
+    """Findings, refinements and what was rejected, of joints, bodies and transmissions."""
+    findings, refinements, rejected = name_findings(
+        found.parts.test, given, found.decisions, found.whole, found.claims
     )
+    rejected = (*rejected_bodies(found.bodies, found.claims), *rejected)
+    findings += tuple(ripple.finding for ripple in found.fine)
+    findings += tuple(finding for m in found.measured for finding in m.findings)
+    return sided(findings, found.parts, found.bodies.model), refinements, rejected
 
 
 def _as_model(model: Model | str | Path | dict[str, Any]) -> Model:

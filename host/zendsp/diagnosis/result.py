@@ -182,20 +182,7 @@ class Diagnosis:
                 }
                 for d in self.detectable
             ],
-            "where": {
-                "time": [[round(a, 4), round(b, 4)] for a, b in self.times],
-                "state": [
-                    {
-                        "joint": r.joint,
-                        "variable": r.variable,
-                        "interval": [r.interval[0], r.interval[1]],
-                        "unit": r.unit,
-                        "share": round(r.share, 4),
-                        "time_share": round(r.time_share, 4),
-                    }
-                    for r in self.regions
-                ],
-            },
+            "where": self._where(),
             "fit": {
                 "quantity": "position",
                 "unit": self.unit,
@@ -223,6 +210,23 @@ class Diagnosis:
             "seconds": round(self.seconds, 3),
         }
         return report
+
+    def _where(self) -> dict[str, Any]:
+        """Where the model lacks something: times, and regions of the state."""
+        return {
+            "time": [[round(a, 4), round(b, 4)] for a, b in self.times],
+            "state": [
+                {
+                    "joint": r.joint,
+                    "variable": r.variable,
+                    "interval": [r.interval[0], r.interval[1]],
+                    "unit": r.unit,
+                    "share": round(r.share, 4),
+                    "time_share": round(r.time_share, 4),
+                }
+                for r in self.regions
+            ],
+        }
 
     def __repr__(self) -> str:
         found = ", ".join(

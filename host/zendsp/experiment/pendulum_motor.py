@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 
 from zendsp.errors import RecordingError
 from zendsp.experiment.estimates import NORMAL, least_squares
@@ -107,8 +108,7 @@ def steady_means(rec: Recording) -> tuple[float, float, float]:
 
 
 def pendulum_model(theta: Array, smooth: float = 0.0) -> Model:
-    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, the torque one sample late.
-    """
+    """theta1 qdd + theta2 g sin q + theta3 sign(qd) + viscous qd = tau, one sample late."""
     effects: list[dict[str, Any]] = [{"kind": "coulomb", "joint": 1, "level": float(theta[2])}]
     if len(theta) > 3:
         effects.append({"kind": "viscous", "joint": 1, "coefficient": float(theta[3])})
@@ -153,22 +153,18 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
         result.recordings, result.target = bench.recordings, bench.where
         train, test = recs
         extended = fit_parameters(train, np.full(4, 1e-3))
-        early = _first(train, EARLY)
-        paper = fit_parameters(early, extended[0][:3])
+        paper = fit_parameters(_first(train, EARLY), extended[0][:3])
         for theta, std, names in ((*paper[:2], PARAMETERS[:3]), (*extended[:2], PARAMETERS)):
             tail = "" if len(names) == 4 else "_paper"
             for name, value, s in zip(names, theta, std, strict=True):
                 result.values[f"{name}{tail}"] = Estimate(float(value), float(s), UNITS[name])
-        for word, theta in (("paper", paper[0]), ("viscous", extended[0])):
-            for rec, where in (
-                ((early, "fitted"), (_first(test, EARLY), "held_out"))
-                if word == "paper"
-                else ((train, "fitted"), (test, "held_out"))
+        for rec, where in ((train, "fitted"), (test, "held_out")):
+            for word, theta, part in (
+                ("paper", paper[0], _first(rec, EARLY)),
+                ("viscous", extended[0], rec),
             ):
-                miss = simulated(theta, rec) - rec["q"]
-                result.values[f"rms_{where}_{word}"] = Estimate(
-                    float(np.sqrt(np.mean(miss**2))), 0.0, "rad"
-                )
+                miss = float(np.sqrt(np.mean((simulated(theta, part) - part["q"]) ** 2)))
+                result.values[f"rms_{where}_{word}"] = Estimate(miss, 0.0, "rad")
         result.warnings.append(
             "The paper's model has no viscous friction, and this machine has: under its torque the"
             " shaft spins, and three parameters can match the position for about the first second"
@@ -181,51 +177,48 @@ def mechanical(lab: Lab, seconds: float = 6.0, brake: float = 0.08) -> Result:
             "gravity": Estimate(t["theta2"].value * G, t["theta2"].std * G, "N m"),
         }
         result.effects = [
-            {
-                "kind": "coulomb",
-                "joint": 1,
-                "level": {"value": t["theta3"].value, "std": t["theta3"].std, "unit": "N m"},
-            },
-            {
-                "kind": "viscous",
-                "joint": 1,
-                "coefficient": {
-                    "value": t["viscous"].value,
-                    "std": t["viscous"].std,
-                    "unit": "N m s/rad",
-                },
-            },
+            {"kind": kind, "joint": 1, key: {"value": x.value, "std": x.std, "unit": unit}}
+            for kind, key, x, unit in (
+                ("coulomb", "level", t["theta3"], "N m"),
+                ("viscous", "coefficient", t["viscous"], "N m s/rad"),
+            )
         ]
-        figure, axes = make_figure(2, 2, height=2.6, sharex=True)
-        for column, (rec, words) in enumerate(
-            ((train, "the paper's torque: fitted"), (test, "another torque: held out"))
-        ):
-            top, bottom = axes[0, column], axes[1, column]
-            top.plot(rec.t, rec["q"], color=BLUE, linewidth=2.0, label="machine")
-            three = simulated(paper[0], rec)
-            top.plot(
-                rec.t,
-                np.where(np.abs(three - rec["q"]) < 60, three, np.nan),
-                "--",
-                color=RED,
-                linewidth=1.0,
-                label="three parameters, as the paper",
-            )
-            top.plot(
-                rec.t,
-                simulated(extended[0], rec),
-                "--",
-                color=GREEN,
-                linewidth=1.0,
-                label="and viscous friction",
-            )
-            bottom.plot(rec.t, rec["q"] - three, color=RED, linewidth=1.0)
-            bottom.plot(rec.t, rec["q"] - simulated(extended[0], rec), color=GREEN, linewidth=1.0)
-            bottom.set_ylim(-1.5, 1.5)
-            label(top, "", "position (rad)", words, legend=column == 0)
-            label(bottom, "t (s)", "machine - model (rad)")
+        figure = _mechanical_figure(train, test, paper[0], extended[0])
         result.figure = save(figure, bench.folder / "mechanical.png")
     return result
+
+
+def _mechanical_figure(train: Recording, test: Recording, paper: Array, extended: Array) -> Figure:
+    """Both recordings, and what the two models make of them."""
+    figure, axes = make_figure(2, 2, height=2.6, sharex=True)
+    for column, (rec, words) in enumerate(
+        ((train, "the paper's torque: fitted"), (test, "another torque: held out"))
+    ):
+        top, bottom = axes[0, column], axes[1, column]
+        top.plot(rec.t, rec["q"], color=BLUE, linewidth=2.0, label="machine")
+        three = simulated(paper, rec)
+        top.plot(
+            rec.t,
+            np.where(np.abs(three - rec["q"]) < 60, three, np.nan),
+            "--",
+            color=RED,
+            linewidth=1.0,
+            label="three parameters, as the paper",
+        )
+        top.plot(
+            rec.t,
+            simulated(extended, rec),
+            "--",
+            color=GREEN,
+            linewidth=1.0,
+            label="and viscous friction",
+        )
+        bottom.plot(rec.t, rec["q"] - three, color=RED, linewidth=1.0)
+        bottom.plot(rec.t, rec["q"] - simulated(extended, rec), color=GREEN, linewidth=1.0)
+        bottom.set_ylim(-1.5, 1.5)
+        label(top, "", "position (rad)", words, legend=column == 0)
+        label(bottom, "t (s)", "machine - model (rad)")
+    return figure
 
 
 def _first(rec: Recording, seconds: float) -> Recording:

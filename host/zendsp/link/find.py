@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from zendsp.errors import LinkError, VersionMismatch
-from zendsp.link.link import open_session
 from zendsp.link.registered import local_entries
+from zendsp.link.session import open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys, registry
 from zendsp_protocol import messages as m

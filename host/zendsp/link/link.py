@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import getpass
 import itertools
 import os
-import platform
-import re
-import sys
 import threading
 import time
-import weakref
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NoReturn
 
 import zenoh
 
 from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
+from zendsp.link.background import END_S, Listener, background, open_links
 from zendsp.link.registered import local_entries
-from zendsp.link.settings import Credentials, zenoh_config
+from zendsp.link.session import new_author, not_there, open_session
+from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys
 from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS, Verb
 
-_numbers = itertools.count(1)
-_open_links: weakref.WeakSet[Link] = weakref.WeakSet()
-_background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 _Ready = tuple[Verb, zenoh.Querier | None]
 SETTLE_S = 1.0  # for the answer to how a request ended that was not answered in time
 STEP_S = 0.2  # for the news of a death to arrive
 AGAIN_S = 0.002  # before a request that was dropped is sent again
 STOP_S = 0.7  # for the answer to STOP; after that the user must reach for another switch
-END_S = 1.0  # for saying goodbye when the process ends
 WAITING = 1024  # parts that may wait to be taken: many times what one request brings
 
 
@@ -69,7 +61,7 @@ class Link:
         self.endpoints = tuple(endpoints)
         self.identity = credentials.identity
         self.own = credentials.own  # of the same user on the same computer, by the target's entry
-        self.author = _author(self.identity)
+        self.author = new_author(self.identity)
         self._alive = threading.Event()
         self._lost = threading.Event()
         self._returned: list[Callable[[], None]] = []
@@ -87,7 +79,7 @@ class Link:
             )
             self._watch = Listener(tokens, self._liveliness, "alive")
             if not self._alive.wait(timeout):
-                raise LinkError(_not_there(self._session, target, endpoints))
+                raise LinkError(not_there(self._session, target, endpoints))
             liveliness = self._session.liveliness()
             self._token = (
                 liveliness.declare_token(keys.host(target, self.author)) if shown else None
@@ -96,7 +88,7 @@ class Link:
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
             raise
-        _open_links.add(self)
+        open_links.add(self)
 
     @property
     def session(self) -> zenoh.Session:
@@ -259,7 +251,7 @@ class Link:
         if not self.closed:
             self.closed = True
             self._ready.clear()
-            _open_links.discard(self)
+            open_links.discard(self)
             for querier in self._queriers.values():
                 # Zenoh keeps 16 kB of a session that closes with one declared.
                 with contextlib.suppress(zenoh.ZError):
@@ -421,124 +413,3 @@ def _undeclare(querier: zenoh.Querier) -> None:
             if time.monotonic() > end:
                 return
             time.sleep(AGAIN_S)
-
-
-def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
-    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for
-    a little; return it.
-
-    Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it,
-    and Rust takes the whole process down for that ("FATAL: exception not rethrown"): so the links
-    are closed first, which ends what waits in Zenoh, and these threads are given the time to leave.
-    """
-    thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
-    _background.add(thread)
-    thread.start()
-    return thread
-
-
-class Listener:
-    """Calls ``take`` with each sample of a subscriber, in a thread that no process ever waits for.
-
-    A Python callback of Zenoh's has a thread that Python joins before anything registered with
-    ``atexit`` runs: a script that does not close its session would never end.
-    """
-
-    def __init__(
-        self, subscriber: zenoh.Subscriber[Any], take: Callable[[zenoh.Sample], None], name: str
-    ) -> None:
-        self._subscriber = subscriber
-        background(name, _pull, subscriber.handler, take)
-
-    def undeclare(self) -> None:
-        """End it."""
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-
-def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:
-    while True:
-        try:
-            sample = samples.recv()
-        except zenoh.ZError:  # undeclared, or its session is closed
-            return
-        try:
-            take(sample)
-        except Exception:  # of a user's callback; the next sample may fare better
-            sys.excepthook(*sys.exc_info())
-
-
-def open_session(
-    endpoints: Sequence[str], credentials: Credentials, timeout: float
-) -> zenoh.Session:
-    """Open a Zenoh session with at least one of ``endpoints``.
-
-    Raises
-    ------
-    LinkError
-        None answers; or, indistinguishable for Zenoh, the credentials are refused.
-    """
-    where = ", ".join(endpoints)
-    try:
-        session = zenoh.open(zenoh_config(endpoints, credentials, timeout))
-    except zenoh.ZError as error:
-        secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
-        doubt = (
-            ", or it refuses the certificate or password given"
-            if secured or credentials.user
-            else ""
-        )
-        raise LinkError(
-            f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
-        ) from error
-    if not session.info.peers_zid() and not session.info.routers_zid():
-        session.close()  # type: ignore[no-untyped-call]
-        raise LinkError(
-            f"nothing answers at {where}, or it refuses the certificate or password given"
-        )
-    return session
-
-
-def _not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> str:
-    names = [
-        keys.target_of(str(reply.ok.key_expr))
-        for reply in session.liveliness().get(keys.alive(), timeout=0.5)
-        if reply.ok is not None
-    ]
-    there = f"there is {', '.join(sorted(names))}" if names else "no target is there"
-    return f"no target named {target!r} at {', '.join(endpoints)}; {there}"
-
-
-def _author(identity: str = "") -> str:
-    """Name this connection: user, machine, process, and a number from the second one on; fit for a
-    key.
-    """
-    try:
-        user = identity or getpass.getuser()
-    except (KeyError, OSError):  # a container without an entry for its user
-        user = str(os.getuid())
-    number = next(_numbers)
-    name = f"{user}@{platform.node() or 'host'}:{os.getpid()}" + (
-        f".{number}" if number > 1 else ""
-    )
-    return re.sub(r"[^\w@:.-]", "_", name)
-
-
-@atexit.register
-def _close_all() -> None:
-    """Let go of every target; one that cannot be told (a frozen peer) notices within the lease."""
-    for link in list(_open_links):
-        background("closing", link.close)
-    deadline = time.monotonic() + END_S
-    for thread in list(_background):
-        if thread is not threading.current_thread():
-            thread.join(max(0.0, deadline - time.monotonic()))
-
-
-def _disown_all() -> None:
-    for link in list(_open_links):
-        link.disown()
-    _open_links.clear()
-    _background.clear()
-
-
-os.register_at_fork(after_in_child=_disown_all)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from zendsp.errors import LinkError, ZendspError
-from zendsp.link.link import Listener, background
+from zendsp.link.background import Listener, background
 from zendsp.link.requests import Requests, Room
 from zendsp_protocol import codec
 from zendsp_protocol import messages as m

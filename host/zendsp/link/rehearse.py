@@ -124,13 +124,7 @@ def rehearse(
     names = [v.name for v in target.variables().values() if v.kind == "parameter"]
     present = dict(target.read(names).values) if names else {}
     limits = target.limits()
-    options = ["--no-realtime"]
-    counts = np.ravel(np.asarray(plain(status.io.get("enc", ()))))
-    for number, (joint, count) in enumerate(zip(info.joints, counts, strict=False), start=1):
-        at = (float(count) - joint.zero_counts) / joint.counts_per_unit
-        options += ["--machine-option", f"q{number}={at!r}"]
-    if any(joint.command == "voltage" for joint in info.joints):
-        options += ["--machine-option", "drive=voltage"]
+    options = _as_it_stands(info, status)
 
     def tell(now: m.Status) -> None:
         if on_progress is not None:
@@ -169,6 +163,18 @@ def rehearse(
             True, None, f"no limit is passed in the simulation of {seconds:.1f} s{most}", peaks
         )
     return Rehearsal(True, ended.trip, _words(ended.trip, rate))
+
+
+def _as_it_stands(info: m.MachineInfo, status: m.Status) -> list[str]:
+    """Options of a twin that begins where the machine stands."""
+    options = ["--no-realtime"]
+    counts = np.ravel(np.asarray(plain(status.io.get("enc", ()))))
+    for number, (joint, count) in enumerate(zip(info.joints, counts, strict=False), start=1):
+        at = (float(count) - joint.zero_counts) / joint.counts_per_unit
+        options += ["--machine-option", f"q{number}={at!r}"]
+    if any(joint.command == "voltage" for joint in info.joints):
+        options += ["--machine-option", "drive=voltage"]
+    return options
 
 
 def _peaks(record: Recording, joints: Sequence[m.JointInfo], limits: m.Limits) -> tuple[Peak, ...]:

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from zendsp.first_use import on_first_use
 
 # name -> module that holds it; imported on first use: a model file needs neither SciPy nor a
 # compiler
@@ -41,11 +42,4 @@ if TYPE_CHECKING:
 
 __all__ = sorted(_LAZY)
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name from its module on first use."""
-    if name not in _LAZY:
-        raise AttributeError(f"module 'zendsp.physics' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_LAZY[name]), name)
-    globals()[name] = value
-    return value
+__getattr__ = on_first_use(__name__, _LAZY)

@@ -248,17 +248,7 @@ def _mechanism(
     joints = position.values.shape[1]
     page.line("[mechanism]")
     kinds = "rotary | linear | planar2r | urdf | python"
-    ask = (
-        ""
-        if position.unit in ("rad", "m")
-        else f"{position.names[0]} has no unit: does it turn (rad) or slide (m)?"
-    )
-    if ask and _like_degrees(position):
-        ask = (
-            f"{position.names[0]} has no unit and looks like degrees: write '{position.names[0]}"
-            " [deg]' in its head, and begin anew"
-        )
-    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, ask)
+    page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position))
     if joints > 1:
         page.line(
             comment="",
@@ -268,45 +258,7 @@ def _mechanism(
             ),
         )
     page.line("[mechanism.parameters]")
-    key, unit = ("mass", "kg") if linear else ("inertia", "kg m^2")
-    ideas = [
-        _idea(position.values[:, j], command.values[:, j], step, linear) if command else None
-        for j in range(joints)
-    ]
-    values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
-    torque = command is not None and command.unit in ("N m", "Nm", "N")
-    if all(ideas):
-        shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)
-        said = f"{unit}: a first idea; with friction it explains {shares} of the command"
-        page.line(
-            f"{key} = {{ value = {_list(values)} }}",
-            said,
-            ask=(
-                ""
-                if torque
-                else (
-                    "the number below is for a gain of 1: times the actuator's gain it is in"
-                    f" {unit}"
-                )
-            ),
-        )
-    else:
-        page.line(
-            f"{key} = {{ value = {_list(values)} }}",
-            unit,
-            ask="the recording does not show it: what does the drawing say?",
-        )
-    gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
-    if not linear and any(gravity):
-        page.line(
-            f"gravity = {{ value = {_list(gravity)} }}",
-            "N m, times sin(q)",
-            ask="is q = 0 where it hangs down?",
-        )
-    elif not linear:
-        page.line(
-            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
-        )
+    _numbers(page, position, command, step, linear)
     page.line()
     page.line(
         comment=(
@@ -321,6 +273,50 @@ def _mechanism(
         f"coefficient = {{ value = 0.01 }}  # {'N s/m' if linear else 'N m s/rad'}",
     ):
         page.line(comment=text)
+
+
+def _unit_asked(position: Group) -> str:
+    """The question after the unit of the position, empty where it has one."""
+    name = position.names[0]
+    if position.unit in ("rad", "m"):
+        return ""
+    if _like_degrees(position):
+        return (
+            f"{name} has no unit and looks like degrees: write '{name} [deg]' in its head, and"
+            " begin anew"
+        )
+    return f"{name} has no unit: does it turn (rad) or slide (m)?"
+
+
+def _numbers(
+    page: _Page, position: Group, command: Group | None, step: float, linear: bool
+) -> None:
+    """Inertia and gravity, as the recording suggests them."""
+    key, unit = ("mass", "kg") if linear else ("inertia", "kg m^2")
+    ideas = [
+        _idea(position.values[:, j], command.values[:, j], step, linear) if command else None
+        for j in range(position.values.shape[1])
+    ]
+    values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
+    torque = command is not None and command.unit in ("N m", "Nm", "N")
+    said, ask = unit, "the recording does not show it: what does the drawing say?"
+    if all(ideas):
+        shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)
+        said = f"{unit}: a first idea; with friction it explains {shares} of the command"
+        gain = f"the number below is for a gain of 1: times the actuator's gain it is in {unit}"
+        ask = "" if torque else gain
+    page.line(f"{key} = {{ value = {_list(values)} }}", said, ask=ask)
+    gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
+    if not linear and any(gravity):
+        page.line(
+            f"gravity = {{ value = {_list(gravity)} }}",
+            "N m, times sin(q)",
+            ask="is q = 0 where it hangs down?",
+        )
+    elif not linear:
+        page.line(
+            comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
+        )
 
 
 @dataclass(frozen=True)

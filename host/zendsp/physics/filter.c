@@ -1,5 +1,6 @@
-/* Kalman filters on one position signal: observer gains for the kernel, and the fixed-interval smoother (Rauch, Tung, Striebel 1965).
- * A sample that says nothing carries R < 0. Units: rad or m, s.
+/* Kalman filters on one position signal: observer gains for the kernel, and the fixed-interval
+ * smoother (Rauch, Tung, Striebel 1965). A sample that says nothing carries R < 0. Units: rad or m,
+ * s.
  */
 #include <math.h>
 #include <stddef.h>
@@ -22,15 +23,20 @@ void zf_gains(int n, double T, double sa, const double *R, double *k1, double *k
     }
 }
 
-/* States (q, qd, d): acceleration = a_in + d, d a random walk of sd per sqrt(second). work: 14 n doubles. Returns -2 log-likelihood.
- * out: 3 x n smoothed q, qd, d; var: 3 x n variances. half: dead zone of the measurement. */
-double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m, const double *half, const double *R,
-                 double q0, double v0, double *work, double *out, double *var)
-{
+/* States (q, qd, d): acceleration = a_in + d, d a random walk of sd per sqrt(second). work: 14 n
+ * doubles. Returns -2 log-likelihood. out: 3 x n smoothed q, qd, d; var: 3 x n variances. half:
+ * dead zone of the measurement. */
+double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, const double *m,
+                 const double *half, const double *R, double q0, double v0, double *work,
+                 double *out, double *var) {
     double x0 = q0, x1 = v0, x2 = 0, nll = 0;
     double P[6]; /* 00 01 02 11 12 22 */
-    P[0] = 1e4 * (R[0] > 0 ? R[0] : 1e-6); P[1] = P[2] = P[4] = 0; P[3] = P[0] * 1e4 + 1e-3; P[5] = sd0 * sd0;
-    double *xf = work, *Pf = work + 3 * (size_t)n, *gain = work + 9 * (size_t)n; /* filtered state and covariance; gains, S, e */
+    P[0] = 1e4 * (R[0] > 0 ? R[0] : 1e-6);
+    P[1] = P[2] = P[4] = 0;
+    P[3] = P[0] * 1e4 + 1e-3;
+    P[5] = sd0 * sd0;
+    /* filtered state and covariance; gains, S, e */
+    double *xf = work, *Pf = work + 3 * (size_t)n, *gain = work + 9 * (size_t)n;
     double h = 0.5 * T * T;
     double q = sd * sd * T;
     for (int k = 0; k < n; k++) {
@@ -50,11 +56,16 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
         for (int i = 0; i < 6; i++) Pf[6 * (size_t)k + i] = P[i];
         double a = a_in[k];
         x0 += T * x1 + h * (x2 + a); x1 += T * (x2 + a);
-        double A0 = P[0] + T * P[1] + h * P[2], A1 = P[1] + T * P[3] + h * P[4], A2 = P[2] + T * P[4] + h * P[5];
+        double A0 = P[0] + T * P[1] + h * P[2], A1 = P[1] + T * P[3] + h * P[4],
+               A2 = P[2] + T * P[4] + h * P[5];
         double B1 = P[3] + T * P[4], B2 = P[4] + T * P[5];
         double n00 = A0 + T * A1 + h * A2, n01 = A1 + T * A2, n11 = B1 + T * B2;
         P[0] = n00; P[1] = n01; P[2] = A2; P[3] = n11; P[4] = B2; P[5] += q;
-        P[3] += q * T * T / 3; P[4] += q * T / 2; P[0] += q * T * T * T * T / 20; P[1] += q * T * T * T / 8; P[2] += q * T * T / 6;
+        P[3] += q * T * T / 3;
+        P[4] += q * T / 2;
+        P[0] += q * T * T * T * T / 20;
+        P[1] += q * T * T * T / 8;
+        P[2] += q * T * T / 6;
     }
     /* backward, in the adjoint form (Bryson and Frazier 1963): no matrix inverse */
     double l0 = 0, l1 = 0, l2 = 0, L00 = 0, L01 = 0, L02 = 0, L11 = 0, L12 = 0, L22 = 0;
@@ -71,14 +82,19 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
             L11 = b1 + T * a1; L12 = b2 + T * a2;
             L22 = c2 + T * b2 + h * a2;
         }
-        double s0 = p[0] * l0 + p[1] * l1 + p[2] * l2, s1 = p[1] * l0 + p[3] * l1 + p[4] * l2, s2 = p[2] * l0 + p[4] * l1 + p[5] * l2;
-        out[k] = xf[3 * k] - s0; out[n + k] = xf[3 * k + 1] - s1; out[2 * (size_t)n + k] = xf[3 * k + 2] - s2;
+        double s0 = p[0] * l0 + p[1] * l1 + p[2] * l2, s1 = p[1] * l0 + p[3] * l1 + p[4] * l2,
+               s2 = p[2] * l0 + p[4] * l1 + p[5] * l2;
+        out[k] = xf[3 * k] - s0;
+        out[n + k] = xf[3 * k + 1] - s1;
+        out[2 * (size_t)n + k] = xf[3 * k + 2] - s2;
         if (var) {
             double u[3][3] = { { p[0], p[1], p[2] }, { p[1], p[3], p[4] }, { p[2], p[4], p[5] } };
             double L[3][3] = { { L00, L01, L02 }, { L01, L11, L12 }, { L02, L12, L22 } };
             for (int i = 0; i < 3; i++) {
                 double acc = 0;
-                for (int a = 0; a < 3; a++) for (int b = 0; b < 3; b++) acc += u[i][a] * L[a][b] * u[b][i];
+                for (int a = 0; a < 3; a++)
+                    for (int b = 0; b < 3; b++)
+                        acc += u[i][a] * L[a][b] * u[b][i];
                 double vv = u[i][i] - acc;
                 var[(size_t)i * n + k] = vv > 0 ? vv : 0;
             }
@@ -87,7 +103,8 @@ double zf_smooth(int n, double T, double sd, double sd0, const double *a_in, con
             const double *keep = gain + 5 * (size_t)k;
             double g0 = keep[0], g1 = keep[1], g2 = keep[2], S = keep[3], e = keep[4];
             double dot = g0 * l0 + g1 * l1 + g2 * l2;
-            double c0 = g0 * L00 + g1 * L01 + g2 * L02, c1 = g0 * L01 + g1 * L11 + g2 * L12, c2 = g0 * L02 + g1 * L12 + g2 * L22;
+            double c0 = g0 * L00 + g1 * L01 + g2 * L02, c1 = g0 * L01 + g1 * L11 + g2 * L12,
+                   c2 = g0 * L02 + g1 * L12 + g2 * L22;
             double gg = g0 * c0 + g1 * c1 + g2 * c2;
             l0 = l0 - dot - e / S;
             L00 = L00 - 2 * c0 + gg + 1 / S;

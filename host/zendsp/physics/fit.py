@@ -18,9 +18,10 @@ import numpy.typing as npt
 
 from zendsp.physics.bounds import parameter_bounds
 from zendsp.physics.effects import get_effect
-from zendsp.physics.joint import JointRecord, ran_away, run, run_many
+from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Quantity, Term
 from zendsp.physics.native import LANES
+from zendsp.physics.predict import ran_away, run, run_many
 
 Array = npt.NDArray[np.float64]
 
@@ -308,6 +309,106 @@ def block_count(data: Data, seconds: float = 0.25) -> int:
     return max(10, round(seconds / data.records[0][0].sample_time))
 
 
+class _Problem:
+    """What is minimised: the residuals of some joints over some numbers, within their bounds."""
+
+    def __init__(
+        self,
+        data: Data,
+        model: Model,
+        handles: Sequence[Handle],
+        joints: Sequence[int],
+        pool: ThreadPoolExecutor,
+        central: bool,
+    ) -> None:
+        self.data, self.model, self.handles, self.joints = data, model, handles, joints
+        self.pool, self.central = pool, central
+        self.low, self.high, self.size = bounds_and_steps(data, model, handles)
+        self.prior = np.array(
+            [
+                1.0 / (0.3 * size) if h.place == "offset" else 0.0
+                for h, size in zip(handles, self.size, strict=True)
+            ]
+        )
+        self.centre = get_values(model, handles)
+        # impacts make the cost rough on a fine scale: differences over a tenth of a percent look
+        # past it
+        self.coarse = 2e-3 if any(get_effect(t.effect).rough for t in model.terms) else 1e-4
+
+    def evaluate(self, points: Sequence[Array]) -> Array:
+        """Residuals at some points, the prior's included, (N, points)."""
+        models = [set_values(self.model, self.handles, at) for at in points]
+        columns = residuals(self.data, models, self.joints, self.pool)
+        if not self.prior.any():
+            return columns
+        held = self.prior > 0
+        known = [self.prior[held] * (at - self.centre)[held] for at in points]
+        return np.concatenate([columns, np.stack(known, axis=1)])
+
+    def jacobian(self, at: Array, base: Array | None = None) -> tuple[Array, Array]:
+        """Residual and Jacobian at a point; without ``base``, its residual, one pass of the
+        kernel takes the point beside its neighbours.
+        """
+        step = self.coarse * np.maximum(np.abs(at), self.size)
+        step = np.where(at + step > self.high, -step, step)
+        ahead = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
+        back = []
+        if self.central:
+            moved = [at - step[i] * np.eye(len(at))[i] for i in range(len(at))]
+            back = [np.clip(point, self.low, self.high) for point in moved]
+        here = [at] if base is None else []
+        points = [*here, *ahead, *back]
+        columns = self.evaluate(points) if points else np.zeros((0, 0))
+        if base is None:
+            base, columns = columns[:, 0].copy(), columns[:, 1:]
+        if not ahead:
+            return base, np.zeros((len(base), 0))
+        behind = columns[:, len(at) :] if self.central else base[:, None]
+        widths = np.array(
+            [(p - q)[i] for i, (p, q) in enumerate(zip(ahead, back or [at] * len(at), strict=True))]
+        )
+        return base, np.asarray((columns[:, : len(at)] - behind) / widths)
+
+    def trials(self, x: Array, r: Array, jac: Array, dampings: Sequence[float]) -> list[Array]:
+        """Where Levenberg-Marquardt goes from a point, by its damping."""
+        # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
+        unit = np.maximum(np.abs(x), self.size)
+        scaled = jac * unit
+        gradient, normal = scaled.T @ r, scaled.T @ scaled
+        least = 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
+        diagonal = np.maximum(np.diag(normal), least)
+        use = ~(((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0)))
+        out = []
+        for damping in dampings:
+            step = np.zeros_like(x)
+            if use.any():
+                a = normal[np.ix_(use, use)] + damping * np.diag(diagonal[use])
+                step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
+            out.append(np.clip(x + step, self.low, self.high))
+        return out
+
+    def better(
+        self, x: Array, r: Array, jac: Array, damping: float, brief: bool
+    ) -> tuple[float, Array, Array, Array | None] | None:
+        """A point whose cost is smaller: damping, point, residual, and its Jacobian where that came
+        with it. None where no step helps.
+        """
+        cost = float(r @ r)
+        shorter = [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)]
+        for dampings in ([damping], shorter):  # then shorter steps, all of them at once
+            trials = self.trials(x, r, jac, dampings)
+            slope: Array | None = None
+            if len(trials) == 1 and not brief:  # most first steps are taken
+                first, slope = self.jacobian(trials[0])
+                rows = first[None]
+            else:
+                rows = np.ascontiguousarray(self.evaluate(trials).T)
+            for value, at, row in zip(dampings, trials, rows, strict=True):
+                if float(row @ row) < cost:
+                    return value, at, row, slope
+        return None
+
+
 def fit(
     data: Data,
     model: Model,
@@ -352,101 +453,26 @@ def fit(
     """
     handles = tuple(handles)
     wanted = tuple(joints or range(1, data.joints + 1))
-    low, high, size = bounds_and_steps(data, model, handles)
-    x = np.clip(get_values(model, handles) if start is None else start, low, high)
-    prior = np.array(
-        [1.0 / (0.3 * size[i]) if h.place == "offset" else 0.0 for i, h in enumerate(handles)]
-    )
-    centre = get_values(model, handles)
-
-    # impacts make the cost rough on a fine scale: differences over a tenth of a percent look past
-    # it
-    coarse = 2e-3 if any(get_effect(t.effect).rough for t in model.terms) else 1e-4
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-
-        def evaluate(points: Sequence[Array]) -> Array:
-            columns = residuals(
-                data, [set_values(model, handles, at) for at in points], wanted, pool
-            )
-            if not prior.any():
-                return columns
-            known = [prior[prior > 0] * (at - centre)[prior > 0] for at in points]
-            return np.concatenate([columns, np.stack(known, axis=1)])
-
-        def jacobian(at: Array, base: Array | None = None) -> tuple[Array, Array]:
-            """Residual and Jacobian at a point; without ``base``, its residual, one pass of the
-            kernel takes the point beside its neighbours.
-            """
-            step = coarse * np.maximum(np.abs(at), size)
-            step = np.where(at + step > high, -step, step)
-            ahead = [at + step[i] * np.eye(len(at))[i] for i in range(len(at))]
-            back = (
-                [np.clip(at - step[i] * np.eye(len(at))[i], low, high) for i in range(len(at))]
-                if central
-                else []
-            )
-            here = [at] if base is None else []
-            points = [*here, *ahead, *back]
-            columns = evaluate(points) if points else np.zeros((0, 0))
-            if base is None:
-                base, columns = columns[:, 0].copy(), columns[:, 1:]
-            if not ahead:
-                return base, np.zeros((len(base), 0))
-            behind = columns[:, len(at) :] if central else base[:, None]
-            widths = np.array(
-                [
-                    (p - q)[i]
-                    for i, (p, q) in enumerate(zip(ahead, back or [at] * len(at), strict=True))
-                ]
-            )
-            return base, np.asarray((columns[:, : len(at)] - behind) / widths)
-
-        r, jac = jacobian(x)
+        problem = _Problem(data, model, handles, wanted, pool, central)
+        low, high = problem.low, problem.high
+        x = np.clip(get_values(model, handles) if start is None else start, low, high)
+        r, jac = problem.jacobian(x)
         cost, damping, done, count = float(r @ r), 1e-3, not len(handles), 0
         while not done and count < iterations:
             count += 1
-            # of each number: a gap in mm and a stiffness in MN/m meet in one matrix
-            unit = np.maximum(np.abs(x), size)
-            scaled = jac * unit
-            gradient, normal = scaled.T @ r, scaled.T @ scaled
-            diagonal = np.maximum(
-                np.diag(normal), 1e-12 * max(float(np.max(np.diag(normal))), 1e-300)
-            )
-            use = ~(((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0)))
-            better: tuple[float, Array, Array] | None = None
-            # then shorter steps, all of them at once
-            for dampings in (
-                [damping],
-                [max(damping, 1e-6 / 6.0) * 6.0**i for i in range(1, TRIES)],
-            ):
-                trials = []
-                for value in dampings:
-                    step = np.zeros_like(x)
-                    if use.any():
-                        a = normal[np.ix_(use, use)] + value * np.diag(diagonal[use])
-                        step[use] = -unit[use] * np.linalg.lstsq(a, gradient[use], rcond=1e-14)[0]
-                    trials.append(np.clip(x + step, low, high))
-                slope: Array | None = None
-                if len(trials) == 1 and not brief:  # most first steps are taken
-                    first, slope = jacobian(trials[0])
-                    rows = first[None]
-                else:
-                    rows = np.ascontiguousarray(evaluate(trials).T)
-                tried = zip(dampings, trials, rows, strict=True)
-                better = next((t for t in tried if float(t[2] @ t[2]) < cost), None)
-                if better:
-                    break
+            better = problem.better(x, r, jac, damping, brief)
             if not better:
                 done = True
                 break
             before = cost
-            damping, x, r = better
+            damping, x, r, slope = better
             cost, damping = float(r @ r), max(damping / 8, 1e-9)
             done = (before - cost) / max(before, 1e-300) < tolerance
             if slope is not None:
                 jac = slope
             elif not brief or not (done or count == iterations):
-                jac = jacobian(x, r)[1]
+                jac = problem.jacobian(x, r)[1]
     covariance = robust_covariance(jac, r, block_count(data))
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)

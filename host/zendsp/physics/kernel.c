@@ -1,9 +1,12 @@
-/* One joint seen through an observer: predicts every position sample, returns the normalised innovations.
+/* One joint seen through an observer: predicts every position sample, returns the normalised
+ * innovations.
  *
- * The file is completed at build time: the lines OBSERVER are replaced by observer.c, the line EFFECT_FUNCTIONS therein by one small
- * function per physical effect (see effects/), the lines EFFECT_CASES_* by the cases of the switches that call them. Scheme per
- * inner step h: half drift, two evaluations of the smooth torque at mid position (second order), dry friction as a set-valued law (exact
- * sticking at any step), bristle and hysteresis states implicitly. Units: rad or m, s, N m or N.
+ * The file is completed at build time: the lines OBSERVER are replaced by observer.c, the line
+ * EFFECT_FUNCTIONS therein by one small function per physical effect (see effects/), the lines
+ * EFFECT_CASES_* by the cases of the switches that call them. Scheme per inner step h: half drift,
+ * two evaluations of the smooth torque at mid position (second order), dry friction as a set-valued
+ * law (exact sticking at any step), bristle and hysteresis states implicitly. Units: rad or m, s, N
+ * m or N.
  */
 #include <math.h>
 #include <string.h>
@@ -29,12 +32,15 @@ typedef struct {
     double limit;             /* command units, 0 = none */
     const double *m;          /* n: measured position, quantiser edges where it is a code change */
     double shift;             /* of the sensor's zero: added to every measured position */
-    const double *half;       /* n: half width of the interval in which a measurement says nothing */
+    /* n: half width of the interval in which a measurement says nothing */
+    const double *half;
     const double *k1, *k2;    /* n: observer gains, 0 where the sample says nothing */
     const double *w;          /* n: weight 1 / sqrt(S), 0 where the sample says nothing */
     const double *inertia;    /* n: inertia of the joint along the record */
-    const double *bias;       /* n: torque known from the measured motion of all joints; it acts on the load */
-    double reference;         /* inertia that the inertia of a load is a part of: the rest is the motor's, at any pose */
+    /* n: torque known from the measured motion of all joints; it acts on the load */
+    const double *bias;
+    /* inertia that the inertia of a load is a part of: the rest is the motor's, at any pose */
+    double reference;
     double gravity;           /* torque = gravity sin(q) evaluated on the predicted position */
     const double *other;      /* joints x 3 x n: measured q, qd, qdd of every joint */
     const double *temperature; /* n: degrees C, where an effect feels it */
@@ -42,19 +48,26 @@ typedef struct {
     int nfx;
     const int *kind;          /* nfx */
     const double *p;          /* nfx x MAXP */
-    double q0, qd0, a0;       /* initial state, and its acceleration: it says how far a spring is bent when the recording begins */
+    /* initial state, and its acceleration: it says how far a spring is bent when the recording
+     * begins */
+    double q0, qd0, a0;
     int load_sensor;          /* 1: the sensor sits on the load */
-    int reset;                /* free run: restart from (rq, rqd) every so many samples, no correction; 0 = observer */
+    /* free run: restart from (rq, rqd) every so many samples, no correction; 0 = observer */
+    int reset;
     const double *rq, *rqd;   /* n: states to restart from */
     double t0;                /* time of the first sample, s */
-    double kp, kd;            /* closed loop: command = kp (ref - position) - kd velocity; 0 = recorded command */
+    /* closed loop: command = kp (ref - position) - kd velocity; 0 = recorded command */
+    double kp, kd;
     const double *ref;        /* n: reference of that loop */
     double resolution;        /* of the sensor in that loop, 0 = none */
-    double *uloop;            /* n + 1: integral of the loop's command, written; must be what ucum points to */
+    /* n + 1: integral of the loop's command, written; must be what ucum points to */
+    double *uloop;
 } zk_model;
 
 static inline double sgn(double x) { return (x > 0) - (x < 0); }
-static inline double soft(double v, double lim) { return v > lim ? v - lim : v < -lim ? v + lim : 0.0; }
+static inline double soft(double v, double lim) {
+    return v > lim ? v - lim : v < -lim ? v + lim : 0.0;
+}
 static inline double clip(double v, double lim) { return v > lim ? lim : v < -lim ? -lim : v; }
 
 /* the other joint's measured motion, for couplings; S: a state of observer.c */
@@ -75,9 +88,10 @@ static inline double cum(const zk_model *M, double t) /* integral of the held co
     return M->ucum[i] + (x - i) * (M->ucum[i + 1] - M->ucum[i]);
 }
 
-/* Motor and load of a joint: the motor's inertia is the same at every pose, the load's is what the pose makes of it. */
-static void share_inertia(const zk_model *M, double J, double extra, double load, double *jm, double *jl)
-{
+/* Motor and load of a joint: the motor's inertia is the same at every pose, the load's is what the
+ * pose makes of it. */
+static void share_inertia(const zk_model *M, double J, double extra, double load, double *jm,
+                          double *jl) {
     *jm = M->reference + extra - load;
     if (*jm < 0.02 * J) *jm = 0.02 * J;
     if (*jm > 0.98 * J) *jm = 0.98 * J;
@@ -111,8 +125,9 @@ int zk_run_lanes(const zk_model *M, double *r)
     return pass_many(M, r, 0, 0, 0);
 }
 
-/* Resisting torque of some effects along a measured motion (dry friction with sign smoothed over v0): the column that a screen needs.
- * Nothing depends on the sample before, so the lanes are samples of one parameter set. */
+/* Resisting torque of some effects along a measured motion (dry friction with sign smoothed over
+ * v0): the column that a screen needs. Nothing depends on the sample before, so the lanes are
+ * samples of one parameter set. */
 void zk_trace(const zk_model *M, const double *motion, const double *u, double v0, double *out)
 {
     zk_model same[LANES];
@@ -123,17 +138,26 @@ void zk_trace(const zk_model *M, const double *motion, const double *u, double v
     set_up_many(same, N);
     const int n = M->n;
     for (int first = 0; first < n; first += LANES) {
-        const int k = n < LANES ? 0 : first < n - LANES ? first : n - LANES, some = n < LANES ? n : LANES; /* the last ones twice */
-        double torque[LANES], scale[LANES], level[LANES], acted[LANES], asked[LANES], in[LANES] = {0};
+        const int k = n < LANES           ? 0
+                      : first < n - LANES ? first
+                                          : n - LANES,
+                  some = n < LANES ? n : LANES; /* the last ones twice */
+        double torque[LANES], scale[LANES], level[LANES], acted[LANES], asked[LANES],
+            in[LANES] = {0};
         for (int l = 0; l < some; l++) {
-            S->q[l] = motion[k + l]; S->qd[l] = motion[n + k + l]; S->qdd[l] = motion[2 * (size_t)n + k + l];
-            S->t[l] = M->t0 + (k + l) * M->T; in[l] = S->u[l] = u[k + l]; asked[l] = S->tau[l] = M->gain * u[k + l];
+            S->q[l] = motion[k + l];
+            S->qd[l] = motion[n + k + l];
+            S->qdd[l] = motion[2 * (size_t)n + k + l];
+            S->t[l] = M->t0 + (k + l) * M->T;
+            in[l] = S->u[l] = u[k + l];
+            asked[l] = S->tau[l] = M->gain * u[k + l];
         }
         gather_many(M, N, S, k, some == LANES, torque, scale);
         dry_many(M, N, S, S->qd, scale, level);
         act_many(M, N, S, in, acted);
         for (int l = 0; l < some; l++)
-            out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) + (asked[l] - acted[l]);
+            out[k + l] = torque[l] + (level[l] != 0 ? level[l] * tanh(S->qd[l] / v0) : 0.0) +
+                         (asked[l] - acted[l]);
     }
 }
 
@@ -154,17 +178,19 @@ void zk_sense(const zk_model *M, const double *q, double *out)
         for (int l = 0; l < some; l++) out[first + l] = seen[l] - at[l];
     }
 }
-/* What added torque columns d (cols x n) do to the innovations, to first order: the observer's error dynamics, out (cols x n).
- * meas: columns act on the measurement instead. */
-void zk_filter(int n, double T, const double *k1, const double *k2, const double *w, const double *e_active,
-               const double *inertia, const double *damp, int cols, const double *d, int meas, double *out)
-{
+/* What added torque columns d (cols x n) do to the innovations, to first order: the observer's
+ * error dynamics, out (cols x n). meas: columns act on the measurement instead. */
+void zk_filter(int n, double T, const double *k1, const double *k2, const double *w,
+               const double *e_active, const double *inertia, const double *damp, int cols,
+               const double *d, int meas, double *out) {
     for (int first = 0; first < cols; first += LANES) {
         const int some = cols - first < LANES ? cols - first : LANES;
         const double *dc = d + (size_t)first * n;
-        double *oc = out + (size_t)first * n, q[LANES] = {0}, v[LANES] = {0}, in[LANES] = {0}, r[LANES];
+        double *oc = out + (size_t)first * n, q[LANES] = {0}, v[LANES] = {0}, in[LANES] = {0},
+               r[LANES];
         for (int k = 0; k < n; k++) {
-            const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0, per = 1.0 / inertia[k], ex = 1.0 / (1.0 + damp[k] * T * per);
+            const double on = w[k] > 0 && e_active[k] != 0.0 ? 1.0 : 0.0, per = 1.0 / inertia[k],
+                         ex = 1.0 / (1.0 + damp[k] * T * per);
             for (int l = 0; l < some; l++) in[l] = dc[(size_t)l * n + k];
             EACH {
                 double e = on * ((meas ? in[l] : 0.0) - q[l]);

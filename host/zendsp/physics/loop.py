@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.effects import get_effect
-from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, own_terms, pack
+from zendsp.physics.joint import JointRecord, effective_inertia, mechanism_value, own_terms
 from zendsp.physics.model import Model, per_joint
 from zendsp.physics.native import native
+from zendsp.physics.predict import pack
 
 Array = npt.NDArray[np.float64]
 ROOM = 20.0  # °C

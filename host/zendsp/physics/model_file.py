@@ -181,47 +181,11 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         Which key, what was expected, what stands there.
     """
     read = _Reader(path)
-    read.only(data, KEYS[""], "the file")
-    for key, allowed in KEYS.items():
-        if key:
-            read.only(read.table(data, key), allowed, f"[{key}]")
-    for key, column in read.table(data, "columns").items():
-        if not isinstance(column, str) and not (
-            isinstance(column, list) and all(isinstance(name, str) for name in column)
-        ):
-            raise read.fail(f"[columns] {key}", "the name of a column, or a list of names", column)
+    _check_keys(read, data)
     mechanism = read.table(data, "mechanism")
-    kind = mechanism.get("kind")
-    if kind not in KINDS:
-        raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
-    for key, needed in NEEDED.items():
-        if kind == key and not isinstance(mechanism.get(needed), str):
-            raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
+    kind, values = _mechanism(read, mechanism, path)
     # of the URDF or the Python module
     folder = Path(path).parent / str(mechanism.get("folder", ""))
-    parameters = read.table(mechanism, "parameters")
-    known = PARAMETERS[kind]
-    if known is not None:
-        read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
-    for owner, keys in (("mjcf", OF_MJCF), ("fmu", OF_FMU)):
-        for key in keys:
-            if key in mechanism and kind != owner:
-                raise ModelError(
-                    f"{path}: [mechanism] {key} belongs to kind = {owner!r}, not {kind!r}"
-                )
-    values = {
-        key: read.quantities(f"[mechanism.parameters] {key}", value)
-        for key, value in parameters.items()
-    }
-    for key in REQUIRED[kind]:
-        if key not in values:
-            raise ModelError(
-                f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs"
-            )
-        if key in ("inertia", "mass", "p1", "p2") and any(q.value <= 0 for q in values[key]):
-            raise read.fail(
-                f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value
-            )
     sample_time = data.get("sample_time")
     model = Model(
         name=str(data.get("name", Path(path).stem)),
@@ -252,6 +216,55 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
     return model.with_terms(
         (*own, *(_term(read, item, model.joints) for item in effects))
     )
+
+
+def _check_keys(read: _Reader, data: Mapping[str, Any]) -> None:
+    """Refuse keys that no model file has, and columns that are no names."""
+    read.only(data, KEYS[""], "the file")
+    for key, allowed in KEYS.items():
+        if key:
+            read.only(read.table(data, key), allowed, f"[{key}]")
+    for key, column in read.table(data, "columns").items():
+        if not isinstance(column, str) and not (
+            isinstance(column, list) and all(isinstance(name, str) for name in column)
+        ):
+            raise read.fail(f"[columns] {key}", "the name of a column, or a list of names", column)
+
+
+def _mechanism(
+    read: _Reader, mechanism: Mapping[str, Any], path: str
+) -> tuple[str, dict[str, tuple[Quantity, ...]]]:
+    """Kind and parameters of a mechanism, with all that its kind needs."""
+    kind = mechanism.get("kind")
+    if kind not in KINDS:
+        raise read.fail("[mechanism] kind", " | ".join(KINDS), kind)
+    for key, needed in NEEDED.items():
+        if kind == key and not isinstance(mechanism.get(needed), str):
+            raise read.fail(f"[mechanism] {needed}", "a string", mechanism.get(needed))
+    parameters = read.table(mechanism, "parameters")
+    known = PARAMETERS[kind]
+    if known is not None:
+        read.only(parameters, known, f"[mechanism.parameters] of kind {kind!r}")
+    for owner, keys in (("mjcf", OF_MJCF), ("fmu", OF_FMU)):
+        for key in keys:
+            if key in mechanism and kind != owner:
+                raise ModelError(
+                    f"{path}: [mechanism] {key} belongs to kind = {owner!r}, not {kind!r}"
+                )
+    values = {
+        key: read.quantities(f"[mechanism.parameters] {key}", value)
+        for key, value in parameters.items()
+    }
+    for key in REQUIRED[kind]:
+        if key not in values:
+            raise ModelError(
+                f"{path}: [mechanism.parameters] lacks {key!r}, which kind = {kind!r} needs"
+            )
+        if key in ("inertia", "mass", "p1", "p2") and any(q.value <= 0 for q in values[key]):
+            raise read.fail(
+                f"[mechanism.parameters] {key}", "a number above 0", values[key][0].value
+            )
+    return kind, values
 
 
 def _fmu(read: _Reader, mechanism: Mapping[str, Any]) -> dict[str, Any]:
@@ -382,6 +395,22 @@ def model_text(model: Model, *, beside: bool = False) -> str:
     data: dict[str, Any] = {"name": model.name}
     if model.sample_time:
         data["sample_time"] = model.sample_time
+    data["mechanism"] = _mechanism_table(model, beside)
+    if model.terms:
+        data["effect"] = [_term_table(term) for term in model.terms]
+    data["actuator"] = _actuator_table(model, beside)
+    data["sensor"] = _sensor_table(model)
+    for key, table in (
+        ("controller", model.controller),
+        ("columns", model.columns),
+        ("limits", model.limits),
+    ):
+        if table:
+            data[key] = dict(table)
+    return tomli_w.dumps(data)
+
+
+def _mechanism_table(model: Model, beside: bool) -> dict[str, Any]:
     mechanism: dict[str, Any] = {"kind": model.kind}
     if model.file:
         mechanism["file"] = model.file if beside else str((model.folder / model.file).resolve())
@@ -395,47 +424,47 @@ def model_text(model: Model, *, beside: bool = False) -> str:
         mechanism["entry"] = model.entry
         mechanism["folder"] = str(model.folder.resolve())
     mechanism["parameters"] = {key: _quantity(items) for key, items in model.mechanism.items()}
-    data["mechanism"] = mechanism
-    terms = []
-    for term in model.terms:
-        row: dict[str, Any] = {"kind": term.effect, "joint": term.joint}
-        for name, quantity in term.parameters.items():
-            if term.effect == "coupling" and name == "law":
-                row[name] = LAWS[int(quantity.value)]
-            elif term.effect == "coupling" and name == "from_joint":
-                row[name] = int(quantity.value)
-            else:
-                row[name] = _quantity((quantity,))
-        terms.append(row)
-    if terms:
-        data["effect"] = terms
-    a, s = model.actuator, model.sensor
+    return mechanism
+
+
+def _term_table(term: Term) -> dict[str, Any]:
+    row: dict[str, Any] = {"kind": term.effect, "joint": term.joint}
+    for name, quantity in term.parameters.items():
+        if term.effect == "coupling" and name == "law":
+            row[name] = LAWS[int(quantity.value)]
+        elif term.effect == "coupling" and name == "from_joint":
+            row[name] = int(quantity.value)
+        else:
+            row[name] = _quantity((quantity,))
+    return row
+
+
+def _actuator_table(model: Model, beside: bool) -> dict[str, Any]:
+    a = model.actuator
     gain: Any = _number(a.gain[0]) if len(a.gain) == 1 else [_number(g) for g in a.gain]
-    data["actuator"] = {"gain": {"value": gain, "free": a.gain_free}, "delay": a.delay}
+    actuator: dict[str, Any] = {"gain": {"value": gain, "free": a.gain_free}, "delay": a.delay}
     if beside and not model.robot.commands:
-        del data["actuator"]["gain"]
+        del actuator["gain"]
     if a.limit:
-        data["actuator"]["limit"] = a.limit[0] if len(a.limit) == 1 else list(a.limit)
+        actuator["limit"] = a.limit[0] if len(a.limit) == 1 else list(a.limit)
     if a.hold is not None:
-        data["actuator"]["hold"] = a.hold
+        actuator["hold"] = a.hold
     if a.matrix:
-        data["actuator"]["matrix"] = [list(row) for row in a.matrix]
+        actuator["matrix"] = [list(row) for row in a.matrix]
     if a.unit:
-        data["actuator"]["unit"] = a.unit
-    data["sensor"] = {"side": s.side}
+        actuator["unit"] = a.unit
+    return actuator
+
+
+def _sensor_table(model: Model) -> dict[str, Any]:
+    s = model.sensor
+    sensor: dict[str, Any] = {"side": s.side}
     if s.resolution:
-        data["sensor"]["position_resolution"] = (
+        sensor["position_resolution"] = (
             s.resolution[0] if len(s.resolution) == 1 else list(s.resolution)
         )
     if s.matrix:
-        data["sensor"]["matrix"] = [list(row) for row in s.matrix]
+        sensor["matrix"] = [list(row) for row in s.matrix]
     if s.offset:
-        data["sensor"]["offset"] = list(s.offset)
-    for key, table in (
-        ("controller", model.controller),
-        ("columns", model.columns),
-        ("limits", model.limits),
-    ):
-        if table:
-            data[key] = dict(table)
-    return tomli_w.dumps(data)
+        sensor["offset"] = list(s.offset)
+    return sensor

@@ -1,7 +1,9 @@
-/* The pass of the kernel, for LANES parameter sets at once (see kernel.c, which takes it in twice: for one and for many).
+/* The pass of the kernel, for LANES parameter sets at once (see kernel.c, which takes it in twice:
+ * for one and for many).
  *
- * The lanes have the recording, the observer and the kinds of effects in common and differ in numbers only, so every loop over them is
- * arithmetic without branches: a step is a long chain of operations that wait for each other, and lanes fill the waiting.
+ * The lanes have the recording, the observer and the kinds of effects in common and differ in
+ * numbers only, so every loop over them is arithmetic without branches: a step is a long chain of
+ * operations that wait for each other, and lanes fill the waiting.
  */
 
 typedef struct {
@@ -10,13 +12,15 @@ typedef struct {
     double delay[LANES], lag[LANES], k_spring[LANES], c_spring[LANES], j_load[LANES], gap[LANES];
     double s0[LANES], s1[LANES], bw_force[LANES], bw_a[LANES], bw_n[LANES], j_extra[LANES];
     double k_cubic[LANES], w_amp[LANES], w_order[LANES], w_phase[LANES], filter[LANES];
-    int two_mass, lag_on, gapped, bristled, bent, pulled, late, drives, senses, wavy, filtered, hidden; /* whether any lane has it */
+    int two_mass, lag_on, gapped, bristled, bent, pulled, late, drives, senses, wavy, filtered,
+        hidden; /* whether any lane has it */
 } OF(numbers);
 
 typedef struct { /* what an effect may look at */
     double q[LANES], qd[LANES], qdd[LANES]; /* of the joint; qdd only where a trace is asked for */
     double u[LANES], tau[LANES];            /* command (its own unit) and actuator torque */
-    double t[LANES], temp[LANES], oq[LANES], oqd[LANES], oqdd[LANES]; /* time, degrees C; motion of the other joint, for couplings */
+    /* time, degrees C; motion of the other joint, for couplings */
+    double t[LANES], temp[LANES], oq[LANES], oqd[LANES], oqdd[LANES];
 } OF(state);
 
 /* EFFECT_FUNCTIONS */
@@ -37,23 +41,54 @@ static void OF(set_up)(const zk_model *M, OF(numbers) *N)
             default: break;
             }
         }
-        if (two_mass && !(j_load > 0)) j_load = 0.5 * M[l].reference; /* nobody says how much of the inertia is the load */
-        if (c_spring < 0) c_spring = 0.1 * sqrt(k_spring * j_load); /* nor what damps it: a twentieth of critical */
-        if (!(M[l].kp > 0)) delay -= column_late; /* a loop knows its command before it is recorded */
-        N->shift[l] = M[l].shift; N->gain[l] = M[l].gain; N->limit[l] = M[l].limit > 0 ? M[l].limit : INFINITY; N->gravity[l] = M[l].gravity;
-        N->delay[l] = delay; N->lag[l] = lag; N->k_spring[l] = k_spring; N->c_spring[l] = c_spring; N->j_load[l] = j_load; N->gap[l] = gap;
-        N->s0[l] = s0; N->s1[l] = s1; N->bw_force[l] = bw_force; N->bw_a[l] = bw_a; N->bw_n[l] = bw_n; N->j_extra[l] = j_extra;
-        N->k_cubic[l] = k_cubic; N->w_amp[l] = w_amp; N->w_order[l] = w_order; N->w_phase[l] = w_phase; N->filter[l] = filter;
-        N->wavy |= w_amp != 0 || k_cubic != 0; N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0; N->filtered |= filter > 0; N->drives |= drives; N->senses |= senses;
-        N->two_mass |= two_mass; N->lag_on |= lag_on; N->gapped |= gap > 0; N->bristled |= s0 > 0; N->bent |= bw_force > 0;
+        /* nobody says how much of the inertia is the load */
+        if (two_mass && !(j_load > 0)) j_load = 0.5 * M[l].reference;
+        /* nor what damps it: a twentieth of critical */
+        if (c_spring < 0) c_spring = 0.1 * sqrt(k_spring * j_load);
+        /* a loop knows its command before it is recorded */
+        if (!(M[l].kp > 0)) delay -= column_late;
+        N->shift[l] = M[l].shift;
+        N->gain[l] = M[l].gain;
+        N->limit[l] = M[l].limit > 0 ? M[l].limit : INFINITY;
+        N->gravity[l] = M[l].gravity;
+        N->delay[l] = delay;
+        N->lag[l] = lag;
+        N->k_spring[l] = k_spring;
+        N->c_spring[l] = c_spring;
+        N->j_load[l] = j_load;
+        N->gap[l] = gap;
+        N->s0[l] = s0;
+        N->s1[l] = s1;
+        N->bw_force[l] = bw_force;
+        N->bw_a[l] = bw_a;
+        N->bw_n[l] = bw_n;
+        N->j_extra[l] = j_extra;
+        N->k_cubic[l] = k_cubic;
+        N->w_amp[l] = w_amp;
+        N->w_order[l] = w_order;
+        N->w_phase[l] = w_phase;
+        N->filter[l] = filter;
+        N->wavy |= w_amp != 0 || k_cubic != 0;
+        N->hidden |= lag_on || delay != 0 || s0 > 0 || bw_force > 0;
+        N->filtered |= filter > 0;
+        N->drives |= drives;
+        N->senses |= senses;
+        N->two_mass |= two_mass;
+        N->lag_on |= lag_on;
+        N->gapped |= gap > 0;
+        N->bristled |= s0 > 0;
+        N->bent |= bw_force > 0;
         N->pulled |= M[l].gravity != 0; N->late |= delay != 0;
     }
 }
 
-/* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k + stride l of what is recorded. What the
- * drive cannot give at the speed is a torque that resists, and S->tau then is what it gives. */
-static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M, const OF(numbers) *N, OF(state) *S, int k, int stride, double *torque, double *scale)
-{
+/* torque without dry friction, and what dry friction is multiplied by; lane l looks at sample k +
+ * stride l of what is recorded. What the drive cannot give at the speed is a torque that resists,
+ * and S->tau then is what it gives. */
+static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M,
+                                                             const OF(numbers) * N, OF(state) * S,
+                                                             int k, int stride, double *torque,
+                                                             double *scale) {
     double visc[LANES], thick[LANES];
     EACH { torque[l] = 0; scale[l] = thick[l] = 1; visc[l] = 0; }
     for (int i = 0; i < M->nfx; i++) {
@@ -68,8 +103,9 @@ static inline __attribute__((always_inline)) void OF(gather)(const zk_model *M, 
 }
 
 /* dry friction for motion in the direction of v */
-static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, const OF(numbers) *N, const OF(state) *S, const double *v, const double *scale, double *level)
-{
+static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, const OF(numbers) * N,
+                                                          const OF(state) * S, const double *v,
+                                                          const double *scale, double *level) {
     EACH level[l] = 0;
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
@@ -82,8 +118,9 @@ static inline __attribute__((always_inline)) void OF(dry)(const zk_model *M, con
     (void)v; (void)S;
 }
 
-static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, const OF(numbers) *N, const OF(state) *S, const double *command, double *tau)
-{
+static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, const OF(numbers) * N,
+                                                          const OF(state) * S,
+                                                          const double *command, double *tau) {
     double u[LANES];
     EACH u[l] = clip(command[l], N->limit[l]);
     for (int i = 0; i < M->nfx; i++) {
@@ -97,8 +134,8 @@ static inline __attribute__((always_inline)) void OF(act)(const zk_model *M, con
     (void)S;
 }
 
-static inline __attribute__((always_inline)) void OF(sense)(const zk_model *M, const OF(numbers) *N, OF(state) *S, const double *q, double *out)
-{
+static inline __attribute__((always_inline)) void
+OF(sense)(const zk_model *M, const OF(numbers) * N, OF(state) * S, const double *q, double *out) {
     EACH { S->q[l] = q[l]; out[l] = q[l]; }
     for (int i = 0; i < M->nfx; i++) {
         const double *p = N->p[i];
@@ -109,17 +146,22 @@ static inline __attribute__((always_inline)) void OF(sense)(const zk_model *M, c
     }
 }
 
-/* Innovations r[n x LANES] (weighted); of one lane, where asked for, the corrected states (n) and the actuator torque. Returns 0, or
- * 1 + the sample at which the last lane's prediction ran away. What no lane has is a constant 0 where it is called (see pass), and costs
- * nothing. */
-static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, OF(numbers) *N, double *r, double *xq, double *xqd, double *torque,
-                                                             const int two_mass, const int hidden, const int wavy, const int filtered, const int drives)
-{
+/* Innovations r[n x LANES] (weighted); of one lane, where asked for, the corrected states (n) and
+ * the actuator torque. Returns 0, or 1 + the sample at which the last lane's prediction ran away.
+ * What no lane has is a constant 0 where it is called (see pass), and costs nothing. */
+static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, OF(numbers) * N,
+                                                             double *r, double *xq, double *xqd,
+                                                             double *torque, const int two_mass,
+                                                             const int hidden, const int wavy,
+                                                             const int filtered, const int drives) {
     OF(state) state, *S = &state;
     memset(S, 0, sizeof *S);
-    double q[LANES], qd[LANES], ql[LANES], qdl[LANES], z[LANES], zh[LANES], a[LANES], rub[LANES]; /* rub: dry friction in the step before */
-    double wave[LANES], slope[LANES], bend[LANES], load[LANES], from[LANES], seen[LANES], fade[LANES]; /* see below, where any lane is wavy or filtered */
-    double usum[LANES], u[LANES] = {0}, tau[LANES] = {0}, f[LANES], scale[LANES], level[LANES], y[LANES], e[LANES], ex[LANES], mean[LANES];
+    /* rub: dry friction in the step before */
+    double q[LANES], qd[LANES], ql[LANES], qdl[LANES], z[LANES], zh[LANES], a[LANES], rub[LANES];
+    double wave[LANES], slope[LANES], bend[LANES], load[LANES], from[LANES], seen[LANES],
+        fade[LANES]; /* see below, where any lane is wavy or filtered */
+    double usum[LANES], u[LANES] = {0}, tau[LANES] = {0}, f[LANES], scale[LANES], level[LANES],
+                        y[LANES], e[LANES], ex[LANES], mean[LANES];
     int gone[LANES], left = LANES;
     const int geared = wavy && !two_mass; /* a rigid transmission with an error */
     const int sub = N->gapped ? CONTACT_STEPS * M->sub : M->sub, n = M->n, side = M->load_sensor;
@@ -128,26 +170,37 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
     for (int l = 0; l < LANES; l++) {
         q[l] = ql[l] = M[l].q0; qd[l] = qdl[l] = M[l].qd0;
         z[l] = zh[l] = a[l] = rub[l] = 0; gone[l] = 0;
-        wave[l] = bend[l] = load[l] = 0; slope[l] = 1; seen[l] = q[l]; fade[l] = exp(-h / N->filter[l]);
+        wave[l] = bend[l] = load[l] = 0;
+        slope[l] = 1;
+        seen[l] = q[l];
+        fade[l] = exp(-h / N->filter[l]);
         if (filtered) { /* what is seen is late by the filter */
             q[l] += N->filter[l] * qd[l]; ql[l] = q[l];
             qd[l] += N->filter[l] * M[l].a0; qdl[l] = qd[l];
         }
         if (wavy) { /* the motor where the load is known, and the other way round */
             for (int i = 0; i < 10 && side; i++)
-                q[l] -= (q[l] + N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]) - ql[l]) / (1 + N->w_amp[l] * N->w_order[l] * cos(N->w_order[l] * q[l] + N->w_phase[l]));
+                q[l] -=
+                    (q[l] + N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]) - ql[l]) /
+                    (1 + N->w_amp[l] * N->w_order[l] * cos(N->w_order[l] * q[l] + N->w_phase[l]));
             slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cos(N->w_order[l] * q[l] + N->w_phase[l]);
             if (side) qd[l] /= slope[l];
-            else { ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]); qdl[l] *= slope[l]; }
+            else {
+                ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]);
+                qdl[l] *= slope[l];
+            }
         }
         ex[l] = exp(-h / N->lag[l]); mean[l] = N->lag[l] / h * (1 - ex[l]);
         if (two_mass && !N->gapped) { /* a load in a gap may be anywhere in it */
             double jm, jl;
-            share_inertia(&M[l], M[l].inertia[0] + N->j_extra[l], N->j_extra[l], N->j_load[l], &jm, &jl);
+            share_inertia(&M[l], M[l].inertia[0] + N->j_extra[l], N->j_extra[l], N->j_load[l], &jm,
+                          &jl);
             double push = jl * M[l].a0 + M[l].bias[0] + N->gravity[l] * sin(M[l].q0);
             double bent = N->k_spring[l] > 0 ? push / N->k_spring[l] : 0.0;
-            for (int i = 0; i < 20 && N->k_cubic[l] > 0; i++) /* k x + k3 x^3 = push by Newton's method, which converges from above */
-                bent -= (N->k_spring[l] * bent + N->k_cubic[l] * bent * bent * bent - push) / (N->k_spring[l] + 3 * N->k_cubic[l] * bent * bent);
+            for (int i = 0; i < 20 && N->k_cubic[l] > 0;
+                 i++) /* k x + k3 x^3 = push by Newton's method, which converges from above */
+                bent -= (N->k_spring[l] * bent + N->k_cubic[l] * bent * bent * bent - push) /
+                        (N->k_spring[l] + 3 * N->k_cubic[l] * bent * bent);
             if (side) q[l] += bent;
             else ql[l] -= bent;
         }
@@ -156,16 +209,23 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         double *out = r + (size_t)k * LANES;
         OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
         if (M->kp > 0) { /* simulated in closed loop: the innovations are the measured position */
-            double at = M->resolution > 0 ? M->resolution * floor(y[0] / M->resolution + 0.5) : y[0];
+            double at =
+                M->resolution > 0 ? M->resolution * floor(y[0] / M->resolution + 0.5) : y[0];
             out[0] = at;
             vloop += 0.2 * ((at - yloop) / M->T - vloop);
             yloop = at;
-            M->uloop[k + 1] = M->uloop[k] + clip(M->kp * (M->ref[k] - at) - M->kd * vloop, N->limit[0]) * M->T;
+            M->uloop[k + 1] =
+                M->uloop[k] + clip(M->kp * (M->ref[k] - at) - M->kd * vloop, N->limit[0]) * M->T;
         } else if (M->reset > 0) {
             if (k % M->reset == 0) { /* a state of which the sensor would say what is recorded */
                 double rate[LANES], off[LANES];
                 for (int i = 0; i < (N->senses ? 4 : 1); i++) {
-                    EACH { double dq = M->rq[k] + N->shift[l] - y[l]; q[l] += dq; ql[l] += dq; seen[l] += dq; }
+                    EACH {
+                        double dq = M->rq[k] + N->shift[l] - y[l];
+                        q[l] += dq;
+                        ql[l] += dq;
+                        seen[l] += dq;
+                    }
                     if (N->senses) OF(sense)(M, N, S, filtered ? seen : side ? ql : q, y);
                 }
                 EACH rate[l] = M->rqd[k];
@@ -176,7 +236,8 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 }
                 if (filtered) { /* the joint is ahead of what is seen of it */
                     const int before = k > 0 ? k - 1 : k, after = k + 1 < n ? k + 1 : k;
-                    const double grows = (M->rqd[after] - M->rqd[before]) / ((after - before) * M->T);
+                    const double grows =
+                        (M->rqd[after] - M->rqd[before]) / ((after - before) * M->T);
                     EACH {
                         double dq = seen[l] + N->filter[l] * rate[l] - (side ? ql[l] : q[l]);
                         q[l] += dq; ql[l] += dq; rate[l] += N->filter[l] * grows;
@@ -192,7 +253,8 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 e[l] = w > 0 ? soft(m + N->shift[l] - y[l], half) : 0.0;
                 out[l] = w * e[l];
                 /* in a gap, what pushes one side does not reach the other */
-                double dq = k1 * e[l], dv = k2 * e[l], apart = fabs(q[l] - ql[l]) < 0.5 * N->gap[l] ? 0.0 : 1.0;
+                double dq = k1 * e[l], dv = k2 * e[l],
+                       apart = fabs(q[l] - ql[l]) < 0.5 * N->gap[l] ? 0.0 : 1.0;
                 q[l] += dq; ql[l] += dq;
                 qd[l] += side ? apart * dv : dv;
                 qdl[l] += side ? dv : apart * dv;
@@ -201,10 +263,15 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         }
         const double near = M->kp > 0 ? M->ref[k] : M->m[k];
         int lost = 0;
-        for (int l = 0; l < LANES; l++) lost |= !(fabs((side ? ql[l] : q[l]) - near) < 1e3) | !(fabs(qd[l]) < 1e5);
+        for (int l = 0; l < LANES; l++)
+            lost |= !(fabs((side ? ql[l] : q[l]) - near) < 1e3) | !(fabs(qd[l]) < 1e5);
         if (lost)
             for (int l = 0; l < LANES; l++)
-                if (!gone[l] && (!(fabs((side ? ql[l] : q[l]) - near) < 1e3) || !(fabs(qd[l]) < 1e5))) { gone[l] = 1 + k; left--; }
+                if (!gone[l] &&
+                    (!(fabs((side ? ql[l] : q[l]) - near) < 1e3) || !(fabs(qd[l]) < 1e5))) {
+                    gone[l] = 1 + k;
+                    left--;
+                }
         if (!left) {
             for (int l = 0; l < LANES; l++)
                 for (int i = gone[l] - 1; i < n; i++) r[(size_t)i * LANES + l] = 1e9;
@@ -215,7 +282,10 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
         if (k == n - 1) { if (torque) torque[k] = k ? torque[k - 1] : 0; break; }
         const double added = M->extra ? M->extra[k] : 0;
         double jm[LANES], jl[LANES], per_jm[LANES], per_jl[LANES], bias[LANES];
-        for (int l = 0; l < LANES; l++) { jm[l] = M[l].inertia[k] + N->j_extra[l]; bias[l] = M[l].bias[k]; }
+        for (int l = 0; l < LANES; l++) {
+            jm[l] = M[l].inertia[k] + N->j_extra[l];
+            bias[l] = M[l].bias[k];
+        }
         if (geared) EACH load[l] = jm[l] - N->j_extra[l];
         if (two_mass)
             for (int l = 0; l < LANES; l++) {
@@ -223,16 +293,22 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 per_jl[l] = 1.0 / jl[l];
             }
         EACH { per_jm[l] = 1.0 / jm[l]; usum[l] = 0; }
-        const int steady = !hidden || (!N->lag_on && !N->late); /* the command is held over the sample */
+        /* the command is held over the sample */
+        const int steady = !hidden || (!N->lag_on && !N->late);
         if (steady) {
-            EACH { u[l] = (M->ucum[k + 1] - M->ucum[k]) / M->T; S->t[l] = M->t0 + (k + 0.5) * M->T; }
+            EACH {
+                u[l] = (M->ucum[k + 1] - M->ucum[k]) / M->T;
+                S->t[l] = M->t0 + (k + 0.5) * M->T;
+            }
             OF(act)(M, N, S, u, tau);
         }
         for (int i = 0; i < sub; i++) {
-            const double tl = k * M->T + i * h; /* record time for the command, absolute time for effects */
+            /* record time for the command, absolute time for effects */
+            const double tl = k * M->T + i * h;
             EACH S->t[l] = M->t0 + tl + 0.5 * h;
             if (!steady) {
-                for (int l = 0; l < LANES; l++) u[l] = (cum(M, tl + h - N->delay[l]) - cum(M, tl - N->delay[l])) * per_h;
+                for (int l = 0; l < LANES; l++)
+                    u[l] = (cum(M, tl + h - N->delay[l]) - cum(M, tl - N->delay[l])) * per_h;
                 if (hidden && N->lag_on)
                     EACH {
                         double before = k == 0 && i == 0 ? u[l] : a[l], held = u[l];
@@ -254,27 +330,40 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 EACH {
                     double at = N->w_order[l] * S->q[l] + N->w_phase[l];
                     slope[l] = 1 + N->w_amp[l] * N->w_order[l] * cos(at);
-                    wave[l] = N->w_amp[l] * sin(two_mass ? N->w_order[l] * q[l] + N->w_phase[l] : at);
-                    bend[l] = -N->w_amp[l] * N->w_order[l] * N->w_order[l] * sin(at) * slope[l] * load[l]; /* times the speed squared */
+                    wave[l] =
+                        N->w_amp[l] * sin(two_mass ? N->w_order[l] * q[l] + N->w_phase[l] : at);
+                    bend[l] = -N->w_amp[l] * N->w_order[l] * N->w_order[l] * sin(at) * slope[l] *
+                              load[l]; /* times the speed squared */
                 }
             if (geared)
                 EACH {
                     jm[l] = load[l] * slope[l] * slope[l] + N->j_extra[l]; per_jm[l] = 1.0 / jm[l];
-                    push[l] = tau[l] - added - slope[l] * (bias[l] + N->gravity[l] * sin(S->q[l] + wave[l]));
+                    push[l] = tau[l] - added -
+                              slope[l] * (bias[l] + N->gravity[l] * sin(S->q[l] + wave[l]));
                 }
             if (two_mass) {
                 double fall[LANES];
                 EACH fall[l] = bias[l];
                 if (N->pulled) EACH fall[l] += N->gravity[l] * sin(ql[l] + 0.5 * h * qdl[l]);
                 EACH {
-                    double dv = (wavy ? slope[l] * qd[l] : qd[l]) - qdl[l], d = q[l] - ql[l] + (wavy ? wave[l] : 0.0), gap = N->gap[l], moved = h * dv;
-                    double e0 = soft(d, 0.5 * gap), e1 = soft(d + moved, 0.5 * gap), g = 0.5 * (e0 + e1); /* mean deflection */
+                    double dv = (wavy ? slope[l] * qd[l] : qd[l]) - qdl[l],
+                           d = q[l] - ql[l] + (wavy ? wave[l] : 0.0), gap = N->gap[l],
+                           moved = h * dv;
+                    double e0 = soft(d, 0.5 * gap), e1 = soft(d + moved, 0.5 * gap),
+                           g = 0.5 * (e0 + e1); /* mean deflection */
                     int moves = fabs(moved) > 1e-12 * gap;
-                    double per = 1.0 / (moves ? moved : 1.0), on = moves ? (e1 - e0) * per : e0 != 0.0 ? 1.0 : 0.0; /* share of the step in contact */
+                    double per = 1.0 / (moves ? moved : 1.0),
+                           on = moves       ? (e1 - e0) * per
+                                : e0 != 0.0 ? 1.0
+                                            : 0.0; /* share of the step in contact */
                     on = gap > 0 ? on : 1.0;
                     g = (on < 1.0) & (on > 0.0) & (gap > 0) ? 0.5 * (e1 * e1 - e0 * e0) * per : g;
-                    double c = N->c_spring[l] * on, pull = (wavy ? N->k_spring[l] + N->k_cubic[l] * g * g : N->k_spring[l]) * g + c * dv;
-                    pull /= 1.0 + 0.5 * h * c * (per_jm[l] + per_jl[l]); /* damped by the mean speed of the step */
+                    double c = N->c_spring[l] * on,
+                           pull = (wavy ? N->k_spring[l] + N->k_cubic[l] * g * g : N->k_spring[l]) *
+                                      g +
+                                  c * dv;
+                    /* damped by the mean speed of the step */
+                    pull /= 1.0 + 0.5 * h * c * (per_jm[l] + per_jl[l]);
                     spring[l] = (gap > 0) & (pull * g < 0) ? 0.0 : pull; /* a contact pushes only */
                     double vl = qdl[l] + h * (spring[l] - fall[l]) * per_jl[l];
                     ql[l] += 0.5 * h * (qdl[l] + vl);
@@ -293,19 +382,26 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
             if (hidden && N->bent) /* Bouc-Wen, |z| <= 1 */
                 EACH {
                     double az = pow(fabs(zh[l]), N->bw_n[l]), v = S->qd[l];
-                    double zn = zh[l] + h * N->bw_a[l] * (v - 0.5 * fabs(v) * az * sgn(zh[l]) - 0.5 * v * az);
+                    double zn = zh[l] + h * N->bw_a[l] *
+                                            (v - 0.5 * fabs(v) * az * sgn(zh[l]) - 0.5 * v * az);
                     zn = zn > 1 ? 1 : zn < -1 ? -1 : zn;
                     free[l] -= N->bw_force[l] * 0.5 * (zh[l] + zn);
                     zh[l] = zn;
                 }
             EACH vfree[l] = qd[l] + h * free[l] * per_jm[l];
             OF(dry)(M, N, S, vfree, scale, level);
-            EACH { level[l] = level[l] > 0 ? level[l] : 0.0; vn[l] = soft(vfree[l], h * level[l] * per_jm[l]); }
-            if (hidden && N->bristled) /* bristle: z' = qd - s0 |qd| z / level, implicit in z and qd */
+            EACH {
+                level[l] = level[l] > 0 ? level[l] : 0.0;
+                vn[l] = soft(vfree[l], h * level[l] * per_jm[l]);
+            }
+            if (hidden &&
+                N->bristled) /* bristle: z' = qd - s0 |qd| z / level, implicit in z and qd */
                 EACH {
                     int on = (N->s0[l] > 0) & (level[l] > 0);
-                    double D = 1 + h * N->s0[l] * fabs(S->qd[l]) / (on ? level[l] : 1.0), st = N->s0[l] + N->s1[l] * per_h, w = h * per_jm[l];
-                    double v = (vfree[l] + w * (N->s1[l] * per_h * z[l] - st * z[l] / D)) / (1 + w * st * h / D);
+                    double D = 1 + h * N->s0[l] * fabs(S->qd[l]) / (on ? level[l] : 1.0),
+                           st = N->s0[l] + N->s1[l] * per_h, w = h * per_jm[l];
+                    double v = (vfree[l] + w * (N->s1[l] * per_h * z[l] - st * z[l] / D)) /
+                               (1 + w * st * h / D);
                     vn[l] = on ? v : vn[l];
                     z[l] = on ? (z[l] + h * v) / D : z[l];
                 }
@@ -316,7 +412,11 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 usum[l] += S->tau[l];
             }
             if (!two_mass) EACH { ql[l] = q[l]; qdl[l] = qd[l]; }
-            if (geared) EACH { ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]); qdl[l] *= slope[l]; }
+            if (geared)
+                EACH {
+                    ql[l] += N->w_amp[l] * sin(N->w_order[l] * q[l] + N->w_phase[l]);
+                    qdl[l] *= slope[l];
+                }
             if (filtered) /* exact for a position that moves evenly within the step */
                 EACH {
                     double to = side ? ql[l] : q[l], lag = (to - from[l]) * per_h * N->filter[l];
@@ -335,6 +435,8 @@ static int OF(pass)(const zk_model *M, double *r, double *xq, double *xqd, doubl
 {
     OF(numbers) numbers, *N = &numbers;
     OF(set_up)(M, N);
-    if (N->wavy || N->filtered || N->drives) return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, 1, N->wavy, N->filtered, N->drives);
+    if (N->wavy || N->filtered || N->drives)
+        return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, 1, N->wavy, N->filtered,
+                           N->drives);
     return OF(predict)(M, N, r, xq, xqd, torque, N->two_mass, N->hidden, 0, 0, 0);
 }

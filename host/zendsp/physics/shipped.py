@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from zendsp.errors import ModelError
+from zendsp_isr.sources import found_or_shipped
 
 
 def model_folder() -> Path:
@@ -44,13 +45,12 @@ def find_model(name: str | Path) -> Path:
     >>> find_model("imi_planar.toml").is_file()
     True
     """
-    path = Path(name)
-    if path.exists():
-        return path
-    shipped = {each.name: each for each in sorted(model_folder().glob("*.toml"))}
-    if str(name) in shipped:
-        return shipped[str(name)]
-    raise ModelError(
-        f"{path}: cannot be read: no such file, and no shipped model; give the path of a model"
-        f" file, or one of {', '.join(shipped)}; 'zendsp model new' begins one"
-    )
+    shipped = sorted(model_folder().glob("*.toml"))
+    found = found_or_shipped(name, shipped)
+    if found is None:
+        raise ModelError(
+            f"{name}: cannot be read: no such file, and no shipped model; give the path of a model"
+            f" file, or one of {', '.join(each.name for each in shipped)}; 'zendsp model new'"
+            " begins one"
+        )
+    return found

@@ -1,11 +1,14 @@
-/* A machine as its model file describes it, forward in time: coupled rigid bodies and every effect of the library.
+/* A machine as its model file describes it, forward in time: coupled rigid bodies and every effect
+ * of the library.
  *
- * Completed at build time: EFFECT_FUNCTIONS becomes one small function per physical effect (see effects/), EFFECT_CASES_* the
- * switches that call them. simulate_tree.h, simulate_state.h and simulate_solve.h go before it.
+ * Completed at build time: EFFECT_FUNCTIONS becomes one small function per physical effect (see
+ * effects/), EFFECT_CASES_* the switches that call them. simulate_tree.h, simulate_state.h and
+ * simulate_solve.h go before it.
  *
- * Scheme: implicit midpoint in two stages. Position halfway is q + h/2 v; a half step from there gives the speed halfway, at which
- * all forces are taken for the full step. Linear damping, springs in the transmission and bristles are implicit (stable at any
- * step). Dry friction is set-valued and coupled through M(q): the speed at the end solves A v + h λ = b, λ in friction's interval,
+ * Scheme: implicit midpoint in two stages. Position halfway is q + h/2 v; a half step from there
+ * gives the speed halfway, at which all forces are taken for the full step. Linear damping, springs
+ * in the transmission and bristles are implicit (stable at any step). Dry friction is set-valued
+ * and coupled through M(q): the speed at the end solves A v + h λ = b, λ in friction's interval,
  * exactly (a joint that friction can hold does not move). Second order in h away from impacts.
  *
  * Units: rad or m, s, N m or N. Joints from 0.
@@ -15,7 +18,8 @@
 
 enum { ROOM = 20 }; /* degrees C, where nobody says */
 
-typedef struct { double smooth, dry_pos, dry_neg, visc, tau; } sim_force; /* tau: what the drive gives at this speed */
+/* tau: what the drive gives at this speed */
+typedef struct { double smooth, dry_pos, dry_neg, visc, tau; } sim_force;
 
 /* Torque of all effects of one joint that opposes the drive, at the state in s. visc: N m s/rad. */
 static void gather(const sim *S, int joint, const double *x, const double *v, zs s, sim_force *f) {
@@ -41,7 +45,9 @@ static void gather(const sim *S, int joint, const double *x, const double *v, zs
 /* degrees C in this sample */
 static double warmth(const sim *S) {
     const int last = S->c.temperatures - 1;
-    return last < 0 ? ROOM : S->c.temperature[S->ticks - 1 < last ? (S->ticks > 0 ? S->ticks - 1 : 0) : last];
+    return last < 0
+               ? ROOM
+               : S->c.temperature[S->ticks - 1 < last ? (S->ticks > 0 ? S->ticks - 1 : 0) : last];
 }
 
 static double act(const sim *S, int joint, double u, double t) {
@@ -76,8 +82,10 @@ static double sense(const sim *S, int joint, double q) {
 }
 
 static void setup_joint(sim *S, int joint) {
-    double delay = 0, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0, s0 = 0, s1 = 0, bw_force = 0, bw_a = 0, bw_n = 1;
-    double j_extra = 0, k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0, column_late = 0;
+    double delay = 0, lag = 0, k_spring = 0, c_spring = 0, j_load = 0, gap = 0, s0 = 0, s1 = 0,
+           bw_force = 0, bw_a = 0, bw_n = 1;
+    double j_extra = 0, k_cubic = 0, w_amp = 0, w_order = 0, w_phase = 0, filter = 0,
+           column_late = 0;
     int two_mass = 0, lag_on = 0;
     for (int i = S->first[joint]; i < S->first[joint + 1]; i++) {
         const double *p = S->c.effect_p + i * SIM_P;
@@ -87,13 +95,31 @@ static void setup_joint(sim *S, int joint) {
         }
     }
     sim_joint *j = &S->j[joint];
-    *j = (sim_joint){.delay = delay + S->c.delay, .lag = lag, .k_spring = k_spring, .c_spring = c_spring, .j_load = j_load,
-                     .gap = gap, .s0 = s0, .s1 = s1, .bw_force = bw_force, .bw_a = bw_a, .bw_n = bw_n, .j_extra = j_extra,
-                     .k_cubic = k_cubic, .w_amp = w_amp, .w_order = w_order, .w_phase = w_phase, .filter = filter,
-                     .column_late = column_late, .two_mass = two_mass, .lag_on = lag_on && lag > 0, .motor = joint};
+    *j = (sim_joint){.delay = delay + S->c.delay,
+                     .lag = lag,
+                     .k_spring = k_spring,
+                     .c_spring = c_spring,
+                     .j_load = j_load,
+                     .gap = gap,
+                     .s0 = s0,
+                     .s1 = s1,
+                     .bw_force = bw_force,
+                     .bw_a = bw_a,
+                     .bw_n = bw_n,
+                     .j_extra = j_extra,
+                     .k_cubic = k_cubic,
+                     .w_amp = w_amp,
+                     .w_order = w_order,
+                     .w_phase = w_phase,
+                     .filter = filter,
+                     .column_late = column_late,
+                     .two_mass = two_mass,
+                     .lag_on = lag_on && lag > 0,
+                     .motor = joint};
 }
 
-/* What a transmission makes of a motor's position x; slope: of the load's speed to the motor's, bend: what that changes by with x. */
+/* What a transmission makes of a motor's position x; slope: of the load's speed to the motor's,
+ * bend: what that changes by with x. */
 static double through(const sim_joint *j, double x, double *slope, double *bend) {
     if (j->w_amp == 0)
         return *slope = 1, *bend = 0, x;
@@ -114,7 +140,8 @@ static double side(const sim *S, int joint, double *speed) {
     return x;
 }
 
-/* Positions y of the links where the joints' coordinates are x: motors' where a transmission is rigid. */
+/* Positions y of the links where the joints' coordinates are x: motors' where a transmission is
+ * rigid. */
 static void links(const sim *S, const double *x, double *y, double *slope, double *bend) {
     for (int i = 0; i < S->c.joints; i++) {
         y[i] = x[i], slope[i] = 1, bend[i] = 0;
@@ -141,7 +168,8 @@ static void inertia(const sim *S, const double *x, tree_pose *pose, double *M) {
 }
 
 /* Coriolis, centrifugal and gravity torque. */
-static void bias(const sim *S, const double *x, const double *v, const tree_pose *pose, double *out) {
+static void bias(const sim *S, const double *x, const double *v, const tree_pose *pose,
+                 double *out) {
     if (S->c.kind == SIM_TREE)
         tree_torque(S->c.joints, S->c.tree, pose, S->c.gravity, v, 0, out);
     else if (S->c.kind == SIM_PLANAR2R) {
@@ -153,18 +181,21 @@ static void bias(const sim *S, const double *x, const double *v, const tree_pose
             out[i] = S->c.weight[i] != 0 ? S->c.weight[i] * sin(x[i]) : 0.0;
 }
 
-/* Speeds after H seconds from speeds v, forces at (xm, ve). M: the links' inertia at xm. keep: also advance bristles and hysteresis. */
-static void stage(sim *S, double H, double t, const double *M, const tree_pose *pose, const double *xm, const double *v,
-                  const double *ve, double *out, int keep) {
+/* Speeds after H seconds from speeds v, forces at (xm, ve). M: the links' inertia at xm. keep: also
+ * advance bristles and hysteresis. */
+static void stage(sim *S, double H, double t, const double *M, const tree_pose *pose,
+                  const double *xm, const double *v, const double *ve, double *out, int keep) {
     const int n = S->c.joints, N = S->dof;
     double A[SIM_DOF * SIM_DOF], b[SIM_DOF], up[SIM_DOF], down[SIM_DOF], g[SIM_MAX];
-    double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX], yd[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX];
+    double E[SIM_MAX], phi[SIM_MAX], zh[SIM_MAX], y[SIM_MAX], yd[SIM_MAX], slope[SIM_MAX],
+        bend[SIM_MAX];
     if (S->uneven) {
         links(S, xm, y, slope, bend);
         for (int i = 0; i < n; i++)
             yd[i] = slope[i] * ve[i];
         bias(S, y, yd, pose, g);
-        for (int i = 0; i < n; i++) { /* in the joints' coordinates, with what an uneven turn accelerates */
+        /* in the joints' coordinates, with what an uneven turn accelerates */
+        for (int i = 0; i < n; i++) {
             for (int k = 0; k < n; k++)
                 g[i] += M[i * n + k] * bend[k] * ve[k] * ve[k];
             g[i] *= slope[i];
@@ -194,10 +225,17 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     for (int i = 0; i < n; i++) {
         const sim_joint *j = &S->j[i];
         const int m = j->motor;
-        zs s = {.q = xm[m], .qd = ve[m], .t = t, .u = j->u, .tau = j->tau, .lag_t = H, .temp = warmth(S)};
+        zs s = {.q = xm[m],
+                .qd = ve[m],
+                .t = t,
+                .u = j->u,
+                .tau = j->tau,
+                .lag_t = H,
+                .temp = warmth(S)};
         sim_force f;
         gather(S, i, xm, ve, s, &f);
-        double damp = f.visc, push = j->tau - f.smooth; /* damp: implicit, taken at the mean of old and new speed */
+        /* damp: implicit, taken at the mean of old and new speed */
+        double damp = f.visc, push = j->tau - f.smooth;
         if (keep)
             S->torque[i] += f.tau;
         if (j->bw_force > 0) {
@@ -226,9 +264,12 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
             through(j, xm[m], &turn, &unused);
             const double rate = turn * v[m] - v[i];
             const double open = soft(twist + 0.5 * H * rate, 0.5 * j->gap);
-            if (j->gap <= 0 || open * (j->k_spring * open + j->c_spring * rate) > 0) { /* a contact pushes only */
-                const double rest = twist - (twist + 0.5 * H * rate - open); /* measured from the edge of the gap */
-                const double hard = j->k_cubic * rest * rest, c = 0.5 * H * (j->k_spring + 3 * hard) + j->c_spring;
+            /* a contact pushes only */
+            if (j->gap <= 0 || open * (j->k_spring * open + j->c_spring * rate) > 0) {
+                /* measured from the edge of the gap */
+                const double rest = twist - (twist + 0.5 * H * rate - open);
+                const double hard = j->k_cubic * rest * rest,
+                             c = 0.5 * H * (j->k_spring + 3 * hard) + j->c_spring;
                 const double pull = (j->k_spring + hard) * rest + 0.5 * c * rate;
                 A[m * N + m] += 0.5 * H * c * turn * turn;
                 A[i * N + i] += 0.5 * H * c;
@@ -253,7 +294,8 @@ static void stage(sim *S, double H, double t, const double *M, const tree_pose *
     }
 }
 
-/* Integral of the held command of a joint up to time t since the first sample; no command before it. */
+/* Integral of the held command of a joint up to time t since the first sample; no command before
+ * it. */
 static double cum(const sim *S, int joint, double t) {
     const double x = t / S->c.period;
     if (x <= 0)
@@ -269,7 +311,8 @@ static void inner_step(sim *S, double tl, double h) {
     const int n = S->c.joints;
     for (int i = 0; i < n; i++) {
         sim_joint *j = &S->j[i];
-        double u = j->delay == 0 ? S->held[i] : (cum(S, i, tl + h - j->delay) - cum(S, i, tl - j->delay)) / h;
+        double u = j->delay == 0 ? S->held[i]
+                                 : (cum(S, i, tl + h - j->delay) - cum(S, i, tl - j->delay)) / h;
         if (j->lag_on) {
             const double ex = exp(-h / j->lag), mean = u + (j->a - u) * (j->lag / h) * (1 - ex);
             j->a = u + (j->a - u) * ex;
@@ -278,7 +321,8 @@ static void inner_step(sim *S, double tl, double h) {
         j->u = u;
         j->tau = act(S, i, u, S->c.t0 + tl + 0.5 * h);
     }
-    double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF], y[SIM_MAX], slope[SIM_MAX], bend[SIM_MAX], from[SIM_MAX], unused;
+    double M[SIM_MAX * SIM_MAX], xm[SIM_DOF], vm[SIM_DOF], vn[SIM_DOF], y[SIM_MAX], slope[SIM_MAX],
+        bend[SIM_MAX], from[SIM_MAX], unused;
     tree_pose pose;
     for (int i = 0; i < S->dof; i++)
         xm[i] = S->x[i] + 0.5 * h * S->v[i];
@@ -294,7 +338,8 @@ static void inner_step(sim *S, double tl, double h) {
         S->x[i] += 0.5 * h * (S->v[i] + vn[i]);
         S->v[i] = vn[i];
     }
-    for (int i = 0; i < n && S->filtered; i++) { /* filtered sensors, exactly for a position that moves evenly within the step */
+    /* filtered sensors, exactly for a position that moves evenly within the step */
+    for (int i = 0; i < n && S->filtered; i++) {
         sim_joint *j = &S->j[i];
         if (j->filter <= 0)
             continue;
@@ -327,9 +372,13 @@ sim *sim_new(const sim_config *c, int room) {
         S->x[i] = c->q0[i];
         S->v[i] = c->qd0[i];
         sim_joint *j = &S->j[i];
-        if (j->two_mass) { /* the motor has what the load has not, of the inertia that is the same at every pose, as in kernel.c */
-            const double all = c->kind == SIM_PLANAR2R ? (i == 0 ? c->p1 : c->p2) : M[i * c->joints + i];
-            if (j->j_load <= 0) /* nobody says how much of the inertia is the load, nor what damps it */
+        /* the motor has what the load has not, of the inertia that is the same at every pose, as in
+         * kernel.c */
+        if (j->two_mass) {
+            const double all =
+                c->kind == SIM_PLANAR2R ? (i == 0 ? c->p1 : c->p2) : M[i * c->joints + i];
+            if (j->j_load <=
+                0) /* nobody says how much of the inertia is the load, nor what damps it */
                 j->j_load = 0.5 * all;
             if (j->c_spring < 0)
                 j->c_spring = 0.1 * sqrt(j->k_spring * j->j_load);
@@ -381,7 +430,8 @@ void sim_measure(const sim *S, double *measured, int32_t *counts) {
     const int n = S->c.joints;
     double joint[SIM_MAX], unused;
     for (int i = 0; i < n; i++)
-        joint[i] = sense(S, i, S->j[i].filter > 0 ? S->j[i].seen : side(S, i, &unused)) - S->c.sensor_offset[i];
+        joint[i] = sense(S, i, S->j[i].filter > 0 ? S->j[i].seen : side(S, i, &unused)) -
+                   S->c.sensor_offset[i];
     for (int i = 0; i < n; i++) {
         double m = 0;
         for (int k = 0; k < n; k++)
@@ -392,7 +442,8 @@ void sim_measure(const sim *S, double *measured, int32_t *counts) {
     }
 }
 
-/* One sample with a command (own unit and coordinates). Returns 0, or 1 where the motion ran away. */
+/* One sample with a command (own unit and coordinates). Returns 0, or 1 where the motion ran away.
+ */
 int sim_advance(sim *S, const double *command) {
     const int n = S->c.joints, k = S->ticks;
     if (k >= S->room)
@@ -420,10 +471,12 @@ int sim_advance(sim *S, const double *command) {
     return 0;
 }
 
-/* Closed loop: command = ff + kp (r - y) - kd rate + ki sum, rate the filtered difference of what the sensor says (cutoff in Hz,
- * 0: unfiltered), limited at `most` where that is above 0. Rows of n. Returns the rows completed. */
-int sim_loop(sim *S, int rows, const double *r, const double *ff, const double *kp, const double *kd, const double *ki,
-             double cutoff, const double *most, double *measured, double *command, double *q, double *qd, double *torque) {
+/* Closed loop: command = ff + kp (r - y) - kd rate + ki sum, rate the filtered difference of what
+ * the sensor says (cutoff in Hz, 0: unfiltered), limited at `most` where that is above 0. Rows of
+ * n. Returns the rows completed. */
+int sim_loop(sim *S, int rows, const double *r, const double *ff, const double *kp,
+             const double *kd, const double *ki, double cutoff, const double *most,
+             double *measured, double *command, double *q, double *qd, double *torque) {
     const int n = S->c.joints;
     const double T = S->c.period, mix = cutoff > 0 ? 1 - exp(-6.283185307179586 * cutoff * T) : 1;
     double rate[SIM_MAX] = {0}, last[SIM_MAX] = {0}, sum[SIM_MAX] = {0};

@@ -1,7 +1,8 @@
-/* Mathematics of simulate.c: the set-valued law of dry friction coupled through the mass matrix, and closed forms of one step. */
+/* Mathematics of simulate.c: the set-valued law of dry friction coupled through the mass matrix,
+ * and closed forms of one step. */
 
-/* Gaussian elimination without pivoting (A is positive definite up to the effects' couplings); rows and columns of joints that
- * friction holds are left out. Solution in v. */
+/* Gaussian elimination without pivoting (A is positive definite up to the effects' couplings); rows
+ * and columns of joints that friction holds are left out. Solution in v. */
 static void eliminate(int n, const double *A, const double *b, const int8_t *stuck, double *v) {
     int at[SIM_DOF], m = 0;
     for (int i = 0; i < n; i++) {
@@ -33,8 +34,10 @@ static void eliminate(int n, const double *A, const double *b, const int8_t *stu
         v[at[i]] = r[i];
 }
 
-/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest. v comes in as a guess. */
-static void solve(int n, const double *A, const double *b, const double *up, const double *down, double *v) {
+/* A v + λ = b, λ_i = up_i for v_i > 0, -down_i for v_i < 0, between them at rest. v comes in as a
+ * guess. */
+static void solve(int n, const double *A, const double *b, const double *up, const double *down,
+                  double *v) {
     if (n == 1) {
         v[0] = (b[0] > up[0] ? b[0] - up[0] : b[0] < -down[0] ? b[0] + down[0] : 0) / A[0];
         return;
@@ -78,14 +81,18 @@ static void solve(int n, const double *A, const double *b, const double *up, con
         if (!changed)
             return;
     }
-    for (int sweep = 0; sweep < 200; sweep++) { /* it cycled (many joints at the edge at once): converge slowly but surely */
+    /* it cycled (many joints at the edge at once): converge slowly but surely */
+    for (int sweep = 0; sweep < 200; sweep++) {
         double change = 0, size = 0;
         for (int i = 0; i < n; i++) {
             double load = b[i];
             for (int k = 0; k < n; k++)
                 if (k != i)
                     load -= A[i * n + k] * v[k];
-            const double next = (load > up[i] ? load - up[i] : load < -down[i] ? load + down[i] : 0) / A[i * n + i];
+            const double next = (load > up[i]      ? load - up[i]
+                                 : load < -down[i] ? load + down[i]
+                                                   : 0) /
+                                A[i * n + i];
             change = fmax(change, fabs(next - v[i]));
             size = fmax(size, fabs(next));
             v[i] = next;

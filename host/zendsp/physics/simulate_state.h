@@ -1,4 +1,5 @@
-/* What the simulator of simulate.c is told (sim_config), and what it remembers (sim_joint, sim). Goes before simulate_solve.h.
+/* What the simulator of simulate.c is told (sim_config), and what it remembers (sim_joint, sim).
+ * Goes before simulate_solve.h.
  *
  * Units: rad or m, s, N m or N. Joints from 0.
  */
@@ -18,8 +19,10 @@ typedef struct sim_config {
     double delay;                /* s, of every command */
     double p1, p2, p3;           /* planar2r, kg m^2 */
     double gravity[3];           /* tree, m/s^2 */
-    double inertia[SIM_MAX], weight[SIM_MAX];      /* diagonal: kg m^2 or kg; torque = weight sin(q) */
-    double gain[SIM_MAX], limit[SIM_MAX];          /* torque per command unit; command units, 0: none */
+    /* diagonal: kg m^2 or kg; torque = weight sin(q) */
+    double inertia[SIM_MAX], weight[SIM_MAX];
+    /* torque per command unit; command units, 0: none */
+    double gain[SIM_MAX], limit[SIM_MAX];
     double resolution[SIM_MAX];                    /* of the sensor, 0: continuous */
     double command_matrix[SIM_MAX * SIM_MAX];      /* joint command = matrix command */
     double sensor_matrix[SIM_MAX * SIM_MAX];       /* measured = matrix (joint - offset) */
@@ -56,9 +59,11 @@ typedef struct sim {
     sim_config c;
     sim_joint j[SIM_MAX];
     int dof, ticks, room;
-    int uneven, filtered;          /* whether a rigid transmission has an error, a sensor a filter */
+    /* whether a rigid transmission has an error, a sensor a filter */
+    int uneven, filtered;
     int first[SIM_MAX + 1];        /* effects of joint i: first[i] … first[i + 1] */
-    double x[SIM_DOF], v[SIM_DOF]; /* position and speed: joints (load side), then motors of elastic joints */
+    /* position and speed: joints (load side), then motors of elastic joints */
+    double x[SIM_DOF], v[SIM_DOF];
     double across[SIM_MAX][SIM_MAX]; /* inertia couplings of the effects */
     double *ucum;                  /* room + 1 rows of joints: integral of the held command */
     double held[SIM_MAX];
@@ -66,4 +71,6 @@ typedef struct sim {
 } sim;
 
 static inline double sgn(double x) { return (x > 0) - (x < 0); }
-static inline double soft(double v, double lim) { return v > lim ? v - lim : v < -lim ? v + lim : 0.0; }
+static inline double soft(double v, double lim) {
+    return v > lim ? v - lim : v < -lim ? v + lim : 0.0;
+}

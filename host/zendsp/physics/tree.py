@@ -175,39 +175,32 @@ def _read(robot: ET.Element, path: str) -> list[Body]:
             if kind == "fixed":
                 visit(child, index, turn, at)
                 continue
-            if kind not in ("revolute", "prismatic"):
-                raise ModelError(
-                    f"{path}: joint {joint.attrib['name']!r} is {kind}: use revolute with limits,"
-                    " prismatic or fixed"
-                )
-            if joint.find("limit") is None or joint.find("mimic") is not None:
-                raise ModelError(
-                    f"{path}: joint {joint.attrib['name']!r} needs <limit> and no <mimic>"
-                )
-            found = joint.find("axis")
-            axis = _numbers("1 0 0" if found is None else found.attrib["xyz"])
-            length = float(np.linalg.norm(axis))
-            if not length > 0.0:
-                raise ModelError(f"{path}: joint {joint.attrib['name']!r} has an axis of no length")
-            bodies.append(
-                Body(
-                    index,
-                    kind == "prismatic",
-                    axis / length,
-                    turn,
-                    at,
-                    0.0,
-                    np.zeros(3),
-                    np.zeros((3, 3)),
-                    child,
-                )
-            )
+            axis, slides = _axis(joint, path), kind == "prismatic"
+            none, flat = np.zeros(3), np.zeros((3, 3))
+            bodies.append(Body(index, slides, axis, turn, at, 0.0, none, flat, child))
             visit(child, len(bodies) - 1, np.eye(3), np.zeros(3))
 
     visit(roots[0], -1, np.eye(3), np.zeros(3))
     if not bodies:
         raise ModelError(f"{path}: has no joint that moves")
     return bodies
+
+
+def _axis(joint: ET.Element, path: str) -> Array:
+    """Unit vector of a joint that moves, (3,)."""
+    name, kind = joint.attrib["name"], joint.attrib["type"]
+    if kind not in ("revolute", "prismatic"):
+        raise ModelError(
+            f"{path}: joint {name!r} is {kind}: use revolute with limits, prismatic or fixed"
+        )
+    if joint.find("limit") is None or joint.find("mimic") is not None:
+        raise ModelError(f"{path}: joint {name!r} needs <limit> and no <mimic>")
+    found = joint.find("axis")
+    axis = _numbers("1 0 0" if found is None else found.attrib["xyz"])
+    length = float(np.linalg.norm(axis))
+    if not length > 0.0:
+        raise ModelError(f"{path}: joint {name!r} has an axis of no length")
+    return np.asarray(axis / length)
 
 
 def joined(b: Body, mass: float, com: Array, inertia: Array) -> Body:

@@ -78,8 +78,7 @@ def write_recording(path: Path, table: dict[str, Any]) -> None:
 
 def write_hdf(path: Path, table: dict[str, Any]) -> None:
     """MAT v7.3: HDF5 with MATLAB's transposed arrays and its header block of 512 bytes."""
-    import h5py
-
+    h5py = need("h5py", "hdf5", "a MAT file of version 7.3")
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in table.items():
             array = np.asarray(value, float)

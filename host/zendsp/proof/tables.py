@@ -39,8 +39,7 @@ def read_columns(path: Path) -> dict[str, Array]:
 
         return {k: np.asarray(v, float) for k, v in loadmat(path).items() if not k.startswith("_")}
     except NotImplementedError:  # what SciPy says of v7.3
-        import h5py
-
+        h5py = need("h5py", "hdf5", "a MAT file of version 7.3")
         with h5py.File(path) as file:
             return {k: np.asarray(file[k], float).T for k in file}
 

@@ -206,3 +206,22 @@ def move_one_joint(machine: Machine, start: Array, joint: int, motion: Array) ->
         )
     moving = np.ones(machine.joints) if joint == 0 else np.eye(machine.joints)[joint - 1]
     return np.asarray(start + motion[:, None] * moving)
+
+
+# what several kinds ask for
+ELBOW = Parameter(
+    "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
+)
+MOVE_TIME = Parameter(
+    "duration",
+    "float",
+    "s",
+    0.0,
+    "Time of the move; 0: the shortest within the limits.",
+    0.0,
+    3600.0,
+)
+TIME_LAW = Parameter(
+    "law", "choice", "", "quintic", "Time law along the way.", choices=("quintic", "trapezoid")
+)
+BLEND = Parameter("blend", "float", "", 0.25, "Share of each ramp (trapezoid).", 0.01, 0.5)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from zendsp.errors import Refused, ZendspError
-from zendsp.link.link import background
+from zendsp.link.background import background
 from zendsp.recording import Recording
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import Player, Setup, present_position

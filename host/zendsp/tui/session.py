@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from zendsp.errors import LinkError, NotStopped, ZendspError
-from zendsp.link.link import background
+from zendsp.link.background import background
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History

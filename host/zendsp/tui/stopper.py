@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import NotStopped, ZendspError
 from zendsp.link import connect
+from zendsp.link.background import background
 from zendsp.link.find import remote_endpoints
-from zendsp.link.link import background
 from zendsp.link.programs import TAKEN_S, stopped
 from zendsp.link.stop_page import StopPage, find
 

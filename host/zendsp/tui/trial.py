@@ -13,7 +13,7 @@ import numpy as np
 
 from zendsp.errors import Refused, ZendspError
 from zendsp.link import Rehearsal
-from zendsp.link.link import background
+from zendsp.link.background import background
 from zendsp.reference import Machine, Reference
 from zendsp.tui.playing import (
     Player,

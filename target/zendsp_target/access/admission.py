@@ -32,6 +32,7 @@ LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
 OPEN = ("stop", "stopped", "status", "info")
 ENCRYPTED = ("tls", "quic")
 OWNER = "owner"  # name that goes with the token of a loopback port
+EVERYWHERE = f"{keys.ROOT}/**"
 
 
 def read_users(path: str) -> dict[str, str]:
@@ -352,6 +353,50 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
     )
 
 
+class _Rules:
+    """The three lists of Zenoh's access control: rules, subjects, and which rule is for whom."""
+
+    def __init__(self) -> None:
+        self.rules: list[dict[str, object]] = []
+        self.subjects: list[dict[str, object]] = []
+        self.policies: list[dict[str, object]] = []
+        asks = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
+        says = ("reply", "liveliness_token", "declare_queryable", *asks)
+        self._common = [
+            self._rule("say", "egress", says, (EVERYWHERE,)),
+            self._rule("listen", "ingress", asks, (EVERYWHERE,)),
+        ]
+
+    def _rule(self, number: str, flow: str, messages: Sequence[str], wanted: Sequence[str]) -> str:
+        self.rules.append(
+            {
+                "id": number,
+                "permission": "allow",
+                "flows": [flow],
+                "messages": list(messages),
+                "key_exprs": list(wanted),
+            }
+        )
+        return number
+
+    def admit(
+        self,
+        number: str,
+        who: Mapping[str, object],
+        asked: Sequence[str],
+        there: str,
+        told: Sequence[str],
+    ) -> None:
+        """Let in somebody: what may be asked, where it may show that it is there, what it hears."""
+        rights = [
+            self._rule(f"ask {number}", "ingress", ("query",), (keys.info(), *asked)),
+            self._rule(f"show {number}", "ingress", ("liveliness_token",), (there,)),
+            self._rule(f"tell {number}", "egress", ("put", "delete"), told),
+        ]
+        self.subjects.append({"id": number, **who})
+        self.policies.append({"rules": [*self._common, *rights], "subjects": [number]})
+
+
 def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict[str, object]:
     """Zenoh's access control for the session of a target.
 
@@ -373,81 +418,23 @@ def access_control(name: str, doors: Doors, connect: Sequence[str] = ()) -> dict
     dict
         The value of ``access_control``.
     """
-    rules: list[dict[str, object]] = []
-    subjects: list[dict[str, object]] = []
-    policies: list[dict[str, object]] = []
-
-    def rule(number: str, flow: str, messages: Sequence[str], wanted: Sequence[str]) -> str:
-        rules.append(
-            {
-                "id": number,
-                "permission": "allow",
-                "flows": [flow],
-                "messages": list(messages),
-                "key_exprs": list(wanted),
-            }
-        )
-        return number
-
-    everywhere = f"{keys.ROOT}/**"
-    common = [
-        rule(
-            "say",
-            "egress",
-            (
-                "reply",
-                "liveliness_token",
-                "declare_queryable",
-                "declare_subscriber",
-                "declare_liveliness_subscriber",
-                "liveliness_query",
-            ),
-            (everywhere,),
-        ),
-        rule(
-            "listen",
-            "ingress",
-            ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
-            (everywhere,),
-        ),
-    ]
-
-    def admit(
-        number: str,
-        who: Mapping[str, object],
-        asked: Sequence[str],
-        there: str,
-        told: Sequence[str],
-    ) -> None:
-        rights = [
-            rule(f"ask {number}", "ingress", ("query",), (keys.info(), *asked)),
-            rule(f"show {number}", "ingress", ("liveliness_token",), (there,)),
-            rule(f"tell {number}", "egress", ("put", "delete"), told),
-        ]
-        subjects.append({"id": number, **who})
-        policies.append({"rules": [*common, *rights], "subjects": [number]})
-
+    table = _Rules()
     everything = (keys.rpc(name, "*"), keys.rpc(name, "*", "*"), keys.variable("*", "**"))
     own = {"link_protocols": ["unixsock-stream"]} if not doors.users else {"usernames": [OWNER]}
-    admit(OWNER, own, everything, keys.host(name), (everywhere,))
+    table.admit(OWNER, own, everything, keys.host(name), (EVERYWHERE,))
     for user in doors.named:
         asked = (keys.rpc(name, "*", user), keys.variable(name, "**", user))
         told = (keys.event(name), keys.live(name, user=user))
+        there = keys.host(name, f"{user}@$*")
         for field_name in ("usernames", "cert_common_names"):
-            admit(
-                f"{field_name} {user}",
-                {field_name: [user]},
-                asked,
-                keys.host(name, f"{user}@$*"),
-                told,
-            )
+            table.admit(f"{field_name} {user}", {field_name: [user]}, asked, there, told)
     if connect:
-        protocols = sorted({endpoint.partition("/")[0] for endpoint in connect})
-        admit("routers", {"link_protocols": protocols}, everything, keys.host(name), (everywhere,))
+        protocols = {"link_protocols": sorted({_protocol(endpoint) for endpoint in connect})}
+        table.admit("routers", protocols, everything, keys.host(name), (EVERYWHERE,))
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": rules,
-        "subjects": subjects,
-        "policies": policies,
+        "rules": table.rules,
+        "subjects": table.subjects,
+        "policies": table.policies,
     }

@@ -1,21 +1,27 @@
-/* mujoco_machine: any MuJoCo model (MJCF, or URDF as MuJoCo reads it) as a simulated machine: zendsp target --machine arm.xml
+/* mujoco_machine: any MuJoCo model (MJCF, or URDF as MuJoCo reads it) as a simulated machine:
+ * zendsp target --machine arm.xml
  *
- *     M(q) qdd + c(q, qd) + contacts, springs, … (MuJoCo) = tau_drive − friction − concealed effects (plant.h)
+ *     M(q) qdd + c(q, qd) + contacts, springs, … (MuJoCo) = tau_drive − friction − concealed
+ * effects (plant.h)
  *
- * MuJoCo gives the acceleration. The joints with a motor are integrated by the plant that all simulated machines share, so
- * that drives, electronics, friction and concealed effects are the same as theirs; what else moves is integrated beside
- * them (`others`). Two things are taken out of MuJoCo's hands:
+ * MuJoCo gives the acceleration. The joints with a motor are integrated by the plant that all
+ * simulated machines share, so that drives, electronics, friction and concealed effects are the
+ * same as theirs; what else moves is integrated beside them (`others`). Two things are taken out of
+ * MuJoCo's hands:
  *
- *     frictionloss, damping   become friction of the plant: MuJoCo's own dry friction is regularised and creeps under load
- *     actuators at the joints become torque drives; gains, servos and activation are dropped, limits and gear are kept
+ *     frictionloss, damping   become friction of the plant: MuJoCo's own dry friction is
+ * regularised and creeps under load actuators at the joints become torque drives; gains, servos and
+ * activation are dropped, limits and gear are kept
  *
- * Joints of the machine: those with an actuator, in the order of the file; without any actuator all hinges and slides; or
- * those that the key `joints` names. Actuators that are not taken over hold the control of the keyframe.
+ * Joints of the machine: those with an actuator, in the order of the file; without any actuator all
+ * hinges and slides; or those that the key `joints` names. Actuators that are not taken over hold
+ * the control of the keyframe.
  *
  * Analog inputs: the scalars of the model's sensors, in the order of the file, the first eight.
  *
- * Config keys: model (path), clock, joints (names, by comma), keyframe (name), q1 … (start), counts (encoder, a turn or a
- * metre), speed_max, torque_max (of every joint), substep (s), din (bits), those of plant.h and concealed.h.
+ * Config keys: model (path), clock, joints (names, by comma), keyframe (name), q1 … (start), counts
+ * (encoder, a turn or a metre), speed_max, torque_max (of every joint), substep (s), din (bits),
+ * those of plant.h and concealed.h.
  */
 #include <float.h>  /* DBL_MAX */
 #include <setjmp.h> /* MuJoCo's errors while it loads */
@@ -33,13 +39,16 @@
 
 enum { POSES = 24 };                        /* at which inertia is looked at */
 enum { TRIALS = 40 };                       /* samples that are timed at the start */
-static const double full_scale = 10000.0;   /* mV, command that gives the torque limit (or speed limit) */
+/* mV, command that gives the torque limit (or speed limit) */
+static const double full_scale = 10000.0;
 static const double two_pi = 6.283185307179586;
-static const double turn_counts = 131072.0; /* encoder, counts a turn: 17 bits, usual on the joint side */
+/* encoder, counts a turn: 17 bits, usual on the joint side */
+static const double turn_counts = 131072.0;
 static const double metre_counts = 1e6;     /* encoder of a slide, counts a metre */
 static const double give = 0.002;           /* rad or m, after which bristles break away */
 
-/* 16-bit analog output, a millivolt of noise on the line, current loop of 1 kHz, interpolated encoder: usual, chosen here. */
+/* 16-bit analog output, a millivolt of noise on the line, current loop of 1 kHz, interpolated
+ * encoder: usual, chosen here. */
 static const plant_electronics usual = {.dac_step = 20000.0 / 65536.0,
                                         .dac_noise = 1.0,
                                         .current_loop = 1.6e-4,
@@ -66,7 +75,8 @@ typedef struct robot {
 
 /* ---- MuJoCo's errors ---- */
 
-static _Thread_local jmp_buf *loading; /* where an error while loading returns to; NULL: the loop runs */
+/* where an error while loading returns to; NULL: the loop runs */
+static _Thread_local jmp_buf *loading;
 static _Thread_local char complaint[512];
 
 static void on_error(const char *text) {
@@ -95,7 +105,8 @@ static const char *name_of(const mjModel *m, int address, const char *otherwise)
 
 /* ---- dynamics ---- */
 
-static void acceleration(void *self, const double *q, const double *qd, const double *torque, double *qdd) {
+static void acceleration(void *self, const double *q, const double *qd, const double *torque,
+                         double *qdd) {
     robot *r = self;
     mjData *d = r->data;
     int same = r->known;
@@ -105,7 +116,8 @@ static void acceleration(void *self, const double *q, const double *qd, const do
         d->qvel[r->speed[j]] = qd[j];
         d->qfrc_applied[r->speed[j]] = r->net[j] = torque[j];
     }
-    mj_forwardSkip(r->model, d, same ? mjSTAGE_VEL : mjSTAGE_NONE, 1); /* another torque alone moves no body */
+    /* another torque alone moves no body */
+    mj_forwardSkip(r->model, d, same ? mjSTAGE_VEL : mjSTAGE_NONE, 1);
     r->known = 1;
     for (int j = 0; j < r->plant.joints; j++)
         qdd[j] = d->qacc[r->speed[j]];
@@ -117,8 +129,10 @@ static int carry(void *self, int joint, double mass, const double *place) {
     mjModel *m = r->model;
     const int body = m->jnt_bodyid[r->joint[joint]];
     double turn[9], full[9] = {0}, half[9], own[9], away[3], axes[9];
-    double *centre = &m->body_ipos[3 * body], *quat = &m->body_iquat[4 * body], *moments = &m->body_inertia[3 * body];
-    const double before = m->body_mass[body], after = before + mass, reduced = before * mass / after;
+    double *centre = &m->body_ipos[3 * body], *quat = &m->body_iquat[4 * body],
+           *moments = &m->body_inertia[3 * body];
+    const double before = m->body_mass[body], after = before + mass,
+                 reduced = before * mass / after;
     for (int i = 0; i < 3; i++)
         full[4 * i] = moments[i];
     mju_quat2Mat(turn, quat);
@@ -164,7 +178,8 @@ static void others(void *self, int stage, double h) {
 
 /* 1 / (M^-1)_jj of every joint at the present pose: what the joint's own torque has to turn. */
 static void inertia_here(robot *r, double *inertia) {
-    double zero[PLANT_JOINTS] = {0}, rest[PLANT_JOINTS], push[PLANT_JOINTS], q[PLANT_JOINTS], moved[PLANT_JOINTS];
+    double zero[PLANT_JOINTS] = {0}, rest[PLANT_JOINTS], push[PLANT_JOINTS], q[PLANT_JOINTS],
+           moved[PLANT_JOINTS];
     for (int j = 0; j < r->plant.joints; j++)
         q[j] = r->data->qpos[r->position[j]];
     r->known = 0;
@@ -180,11 +195,14 @@ static void inertia_here(robot *r, double *inertia) {
 
 /* ---- reading the model ---- */
 
-static int turns(const mjModel *m, int joint) { return m->jnt_type[joint] == mjJNT_HINGE || m->jnt_type[joint] == mjJNT_SLIDE; }
+static int turns(const mjModel *m, int joint) {
+    return m->jnt_type[joint] == mjJNT_HINGE || m->jnt_type[joint] == mjJNT_SLIDE;
+}
 
 static int actuator_of(const mjModel *m, int joint) {
     for (int a = 0; a < m->nactuator; a++)
-        if ((m->actuator_trntype[a] == mjTRN_JOINT || m->actuator_trntype[a] == mjTRN_JOINTINPARENT) &&
+        if ((m->actuator_trntype[a] == mjTRN_JOINT ||
+             m->actuator_trntype[a] == mjTRN_JOINTINPARENT) &&
             m->actuator_trnid[2 * a] == joint)
             return a;
     return -1;
@@ -195,7 +213,9 @@ static int add_joint(robot *r, int joint, char *error, size_t size, const char *
     char text[256];
     const char *name = name_of(m, m->name_jntadr[joint], "(without a name)");
     if (!turns(m, joint)) {
-        snprintf(text, sizeof text, "joint '%s' is a %s joint; a drive moves a hinge or a slide. Name others with --machine-option joints=…",
+        snprintf(text, sizeof text,
+                 "joint '%s' is a %s joint; a drive moves a hinge or a slide. Name others with "
+                 "--machine-option joints=…",
                  name, m->jnt_type[joint] == mjJNT_BALL ? "ball" : "free");
         return refuse(error, size, file, text);
     }
@@ -206,7 +226,9 @@ static int add_joint(robot *r, int joint, char *error, size_t size, const char *
         int driven = 0;
         for (int k = 0; k < m->njnt; k++)
             driven += turns(m, k) && (actuator_of(m, k) >= 0 || m->nactuator == 0);
-        snprintf(text, sizeof text, "%d joints with a drive, a machine has %d at most: choose with --machine-option joints=NAME,NAME,…",
+        snprintf(text, sizeof text,
+                 "%d joints with a drive, a machine has %d at most: choose with --machine-option "
+                 "joints=NAME,NAME,…",
                  driven, PLANT_JOINTS);
         return refuse(error, size, file, text);
     }
@@ -223,7 +245,8 @@ static int choose_joints(robot *r, const char *config, char *error, size_t size,
             if (joint < 0) {
                 int n = snprintf(text, sizeof text, "no joint '%s'; there are", name);
                 for (int k = 0; k < m->njnt && n > 0 && (size_t)n < sizeof text; k++)
-                    n += snprintf(text + n, sizeof text - (size_t)n, "%s %s", k ? "," : "", name_of(m, m->name_jntadr[k], "?"));
+                    n += snprintf(text + n, sizeof text - (size_t)n, "%s %s", k ? "," : "",
+                                  name_of(m, m->name_jntadr[k], "?"));
                 return refuse(error, size, file, text);
             }
             if (add_joint(r, joint, error, size, file) != 0)
@@ -236,7 +259,9 @@ static int choose_joints(robot *r, const char *config, char *error, size_t size,
                     return -1;
     }
     if (r->plant.joints == 0)
-        return refuse(error, size, file, "no hinge or slide joint that an actuator drives: a machine needs one at least");
+        return refuse(
+            error, size, file,
+            "no hinge or slide joint that an actuator drives: a machine needs one at least");
     for (int j = 0; j < r->plant.joints; j++) {
         r->position[j] = m->jnt_qposadr[r->joint[j]];
         r->speed[j] = m->jnt_dofadr[r->joint[j]];
@@ -268,7 +293,8 @@ static int place(robot *r, const char *config, char *error, size_t size, const c
     return 0;
 }
 
-/* Smallest and present inertia of every joint, over poses spread through its range (a low-discrepancy sequence). */
+/* Smallest and present inertia of every joint, over poses spread through its range (a
+ * low-discrepancy sequence). */
 static void look_at_inertia(robot *r, double *least, double *here) {
     mjData *d = r->data;
     double start[PLANT_JOINTS], now[PLANT_JOINTS];
@@ -309,16 +335,19 @@ static double torque_of(const mjModel *m, int joint, int actuator, double gear) 
     const int control = m->actuator_ctrladr[actuator];
     if (m->actuator_forcelimited[actuator])
         own = fmax(fabs(force[0]), fabs(force[1])) * fabs(gear);
-    else if (m->actuator_biastype[actuator] == mjBIAS_NONE && m->actuator_gaintype[actuator] == mjGAIN_FIXED &&
-             m->actuator_ctrlnum[actuator] == 1 && m->actuator_ctrllimited[control])
-        own = fmax(fabs(m->actuator_ctrlrange[2 * control]), fabs(m->actuator_ctrlrange[2 * control + 1])) *
+    else if (m->actuator_biastype[actuator] == mjBIAS_NONE &&
+             m->actuator_gaintype[actuator] == mjGAIN_FIXED && m->actuator_ctrlnum[actuator] == 1 &&
+             m->actuator_ctrllimited[control])
+        own = fmax(fabs(m->actuator_ctrlrange[2 * control]),
+                   fabs(m->actuator_ctrlrange[2 * control + 1])) *
               fabs(m->actuator_gainprm[mjNGAIN * actuator] * gear);
     return most > 0.0 && own > 0.0 ? fmin(most, own) : most > 0.0 ? most : own;
 }
 
 static void describe_joint(robot *r, int j, const char *config, double inertia, double gravity) {
     mjModel *m = r->model;
-    const int joint = r->joint[j], actuator = actuator_of(m, joint), slide = m->jnt_type[joint] == mjJNT_SLIDE;
+    const int joint = r->joint[j], actuator = actuator_of(m, joint),
+              slide = m->jnt_type[joint] == mjJNT_SLIDE;
     const double *range = &m->jnt_range[2 * joint];
     const int limited = m->jnt_limited[joint] && range[1] > range[0];
     machine_joint *info = &r->info.joint[j];
@@ -332,8 +361,12 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
     if (torque <= 0.0)
         torque = 2.0 * fabs(gravity) + 50.0 * inertia;
     torque = machine_config_double(config, "torque_max", torque);
-    const double speed = machine_config_double(config, "speed_max", slide ? 2.0 : limited ? two_pi : 50.0);
-    const double counts = machine_config_double(config, "counts", slide ? metre_counts : turn_counts);
+    const double speed = machine_config_double(config, "speed_max",
+                                               slide     ? 2.0
+                                               : limited ? two_pi
+                                                         : 50.0);
+    const double counts =
+        machine_config_double(config, "counts", slide ? metre_counts : turn_counts);
     const int passive = actuator < 0 && m->nactuator > 0; /* an encoder without a motor */
     snprintf(info->command, sizeof info->command, passive ? "none" : slide ? "force" : "torque");
     info->counts_per_unit = slide ? counts : counts / two_pi;
@@ -348,8 +381,8 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
     info->home = r->data->qpos[r->position[j]];
     /* the drive is ours from here on */
     for (int a = 0; a < m->nactuator; a++)
-        if (m->actuator_trnid[2 * a] == joint &&
-            (m->actuator_trntype[a] == mjTRN_JOINT || m->actuator_trntype[a] == mjTRN_JOINTINPARENT)) {
+        if (m->actuator_trnid[2 * a] == joint && (m->actuator_trntype[a] == mjTRN_JOINT ||
+                                                  m->actuator_trntype[a] == mjTRN_JOINTINPARENT)) {
             m->actuator_gaintype[a] = mjGAIN_FIXED;
             m->actuator_biastype[a] = mjBIAS_NONE;
             mju_zero(&m->actuator_gainprm[mjNGAIN * a], mjNGAIN);
@@ -361,13 +394,15 @@ static void describe_joint(robot *r, int j, const char *config, double inertia, 
                                       .brake = passive ? 0.0 : 5.0 * inertia};
 }
 
-/* Friction of the model becomes friction of the plant; returns the longest step that is stable with it, s. */
+/* Friction of the model becomes friction of the plant; returns the longest step that is stable with
+ * it, s. */
 static double take_friction(robot *r, int j, double least) {
     mjModel *m = r->model;
     const int dof = r->speed[j];
     const double level = m->dof_frictionloss[dof], viscous = m->dof_damping[dof];
     const double firm = (level > 0.0 ? level : 0.01 * r->info.joint[j].torque_max) / give;
-    const double stiffest = 2.5e7 * least; /* a swing of 5000 rad/s, half a radian in a step of 0.1 ms */
+    /* a swing of 5000 rad/s, half a radian in a step of 0.1 ms */
+    const double stiffest = 2.5e7 * least;
     const double bristle = firm < stiffest ? firm : stiffest;
     r->plant.friction[j] = (plant_friction){.coulomb_pos = level,
                                             .coulomb_neg = level,
@@ -392,13 +427,15 @@ static void name_sensors(robot *r) {
         for (int e = 0; e < m->sensor_dim[s] && r->info.adcs < MACHINE_ADCS; e++) {
             const int i = r->info.adcs++;
             const char *name = name_of(m, m->name_sensoradr[s], "sensor");
-            const char *unit = m->sensor_type[s] == mjSENS_JOINTVEL   ? "rad/s"
-                               : m->sensor_type[s] == mjSENS_JOINTPOS ? "rad"
-                               : m->sensor_type[s] == mjSENS_TORQUE || m->sensor_type[s] == mjSENS_JOINTACTFRC ? "N m"
-                               : m->sensor_type[s] == mjSENS_FORCE || m->sensor_type[s] == mjSENS_TOUCH ? "N"
-                               : m->sensor_type[s] == mjSENS_GYRO          ? "rad/s"
-                               : m->sensor_type[s] == mjSENS_ACCELEROMETER ? "m/s^2"
-                                                                           : "";
+            const char *unit =
+                m->sensor_type[s] == mjSENS_JOINTVEL   ? "rad/s"
+                : m->sensor_type[s] == mjSENS_JOINTPOS ? "rad"
+                : m->sensor_type[s] == mjSENS_TORQUE || m->sensor_type[s] == mjSENS_JOINTACTFRC
+                    ? "N m"
+                : m->sensor_type[s] == mjSENS_FORCE || m->sensor_type[s] == mjSENS_TOUCH ? "N"
+                : m->sensor_type[s] == mjSENS_GYRO                                       ? "rad/s"
+                : m->sensor_type[s] == mjSENS_ACCELEROMETER                              ? "m/s^2"
+                                                                                         : "";
             r->sensor[i] = s;
             r->element[i] = e;
             if (m->sensor_dim[s] == 1)
@@ -461,22 +498,27 @@ static double time_sample(robot *r, double period) {
     return best;
 }
 
-static int check_time(robot *r, const char *config, double period, char *error, size_t size, const char *file) {
+static int check_time(robot *r, const char *config, double period, char *error, size_t size,
+                      const char *file) {
     char clock[8] = "", text[320];
     double takes = time_sample(r, period);
     machine_config_text(config, "clock", clock, sizeof clock);
-    if (takes > 0.5 * period && r->plant.substep < r->longest) { /* a coarser step that is stable too */
+    /* a coarser step that is stable too */
+    if (takes > 0.5 * period && r->plant.substep < r->longest) {
         r->plant.substep = fmin(r->longest, 0.5 * period);
         r->model->opt.timestep = r->plant.substep;
         takes = time_sample(r, period);
     }
     snprintf(r->info.text, sizeof r->info.text,
-             "MuJoCo model %.60s, %d joints with a drive of %d (simulated): steps of %.3g us, %.3g us for a sample of %.4g us.",
-             r->info.name, r->plant.joints, (int)r->model->njnt, 1e6 * r->plant.substep, 1e6 * takes, 1e6 * period);
+             "MuJoCo model %.60s, %d joints with a drive of %d (simulated): steps of %.3g us, %.3g "
+             "us for a sample of %.4g us.",
+             r->info.name, r->plant.joints, (int)r->model->njnt, 1e6 * r->plant.substep,
+             1e6 * takes, 1e6 * period);
     if (strcmp(clock, "real") != 0 || takes < 0.9 * period)
         return 0;
     snprintf(text, sizeof text,
-             "simulating %.4g ms takes %.4g ms here, in steps of %.3g us: give --clock fast, or a model with fewer contacts and "
+             "simulating %.4g ms takes %.4g ms here, in steps of %.3g us: give --clock fast, or a "
+             "model with fewer contacts and "
              "less damping on light joints",
              1e3 * period, 1e3 * takes, 1e6 * r->plant.substep);
     return refuse(error, size, file, text);
@@ -495,7 +537,8 @@ static void robot_close(void *handle) {
     free(r);
 }
 
-static int load(robot *r, const char *config, double period, char *error, size_t size, const char *file) {
+static int load(robot *r, const char *config, double period, char *error, size_t size,
+                const char *file) {
     char why[512] = "";
     r->model = mj_loadXML(file, NULL, why, sizeof why);
     if (!r->model)
@@ -505,7 +548,8 @@ static int load(robot *r, const char *config, double period, char *error, size_t
     r->qvel = calloc((size_t)r->model->nv + 1, sizeof(double));
     if (!r->data || !r->qpos || !r->qvel)
         return refuse(error, size, file, "out of memory");
-    if (choose_joints(r, config, error, size, file) != 0 || place(r, config, error, size, file) != 0)
+    if (choose_joints(r, config, error, size, file) != 0 ||
+        place(r, config, error, size, file) != 0)
         return -1;
     r->plant.acceleration = acceleration;
     r->plant.self = r;
@@ -522,7 +566,8 @@ static int load(robot *r, const char *config, double period, char *error, size_t
     return check_time(r, config, period, error, size, file);
 }
 
-static int robot_open(void **handle, const char *config, double period, machine_info *info, char *error, size_t error_size) {
+static int robot_open(void **handle, const char *config, double period, machine_info *info,
+                      char *error, size_t error_size) {
     char file[512];
     jmp_buf failed;
     if (machine_config_text(config, "model", file, sizeof file) != 0) {
@@ -551,7 +596,8 @@ static int robot_open(void **handle, const char *config, double period, machine_
     return 0;
 }
 
-/* Scalars of the model's sensors, of the present state. What measures drives is answered here: their torque is not MuJoCo's. */
+/* Scalars of the model's sensors, of the present state. What measures drives is answered here:
+ * their torque is not MuJoCo's. */
 static void read_sensors(robot *r, machine_sensors *sensors) {
     const mjModel *m = r->model;
     mjData *d = r->data;
@@ -570,7 +616,8 @@ static void read_sensors(robot *r, machine_sensors *sensors) {
             const int joint = r->joint[j], object = m->sensor_objid[s];
             if (m->sensor_type[s] == mjSENS_JOINTACTFRC && object == joint)
                 value = r->plant.current[j];
-            else if (m->sensor_type[s] == mjSENS_ACTUATORFRC && actuator_of(m, joint) == object && r->gear[j] != 0.0)
+            else if (m->sensor_type[s] == mjSENS_ACTUATORFRC && actuator_of(m, joint) == object &&
+                     r->gear[j] != 0.0)
                 value = r->plant.current[j] / r->gear[j];
         }
         sensors->adc[i] = value + plant_noise(&r->plant, m->sensor_noise[s]);

@@ -1,9 +1,11 @@
-/* track.c: follow a reference by feedback, with the model's torque fed forward, and room for physics that the model lacks.
+/* track.c: follow a reference by feedback, with the model's torque fed forward, and room for
+ * physics that the model lacks.
  *
  *     tau = model(r, rd, rdd) + Kp (r - q) + Kd (rd - qd) + compensation(r, rd, rdd)
  *
- * model.h and compensation.h are made from the host's model and its library of effects; every level of the compensation is a
- * parameter and begins at zero, so that what a diagnosis finds is switched on by one synchronous update, without a new download.
+ * model.h and compensation.h are made from the host's model and its library of effects; every level
+ * of the compensation is a parameter and begins at zero, so that what a diagnosis finds is switched
+ * on by one synchronous update, without a new download.
  */
 #include "isr.h"
 #include "motion.h"
@@ -11,7 +13,8 @@
 #include "compensation.h"
 
 static double Kp[N], Kd[N], tau[N], tau_comp[N];
-static double rd_late[N]; /* speed of the reference, as late as the measured speed: both go through the same filter */
+/* speed of the reference, as late as the measured speed: both go through the same filter */
+static double rd_late[N];
 
 void UserInit(void) {
     MotionInit();

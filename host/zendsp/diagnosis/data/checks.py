@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.plausibility import check_driven, check_free
-from zendsp.diagnosis.data.reading import Signals, unused_effects
+from zendsp.diagnosis.data.signals import Signals, unused_effects
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, per_joint

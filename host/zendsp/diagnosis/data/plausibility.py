@@ -11,7 +11,7 @@ are undone one by one; the one that brings it back is named.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -230,7 +230,8 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
         if found.slope + 4 * found.error < 0.3 or (
             found.slope - 4 * found.error > 5.0 and found.r2 > 0.5
         ):
-            _undo(name, found, y, u, period, noise, model, i)
+            kind = model.joint_kind(i + 1)
+            _undo(name, found, _mistakes(y, u, noise, kind == "rotary"), period, model, i)
         top = float(np.max(np.abs(u[i])))
         stated = per_joint(model.actuator.limit, i + 1, 0.0)
         allowed = stated > 0 and top > 0.98 * stated  # the actuator saturates there as well
@@ -264,39 +265,31 @@ def _sign(name: str, found: Regression) -> None:
         )
 
 
+def _mistakes(
+    y: Array, u: Array, noise: Array, rotary: bool
+) -> list[tuple[str, tuple[Array, Array, Array]]]:
+    """The likely mistakes, and position, command and noise with each of them undone."""
+    small = DEGREE if rotary else 1e3
+    words = "degrees, not radians" if rotary else "millimetres, not metres"
+    gain = "of what the model's gain expects"
+    return [
+        (f"the position is in {words}", (y / small, u, noise / small)),
+        (f"the command is in milli-units {gain}", (y, u / 1e3, noise)),
+        (f"the command is in thousands {gain}", (y, u * 1e3, noise)),
+        ("position and command are swapped", (u, y, 0 * noise)),
+    ]
+
+
 def _undo(
     name: str,
     found: Regression,
-    y: Array,
-    u: Array,
+    mistakes: Sequence[tuple[str, tuple[Array, Array, Array]]],
     period: float,
-    noise: Array,
     model: Model,
     i: int,
 ) -> None:
-    """Undo the likely mistakes; name the one that makes recording and model agree."""
-    rotary = model.joint_kind(i + 1) == "rotary"
-    mistakes: list[tuple[str, Callable[[], tuple[Array, Array, Array]]]] = [
-        (
-            (
-                "the position is in degrees, not radians"
-                if rotary
-                else "the position is in millimetres, not metres"
-            ),
-            lambda: (y / (DEGREE if rotary else 1e3), u, noise / (DEGREE if rotary else 1e3)),
-        ),
-        (
-            "the command is in milli-units of what the model's gain expects",
-            lambda: (y, u / 1e3, noise),
-        ),
-        (
-            "the command is in thousands of what the model's gain expects",
-            lambda: (y, u * 1e3, noise),
-        ),
-        ("position and command are swapped", lambda: (u, y, 0 * noise)),
-    ]
-    for words, undo in mistakes:
-        q, command, spread = undo()
+    """Name the mistake that, undone, makes recording and model agree."""
+    for words, (q, command, spread) in mistakes:
         slow = look(q, command, period, spread)
         again = regress(slow, model, i + 1, rigid_body(slow, model))
         if again is None or again.share < SHOWS:

@@ -4,21 +4,21 @@ scales.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.inertia import inertia_ranges
-from zendsp.diagnosis.data.reading import Signals, joint_columns
+from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.bodies import Links, body_terms, machine_tree
 from zendsp.physics.effects.base import Scale
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, mechanism_value
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.rigid import bases
-from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
+from zendsp.physics.rigid import Basis, bases
+from zendsp.physics.signals import Measurement, Motion, measure, noise_beside_quantisation, smooth
 
 Array = npt.NDArray[np.float64]
 
@@ -43,21 +43,10 @@ def prepare(signals: Sequence[Signals], model: Model, bandwidth: float = 32.0) -
 
 
 def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
+    """One recording as its joints."""
     joints = s.position.shape[1]
-    measurements, motions = [], []
-    for j in range(joints):
-        y = np.ascontiguousarray(s.position[:, j])
-        resolution = float(s.resolution[j])
-        noise = max(
-            noise_beside_quantisation(y, resolution),
-            float(s.least_noise[j]) if s.least_noise is not None else 0.0,
-        )
-        measurement = measure(y, s.sample_time, resolution, noise)
-        torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
-        inertia = _guess_inertia(model, j + 1, s, torque)
-        measurements.append(measurement)
-        motions.append(smooth(measurement, s.sample_time, torque / inertia))
-    within = [_within_samples(m.states, s.sample_time) for m in motions]
+    smoothed = [_motion(s, model, j) for j in range(joints)]
+    within = [_within_samples(motion.states, s.sample_time) for _, motion in smoothed]
     others = np.ascontiguousarray(np.stack(within))
     basis = bases(model, within)
     tree = machine_tree(model)
@@ -68,56 +57,70 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
             f" 'urdf', 'mjcf' or 'rotary', or 'planar2r' with its length l1; this is {model.kind!r}"
         )
     weights = _weights(model, within)
-    out = []
-    for j in range(joints):
-        q, qd, qdd = motions[j].states
-        torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
-        inertia_series = sum(
-            (1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia
-            for key, b in basis[j].items()
+    return tuple(
+        JointRecord(
+            joint=j + 1,
+            sample_time=s.sample_time,
+            t0=float(s.time[0]),
+            command=np.ascontiguousarray(s.command[:, j]),
+            measurement=measurement,
+            motion=motion,
+            basis=basis[j],
+            others=others,
+            scale=_scale(s, model, j, motion, basis[j], weights[j]),
+            base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
+            position=np.ascontiguousarray(s.position[:, j]),
+            links=links,
+            slides=model.joint_kind(j + 1) == "linear",
+            columns=joint_columns(s, j),
         )
-        inertia = float(np.mean(inertia_series)) + sum(
-            t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
-        )
-        # a joint that is hardly driven itself moves all the same: its weight is the torque that
-        # moves it then
-        weight = (
-            mechanism_value(model, "gravity", j + 1) * np.sin(q)
-            if model.kind == "rotary"
-            else weights[j]
-        )
-        effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
-        effort = effort or inertia * float(np.sqrt(np.mean(qdd**2)))
-        scale = Scale(
-            torque=max(effort, 1e-12),
-            speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
-            position=max(float(np.ptp(q)), 1e-9),
-            inertia=max(inertia, 1e-12),
-            command=max(float(np.sqrt(np.mean(s.command[:, j] ** 2))), 1e-12),
-            seconds=float(s.time[-1] - s.time[0]),
-            turn=(
-                1.0 if model.joint_kind(j + 1) == "rotary" else max(float(np.ptp(q)), 1e-9) / 6.283
-            ),
-        )
-        out.append(
-            JointRecord(
-                joint=j + 1,
-                sample_time=s.sample_time,
-                t0=float(s.time[0]),
-                command=np.ascontiguousarray(s.command[:, j]),
-                measurement=measurements[j],
-                motion=motions[j],
-                basis=basis[j],
-                others=others,
-                scale=scale,
-                base_offset=per_joint(model.sensor.offset, j + 1, 0.0),
-                position=np.ascontiguousarray(s.position[:, j]),
-                links=links,
-                slides=model.joint_kind(j + 1) == "linear",
-                columns=joint_columns(s, j),
-            )
-        )
-    return tuple(out)
+        for j, (measurement, motion) in enumerate(smoothed)
+    )
+
+
+def _motion(s: Signals, model: Model, j: int) -> tuple[Measurement, Motion]:
+    """What the sensor of a joint (from 0) says, and the motion behind it."""
+    y = np.ascontiguousarray(s.position[:, j])
+    resolution = float(s.resolution[j])
+    noise = max(
+        noise_beside_quantisation(y, resolution),
+        float(s.least_noise[j]) if s.least_noise is not None else 0.0,
+    )
+    measurement = measure(y, s.sample_time, resolution, noise)
+    torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
+    inertia = _guess_inertia(model, j + 1, s, torque)
+    return measurement, smooth(measurement, s.sample_time, torque / inertia)
+
+
+def _scale(
+    s: Signals, model: Model, j: int, motion: Motion, basis: Mapping[str, Basis], weight: Array
+) -> Scale:
+    """How large things are at a joint (from 0) of a recording."""
+    q, qd, qdd = motion.states
+    torque = per_joint(model.actuator.gain, j + 1, 1.0) * s.command[:, j]
+    inertia_series = sum(
+        (1.0 if key == "fixed" else mechanism_value(model, key, j + 1)) * b.inertia
+        for key, b in basis.items()
+    )
+    inertia = float(np.mean(inertia_series)) + sum(
+        t.value("amount") for t in model.at(j + 1) if t.effect == "inertia"
+    )
+    # a joint that is hardly driven itself moves all the same: its weight is the torque that
+    # moves it then
+    if model.kind == "rotary":
+        weight = mechanism_value(model, "gravity", j + 1) * np.sin(q)
+    effort = float(np.sqrt(max(np.mean(torque**2), np.mean(weight**2))))
+    effort = effort or inertia * float(np.sqrt(np.mean(qdd**2)))
+    way = max(float(np.ptp(q)), 1e-9)
+    return Scale(
+        torque=max(effort, 1e-12),
+        speed=max(float(np.sqrt(np.mean(qd**2))), 1e-9),
+        position=way,
+        inertia=max(inertia, 1e-12),
+        command=max(float(np.sqrt(np.mean(s.command[:, j] ** 2))), 1e-12),
+        seconds=float(s.time[-1] - s.time[0]),
+        turn=1.0 if model.joint_kind(j + 1) == "rotary" else way / 6.283,
+    )
 
 
 def _weights(model: Model, states: Sequence[Array]) -> list[Array]:

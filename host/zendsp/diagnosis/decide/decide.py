@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.reading import Parts
 from zendsp.diagnosis.data.series import repeats
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import STATED, confidence
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
@@ -40,8 +40,8 @@ from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
-from zendsp.physics.joint import run
 from zendsp.physics.model import Model, Term
+from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

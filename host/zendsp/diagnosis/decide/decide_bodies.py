@@ -15,16 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.data.reading import Parts
-from zendsp.diagnosis.decide.bodies import (
-    COM,
-    LIMITS,
-    BodySearch,
-    FoundBody,
-    Layout,
-    refined,
-    stated,
-)
+from zendsp.diagnosis.bodies.columns import Layout
+from zendsp.diagnosis.bodies.find import BodySearch, FoundBody, refined, stated
+from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import MOST as SUREST
 from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, Decision, dependence
 from zendsp.diagnosis.decide.findings import NUMERIC, number
@@ -144,7 +138,6 @@ def settled(
         again = refined(
             parts.fit,
             parts.choose,
-            rest,
             layout,
             claim.found.explained,
             replace(LIMITS, rounds=2),

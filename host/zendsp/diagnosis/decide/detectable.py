@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zendsp.diagnosis.data.reading import Parts
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, Decision, dependence
 from zendsp.diagnosis.decide.findings import COUPLED
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of

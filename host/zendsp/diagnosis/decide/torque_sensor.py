@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from zendsp.diagnosis.data.reading import Parts
 from zendsp.diagnosis.data.series import repeats
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.decide import PLAIN, SURE
 from zendsp.diagnosis.measure.torsion import OF_MOTOR, Array, has_bodies, held_drive
 from zendsp.diagnosis.measure.torsion import STILL as STANDING

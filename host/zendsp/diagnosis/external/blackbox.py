@@ -25,7 +25,9 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.diagnosis.data.checks import check_signals
-from zendsp.diagnosis.data.reading import Signals, read_signals, split, with_same_columns
+from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.data.signals import Signals, with_same_columns
+from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
 from zendsp.diagnosis.decide.mechanisms import mechanism_of
 from zendsp.diagnosis.external.output_error import (
@@ -61,6 +63,10 @@ MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5
 UNEXPLAINED = 0.03  # of the RMS torque, as a function of time
+REMAINS = (
+    "A torque of {:.1f} % of the RMS torque remains over time that no effect on the simulator's"
+    " input explains (it may be inside the simulator: springs, gaps, bristles)."
+)
 
 
 @dataclass(frozen=True)
@@ -258,30 +264,16 @@ def _diagnose(
     # a fit must not be worse than what it began with
     if float(given_error @ given_error) < base.fit.cost:
         base = fit_output(train, model, ())
-    hunt, current, steps = Hunt(train, test, tell), base, []
-    for _ in range(4):
-        claim, rivals = hunt.step(current)
-        if claim is None:
-            break
-        steps.append((claim, rivals, current))
-        current = claim.output
-    if steps:
-        current = fit_output(train, current.model, current.fit.handles, evaluations=25)
+    hunt = Hunt(train, test, tell)
+    current, steps = _hunted(hunt, base, train)
     findings, names = _findings(model, base, current, steps, train)
     tell("looking at what remains")
     before, after = missing_over_time(train, base), missing_over_time(train, current)
     left = _left(after, train)
     floor = _floor(test)
-    text = ""
-    verdict = "missing" if findings else "complete"
     rest = _rms(test, current.model)
-    if left > UNEXPLAINED and rest > 3 * floor:
-        text = (
-            f"A torque of {100 * left:.1f} % of the RMS torque remains over time that no effect on"
-            " the simulator's input explains (it may be inside the simulator: springs, gaps,"
-            " bristles)."
-        )
-        verdict = verdict if findings else "unexplained"
+    open_ = left > UNEXPLAINED and rest > 3 * floor
+    verdict = "missing" if findings else "unexplained" if open_ else "complete"
     places, spans = _where(before)
     rejected = tuple(
         Rejected(e, j, why, score - (steps[0][0].gain if steps else 0.0))
@@ -309,7 +301,7 @@ def _diagnose(
         given=file_model(model),
         calibrated=file_model(base.model),
         improved=file_model(current.model),
-        unexplained=text,
+        unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
         details={
@@ -317,6 +309,24 @@ def _diagnose(
             "benches": (train, test),
         },
     )
+
+
+def _hunted(
+    hunt: Hunt, base: Output, train: Sequence[Bench]
+) -> tuple[Output, list[tuple[Any, Any, Output]]]:
+    """Effects taken one after another while they pay, at most four, refitted together at the end;
+    each step with its rivals and what stood before it.
+    """
+    current, steps = base, []
+    for _ in range(4):
+        claim, rivals = hunt.step(current)
+        if claim is None:
+            break
+        steps.append((claim, rivals, current))
+        current = claim.output
+    if steps:
+        current = fit_output(train, current.model, current.fit.handles, evaluations=25)
+    return current, steps
 
 
 def _untried(train: Sequence[Bench], test: Sequence[Bench]) -> str:
@@ -402,6 +412,25 @@ def _where(
     )
 
 
+def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
+    """Effects that a finding cannot be told from, and its confidence."""
+    others = [
+        c
+        for c in rivals
+        if c is not claim and term.effect not in get_effect(c.term.effect).replaces
+    ]
+    same = tuple(
+        c.term.effect
+        for c in others
+        if c.term.joint == claim.term.joint and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
+    )
+    apart = [claim.gain - c.gain for c in others if c.term.effect not in same]
+    margin = min(apart or [claim.gain])
+    # no cases have calibrated this figure for black boxes: kept below 0.9
+    sure = 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8)
+    return same, min(0.9, sure)
+
+
 def _findings(
     given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
 ) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
@@ -419,29 +448,7 @@ def _findings(
         values = estimates(
             final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint)
         )
-        same = tuple(
-            c.term.effect
-            for c in rivals
-            if c is not claim
-            and c.term.joint == joint
-            and term.effect not in get_effect(c.term.effect).replaces
-            and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
-        )
-        margin = min(
-            [
-                claim.gain - c.gain
-                for c in rivals
-                if c is not claim
-                and c.term.effect not in same
-                and term.effect not in get_effect(c.term.effect).replaces
-            ]
-            or [claim.gain]
-        )
-        # no cases have calibrated this figure for black boxes: kept below 0.9
-        sure = min(
-            0.9,
-            0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8),
-        )
+        same, sure = _apart(claim, rivals, term)
         had = {t.effect for t in given.at(joint)}
         replaces = tuple(n for n in get_effect(term.effect).replaces if n in had)
         text = sentence(term, values)

@@ -14,12 +14,13 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.data.reading import Signals, joint_columns
+from zendsp.diagnosis.data.signals import Signals, joint_columns
 from zendsp.errors import ModelError
 from zendsp.physics.effects import Effect, get_effect, library
 from zendsp.physics.effects.base import Scale
-from zendsp.physics.joint import JointRecord, along, sensed, trace
+from zendsp.physics.joint import JointRecord, along
 from zendsp.physics.model import Model, per_joint
+from zendsp.physics.predict import sensed, trace
 from zendsp.physics.signals import measure, noise_beside_quantisation, smooth
 
 Array = npt.NDArray[np.float64]

@@ -19,8 +19,9 @@ from scipy.ndimage import binary_closing
 from scipy.stats import norm
 
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, effective_inertia, response, run
+from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model
+from zendsp.physics.predict import response, run
 
 Array = npt.NDArray[np.float64]
 

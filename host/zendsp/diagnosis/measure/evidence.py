@@ -13,8 +13,9 @@ from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.likelihood import Scored, fastest
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import JointRecord, run
+from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model
+from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.fit import Data, Fit, Handle, fit, residual, residuals
-from zendsp.physics.joint import ran_away
 from zendsp.physics.model import Model
+from zendsp.physics.predict import ran_away
 
 Array = npt.NDArray[np.float64]
 

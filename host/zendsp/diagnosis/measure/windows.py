@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import run
 from zendsp.physics.model import Model
+from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from zendsp.diagnosis.measure.windows import window_error
 from zendsp.diagnosis.result import Diagnosis, Finding
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
-from zendsp.physics.joint import run
+from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 MOST_JOINTS = 7  # that get figures of their own

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.reading import Signals
+from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.decide import Decision
 from zendsp.diagnosis.measure.likelihood import deviance

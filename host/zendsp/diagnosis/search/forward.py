@@ -39,8 +39,9 @@ from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify, split_asymmetry
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
-from zendsp.physics.joint import facts, run
+from zendsp.physics.joint import facts
 from zendsp.physics.model import Model, Term
+from zendsp.physics.predict import run
 
 Progress = Callable[[str], None]
 

@@ -1,7 +1,9 @@
-/* push.c: friction by torque. Goes to a start position, rests there, then pushes one joint and lets the others be held.
+/* push.c: friction by torque. Goes to a start position, rests there, then pushes one joint and lets
+ * the others be held.
  *
- * The torque begins at `first` and grows by `increment` every `hold` seconds (0: constant torque). The push ends when the joint has
- * left its start by `threshold`, or has passed `upper` (counterclockwise) or `lower` (clockwise); the joint is then braked.
+ * The torque begins at `first` and grows by `increment` every `hold` seconds (0: constant torque).
+ * The push ends when the joint has left its start by `threshold`, or has passed `upper`
+ * (counterclockwise) or `lower` (clockwise); the joint is then braked.
  */
 #include "isr.h"
 

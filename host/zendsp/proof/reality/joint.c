@@ -1,6 +1,7 @@
-/* The torques of one joint. State that is neither position nor velocity (bristle, Bouc-Wen, actuator) is in Hidden and is
-   advanced by its exact solution over a step where it has one. Signs: what is returned by resist() opposes, i.e. stands on
-   the left of M qdd + ... + effect = torque. */
+/* The torques of one joint. State that is neither position nor velocity (bristle, Bouc-Wen,
+   actuator) is in Hidden and is advanced by its exact solution over a step where it has one. Signs:
+   what is returned by resist() opposes, i.e. stands on the left of M qdd + ... + effect = torque.
+ */
 
 typedef struct {
     double bristle;  /* [rad] */
@@ -14,11 +15,13 @@ static double drift(const Joint *j, double t) {
     return j->drift_ratio == 0.0 ? 1.0 : 1.0 + j->drift_ratio * (1.0 - exp(-t / j->drift_time));
 }
 
-/* largest torque that the set-valued friction can bear when it opposes a motion in the direction `way` */
+/* largest torque that the set-valued friction can bear when it opposes a motion in the direction
+ * `way` */
 static double friction_level(const Joint *j, double q, double v, double torque, double t, int way) {
     double level = way >= 0 ? j->coulomb_pos : j->coulomb_neg;
     if (j->stribeck_extra != 0.0)
-        level += j->stribeck_extra * exp(-pow(fabs(v) / j->stribeck_velocity, j->stribeck_exponent));
+        level +=
+            j->stribeck_extra * exp(-pow(fabs(v) / j->stribeck_velocity, j->stribeck_exponent));
     if (j->level_amplitude != 0.0)
         level += j->level_amplitude * sin(2 * M_PI * q / j->level_period + j->level_phase);
     level += j->load_mu * fabs(torque);
@@ -37,7 +40,8 @@ static double foreign(const Joint *j, double q, double v) {
     int row, column;
     double y = cell(q, j->foreign_q, j->foreign_dq, j->foreign_rows, &row);
     double x = cell(v, j->foreign_v, j->foreign_dv, j->foreign_columns, &column);
-    const double *low = j->foreign + (long)row * j->foreign_columns + column, *high = low + j->foreign_columns;
+    const double *low = j->foreign + (long)row * j->foreign_columns + column,
+                 *high = low + j->foreign_columns;
     return (1 - y) * ((1 - x) * low[0] + x * low[1]) + y * ((1 - x) * high[0] + x * high[1]);
 }
 
@@ -52,8 +56,10 @@ static double resist_load(const Joint *j, double q, double v) {
 }
 
 /* torques on the motor's side of the transmission, the set-valued friction apart */
-static double resist_motor(const Joint *j, const Hidden *h, double q, double v, double torque, double t) {
-    double f = j->torque_offset, friction = (v > 0 ? j->viscous_pos : j->viscous_neg) * v + j->drag * v * fabs(v);
+static double resist_motor(const Joint *j, const Hidden *h, double q, double v, double torque,
+                           double t) {
+    double f = j->torque_offset,
+           friction = (v > 0 ? j->viscous_pos : j->viscous_neg) * v + j->drag * v * fabs(v);
     if (j->bristle_stiffness != 0.0) {
         double level = friction_level(j, q, v, torque, 0.0, (int)sign(v));
         double slip = level > 0 ? j->bristle_stiffness * fabs(v) / level * h->bristle : 0.0;
@@ -61,7 +67,8 @@ static double resist_motor(const Joint *j, const Hidden *h, double q, double v, 
     }
     f += friction * drift(j, t);
     for (int k = 0; k < 2; k++)
-        if (j->ripple_amplitude[k] != 0.0) f += j->ripple_amplitude[k] * sin(j->ripple_order[k] * q + j->ripple_phase[k]);
+        if (j->ripple_amplitude[k] != 0.0)
+            f += j->ripple_amplitude[k] * sin(j->ripple_order[k] * q + j->ripple_phase[k]);
     return f + j->bw_force * h->hysteresis;
 }
 

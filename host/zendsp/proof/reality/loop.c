@@ -1,6 +1,7 @@
-/* Time stepping: drift - kick - drift with set-valued friction (Moreau). A joint whose friction can hold it has velocity
-   exactly zero after the kick; no slope at zero, no threshold. Forces are taken at the middle of the step, so the smooth
-   part is of second order. The controller, the sensor and the actuator's hold run at the sample time around it. */
+/* Time stepping: drift - kick - drift with set-valued friction (Moreau). A joint whose friction can
+   hold it has velocity exactly zero after the kick; no slope at zero, no threshold. Forces are
+   taken at the middle of the step, so the smooth part is of second order. The controller, the
+   sensor and the actuator's hold run at the sample time around it. */
 
 typedef struct {
     const Machine *m;
@@ -14,8 +15,9 @@ typedef struct {
 static int compliant(const Joint *j) { return j->trans_stiffness > 0.0; }
 
 /* mass matrix and smooth force of all coordinates at positions x and velocities w */
-static void forces(const State *s, const double *x, const double *w, const Hidden *hidden, const double *torque,
-                   const double *outside, double t, double A[14][14], double *f) {
+static void forces(const State *s, const double *x, const double *w, const Hidden *hidden,
+                   const double *torque, const double *outside, double t, double A[14][14],
+                   double *f) {
     const Machine *m = s->m;
     double M[7][7], bias[7];
     mechanism(m, x, w, M, bias);
@@ -72,9 +74,10 @@ static void invert(int n, double A[14][14], double B[14][14]) {
     }
 }
 
-/* w = w0 + h A^-1 f, then the friction impulse that opposes it within its bounds (projected Gauss-Seidel) */
-static void kick(const State *s, double h, double A[14][14], const double *f, const double *x, const double *seen,
-                 const double *torque, double t, double *w) {
+/* w = w0 + h A^-1 f, then the friction impulse that opposes it within its bounds (projected
+ * Gauss-Seidel) */
+static void kick(const State *s, double h, double A[14][14], const double *f, const double *x,
+                 const double *seen, const double *torque, double t, double *w) {
     double B[14][14], high[14], low[14], impulse[14] = {0};
     int n = s->free, rough = 0;
     invert(n, A, B);
@@ -106,7 +109,8 @@ static void kick(const State *s, double h, double A[14][14], const double *f, co
         }
         if (moved < 1e-12) break;
     }
-    for (int i = 0; rough && i < n; i++) /* held: the friction needed is within its bounds, what moves is rounding */
+    for (int i = 0; rough && i < n;
+         i++) /* held: the friction needed is within its bounds, what moves is rounding */
         if (impulse[i] > low[i] && impulse[i] < high[i]) w[i] = 0.0;
 }
 
@@ -119,7 +123,8 @@ static void step(State *s, double h, const double *torque, const double *outside
     kick(s, h, A, f, x, s->w, torque, tm, w);
     for (int i = 0; i < s->free; i++) mid[i] = 0.5 * (s->w[i] + w[i]);
     for (int i = 0; i < m->n; i++)
-        hidden[i] = advance(&m->joint[i], s->hidden[i], x[s->motor[i]], mid[s->motor[i]], torque[i], 0.5 * h);
+        hidden[i] = advance(&m->joint[i], s->hidden[i], x[s->motor[i]], mid[s->motor[i]], torque[i],
+                            0.5 * h);
     forces(s, x, mid, hidden, torque, outside, tm, A, f);
     kick(s, h, A, f, x, mid, torque, tm, w);
     for (int i = 0; i < s->free; i++) {
@@ -128,7 +133,8 @@ static void step(State *s, double h, const double *torque, const double *outside
         s->x[i] = x[i] + 0.5 * h * w[i];
     }
     for (int i = 0; i < m->n; i++)
-        s->hidden[i] = advance(&m->joint[i], s->hidden[i], x[s->motor[i]], mid[s->motor[i]], torque[i], h);
+        s->hidden[i] =
+            advance(&m->joint[i], s->hidden[i], x[s->motor[i]], mid[s->motor[i]], torque[i], h);
     s->t += h;
 }
 
@@ -140,7 +146,8 @@ static double sense(const Joint *j, double q, double noise) {
     return j->resolution * (j->floor_counts != 0.0 ? floor(y) : rint(y));
 }
 
-/* torque of joint i averaged over [t, t+h]: the delayed hold changes value inside the step at most once */
+/* torque of joint i averaged over [t, t+h]: the delayed hold changes value inside the step at most
+ * once */
 static double held(const Machine *m, const double *command, int i, double t, double h) {
     const Joint *j = &m->joint[i];
     double a = (t - j->delay) / m->sample_time, b = a + h / m->sample_time;
@@ -159,7 +166,8 @@ static double mechanical_energy(const State *s) {
     for (int i = 0; i < m->n; i++) {
         const Joint *j = &m->joint[i];
         for (int k = 0; k < m->n; k++) e += 0.5 * s->w[i] * M[i][k] * s->w[k];
-        e += 0.5 * j->stiffness * pow(s->x[i] - j->neutral, 2) + 0.25 * j->cubic * pow(s->x[i] - j->cubic_neutral, 4);
+        e += 0.5 * j->stiffness * pow(s->x[i] - j->neutral, 2) +
+             0.25 * j->cubic * pow(s->x[i] - j->cubic_neutral, 4);
         e -= j->gravity * cos(s->x[i] - j->gravity_angle);
         int c = s->motor[i];
         if (c == i) continue;
@@ -170,8 +178,9 @@ static double mechanical_energy(const State *s) {
     return e;
 }
 
-int simulate(const Machine *m, int rows, const double *reference, const double *feedforward, const double *torque,
-             const double *noise, double *measured, double *command, double *q, double *v, double *energy) {
+int simulate(const Machine *m, int rows, const double *reference, const double *feedforward,
+             const double *torque, const double *noise, double *measured, double *command,
+             double *q, double *v, double *energy) {
     State s = {.m = m, .free = m->n};
     int n = m->n;
     double last[7], rate[7] = {0}, sum[7] = {0}, h = m->sample_time / m->substeps;
@@ -189,17 +198,20 @@ int simulate(const Machine *m, int rows, const double *reference, const double *
             v[at] = s.w[c];
             double y = measured[at] = sense(j, s.x[c], noise[at]);
             double slope = k == 0 ? 0.0 : (y - last[i]) / m->sample_time;
-            double blend = m->velocity_filter > 0 ? 1 - exp(-m->sample_time / m->velocity_filter) : 1.0;
+            double blend =
+                m->velocity_filter > 0 ? 1 - exp(-m->sample_time / m->velocity_filter) : 1.0;
             rate[i] += blend * (slope - rate[i]);
             last[i] = y;
             sum[i] += m->ki[i] * m->sample_time * (reference[at] - y);
-            double u = feedforward[at] + m->kp[i] * (reference[at] - y) - m->kd[i] * rate[i] + sum[i];
+            double u =
+                feedforward[at] + m->kp[i] * (reference[at] - y) - m->kd[i] * rate[i] + sum[i];
             if (j->limit > 0) u = fmax(-j->limit, fmin(j->limit, u));
             command[at] = u;
             if (!(fabs(s.x[c]) < 1e4)) return k + 1;
         }
         for (int r = 0; r < m->substeps; r++) {
-            double drive[7], outside[7], mix = (r + 0.5) / m->substeps, t = k * m->sample_time + r * h;
+            double drive[7], outside[7], mix = (r + 0.5) / m->substeps,
+                                         t = k * m->sample_time + r * h;
             s.t = t;
             for (int i = 0; i < n; i++) {
                 const Joint *j = &m->joint[i];

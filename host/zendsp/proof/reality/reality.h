@@ -41,10 +41,12 @@ typedef struct {
     double floor_counts;            /* 1: floor, 0: round */
     double eccentricity, eccentricity_phase;
     /* something that the table of effects cannot say */
-    const double *foreign;          /* torque on the load over position and speed, row by row; NULL: none [N m] */
+    /* torque on the load over position and speed, row by row; NULL: none [N m] */
+    const double *foreign;
     int foreign_rows, foreign_columns;
     double foreign_q, foreign_dq;   /* position of the first row, and from row to row [rad] */
-    double foreign_v, foreign_dv;   /* speed of the first column, and from column to column [rad/s] */
+    /* speed of the first column, and from column to column [rad/s] */
+    double foreign_v, foreign_dv;
     double extra_inertia;           /* [kg m^2] */
 } Joint;
 
@@ -75,11 +77,13 @@ typedef struct {
     double q0[7], v0[7];
 } Machine;
 
-/* reference, feedforward, torque, noise: rows x n, row-major; torque is what no state explains, linear between rows.
-   measured, command, q, v: rows x n; q and v are the true ones on the sensor's side; work: rows, mechanical energy.
-   Returns 0, or 1 + the row at which the machine ran away. */
-int simulate(const Machine *m, int rows, const double *reference, const double *feedforward, const double *torque,
-             const double *noise, double *measured, double *command, double *q, double *v, double *energy);
+/* reference, feedforward, torque, noise: rows x n, row-major; torque is what no state explains,
+   linear between rows. measured, command, q, v: rows x n; q and v are the true ones on the sensor's
+   side; work: rows, mechanical energy. Returns 0, or 1 + the row at which the machine ran away. */
+int simulate(const Machine *m, int rows, const double *reference, const double *feedforward,
+             const double *torque, const double *noise, double *measured, double *command,
+             double *q, double *v, double *energy);
 
 /* tau = M(q) a + bias(q, v) of the mechanism alone; rows x n each */
-void inverse(const Machine *m, int rows, const double *q, const double *v, const double *a, double *tau);
+void inverse(const Machine *m, int rows, const double *q, const double *v, const double *a,
+             double *tau);

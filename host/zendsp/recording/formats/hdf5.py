@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.errors import RecordingError
+from zendsp.extras import need
 from zendsp.recording.formats.raw import Raw
-from zendsp.recording.names import FloatArray
 
 UNITS = ("units", "unit", "Units", "Unit")
 
@@ -19,12 +20,8 @@ def read(path: Path) -> Raw:
     """Read a file; groups become parts of names: ``/run/q`` is ``run.q``, or ``q`` where no other
     group has one.
     """
-    import h5py
-
-    columns: dict[str, FloatArray] = {}
-    units: dict[str, str] = {}
-    constants: dict[str, float] = {}
-    refused: dict[str, str] = {}
+    h5py = need("h5py", "hdf5", "an HDF5 file", RecordingError)
+    found = Raw({})
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset):
@@ -33,36 +30,21 @@ def read(path: Path) -> Raw:
         values = item[()]
         if isinstance(values, np.ndarray) and values.dtype.names:  # a table of PyTables or pandas
             for field in values.dtype.names:
-                _sort(f"{name}/{field}", values[field], "", columns, units, constants, refused)
+                found.sort(f"{name}/{field}", values[field])
         else:
-            _sort(name, np.asarray(values), unit, columns, units, constants, refused)
+            found.sort(name, np.asarray(values))
+            found.units[name] = unit
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    short = _short(list(columns))
+    short = _short(list(found.columns))
     return Raw(
-        {short[n]: v for n, v in columns.items()},
-        {short[n]: u for n, u in units.items()},
-        {n.replace("/", "."): v for n, v in constants.items()},
+        {short[n]: v for n, v in found.columns.items()},
+        {short[n]: found.units.get(n, "") for n in found.columns},
+        {n.replace("/", "."): v for n, v in found.constants.items()},
         "",
-        {n.replace("/", "."): why for n, why in refused.items()},
+        {n.replace("/", "."): why for n, why in found.refused.items()},
     )
-
-
-def _sort(
-    name: str, values: Any, unit: str, columns: dict[str, FloatArray], units: dict[str, str],
-    constants: dict[str, float], refused: dict[str, str],
-) -> None:  # fmt: skip
-    if values.dtype.kind not in "fiub":
-        refused[name] = "holds text or other things than numbers"
-    elif values.size == 0:
-        refused[name] = "is empty"
-    elif values.size == 1:
-        constants[name] = float(values.reshape(-1)[0])
-    elif values.ndim > 2:
-        refused[name] = f"has {values.ndim} dimensions; at most 2 can be columns"
-    else:
-        columns[name], units[name] = np.asarray(values, dtype=np.float64), unit
 
 
 def _text(value: Any) -> str:

@@ -8,7 +8,7 @@ In foreign files, structures and cells are walked: the fields become names such 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import RecordingError
+from zendsp.extras import need
 from zendsp.recording.formats.raw import Raw
 
 if TYPE_CHECKING:
@@ -60,12 +61,10 @@ def read(path: Path) -> Raw:
         contents = _read_v5(path)
     if all(name in contents for name in OWN):
         return _own(path, contents)
-    columns: dict[str, npt.NDArray[np.float64]] = {}
-    constants: dict[str, float] = {}
-    refused: dict[str, str] = {}
+    found = Raw({})
     for name, value in contents.items():
-        _walk(name, value, columns, constants, refused)
-    return Raw(columns, {}, constants, "", refused)
+        _walk(name, value, found)
+    return found
 
 
 def _read_v5(path: Path) -> dict[str, Any]:
@@ -83,12 +82,11 @@ def _read_v5(path: Path) -> dict[str, Any]:
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
-    import h5py
-
+    h5py = need("h5py", "hdf5", "a MAT file of version 7.3", RecordingError)
     try:
         with h5py.File(path, "r") as file:
             return {
-                name: _hdf5_value(file, item)
+                name: _hdf5_value(h5py, file, item)
                 for name, item in file.items()
                 if not name.startswith("#")
             }
@@ -98,12 +96,10 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _hdf5_value(file: Any, item: Any) -> Any:
+def _hdf5_value(h5py: Any, file: Any, item: Any) -> Any:
     """Turn an HDF5 object as MATLAB writes it into what SciPy returns for version 5."""
-    import h5py
-
     if isinstance(item, h5py.Group):
-        return {name: _hdf5_value(file, child) for name, child in item.items()}
+        return {name: _hdf5_value(h5py, file, child) for name, child in item.items()}
     kind = item.attrs.get("MATLAB_class", b"")
     if item.attrs.get("MATLAB_empty", 0):
         return np.empty((0, 0))
@@ -111,7 +107,7 @@ def _hdf5_value(file: Any, item: Any) -> Any:
     if isinstance(values, np.ndarray) and values.dtype == h5py.ref_dtype:
         cells = np.empty(values.T.shape, dtype=object)
         for index, reference in np.ndenumerate(values.T):
-            cells[index] = _hdf5_value(file, file[reference])
+            cells[index] = _hdf5_value(h5py, file, file[reference])
         return cells
     if kind == b"char":
         return np.array(["".join(map(chr, np.asarray(values).T.reshape(-1, order="C")))])
@@ -119,40 +115,23 @@ def _hdf5_value(file: Any, item: Any) -> Any:
     return np.atleast_2d(np.asarray(values)).T
 
 
-def _walk(
-    name: str,
-    value: Any,
-    columns: dict[str, npt.NDArray[np.float64]],
-    constants: dict[str, float],
-    refused: dict[str, str],
-) -> None:
+def _walk(name: str, value: Any, found: Raw) -> None:
     """Collect numeric vectors, matrices and scalars from nested structures and cells."""
-    visit: Callable[[str, Any], None] = lambda inner, item: _walk(  # noqa: E731
-        inner, item, columns, constants, refused
-    )
     if isinstance(value, Mapping):
         for key, item in value.items():
-            visit(f"{name}.{key}", item)
+            _walk(f"{name}.{key}", item, found)
     elif not isinstance(value, np.ndarray):
-        refused[name] = f"holds {type(value).__name__}, not numbers"
+        found.refused[name] = f"holds {type(value).__name__}, not numbers"
     elif value.dtype.names:
         for index, record in enumerate(value.reshape(-1)):
             place = name if value.size == 1 else f"{name}({index + 1})"
             for key in value.dtype.names:
-                visit(f"{place}.{key}", record[key])
+                _walk(f"{place}.{key}", record[key], found)
     elif value.dtype == object:
         for index, item in enumerate(value.reshape(-1, order="F")):
-            visit(f"{name}{{{index + 1}}}", item)
-    elif value.dtype.kind not in "fiub":
-        refused[name] = "holds text or complex numbers"
-    elif value.size == 0:
-        refused[name] = "is empty"
-    elif value.size == 1:
-        constants[name] = float(value.reshape(-1)[0])
-    elif value.ndim > 2:
-        refused[name] = f"has {value.ndim} dimensions; at most 2 can be columns"
+            _walk(f"{name}{{{index + 1}}}", item, found)
     else:
-        columns[name] = np.asarray(value, dtype=np.float64)
+        found.sort(name, value)
 
 
 def _own(path: Path, contents: dict[str, Any]) -> Raw:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from zendsp.recording.names import FloatArray
 
@@ -22,3 +25,16 @@ class Raw:
     circumstances: str = ""
     refused: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def sort(self, name: str, values: Any) -> None:
+        """Keep an array as a column or a constant, or say why it is neither."""
+        if values.dtype.kind not in "fiub":
+            self.refused[name] = "holds text or other things than numbers"
+        elif values.size == 0:
+            self.refused[name] = "is empty"
+        elif values.size == 1:
+            self.constants[name] = float(values.reshape(-1)[0])
+        elif values.ndim > 2:
+            self.refused[name] = f"has {values.ndim} dimensions; at most 2 can be columns"
+        else:
+            self.columns[name] = np.asarray(values, dtype=np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zendsp.reference.core import Reference
-from zendsp.reference.kind import Kind, Parameter
+from zendsp.reference.kind import ELBOW, TIME_LAW, Kind, Parameter
 from zendsp.reference.kinematics import Elbow, cartesian_to_joint
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import Law, make_grid, rest_to_rest
@@ -107,17 +107,8 @@ KIND = Kind(
             "turns", "int", "", 1, "Counterclockwise turns; negative: clockwise.", -1000, 1000
         ),
         Parameter("phase", "float", "rad", 0.0, "Where it starts, from the x axis."),
-        Parameter(
-            "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
-        ),
-        Parameter(
-            "law",
-            "choice",
-            "",
-            "quintic",
-            "Time law along the circle.",
-            choices=("quintic", "trapezoid"),
-        ),
+        ELBOW,
+        TIME_LAW,
         Parameter("blend", "float", "", 0.15, "Share of each ramp (trapezoid).", 0.01, 0.5),
     ),
     make_circle,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from zendsp.reference.core import Array, Reference
-from zendsp.reference.kind import Kind, Parameter
+from zendsp.reference.kind import BLEND, ELBOW, MOVE_TIME, TIME_LAW, Kind, Parameter
 from zendsp.reference.kinds.point_to_point import fastest_duration
 from zendsp.reference.kinematics import Elbow, cartesian_to_joint
 from zendsp.reference.machine import Machine
@@ -97,27 +97,10 @@ KIND = Kind(
         Parameter("y0", "float", "m", -0.2, "Start, y."),
         Parameter("x1", "float", "m", 0.3, "Goal, x."),
         Parameter("y1", "float", "m", 0.4, "Goal, y."),
-        Parameter(
-            "duration",
-            "float",
-            "s",
-            0.0,
-            "Time of the move; 0: the shortest within the limits.",
-            0.0,
-            3600.0,
-        ),
-        Parameter(
-            "elbow", "choice", "", "positive", "Sign of q2.", choices=("positive", "negative")
-        ),
-        Parameter(
-            "law",
-            "choice",
-            "",
-            "quintic",
-            "Time law along the way.",
-            choices=("quintic", "trapezoid"),
-        ),
-        Parameter("blend", "float", "", 0.25, "Share of each ramp (trapezoid).", 0.01, 0.5),
+        MOVE_TIME,
+        ELBOW,
+        TIME_LAW,
+        BLEND,
     ),
     make_line,
     machine_kinds=("planar2r",),

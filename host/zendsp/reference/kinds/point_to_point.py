@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.reference.core import Array, Reference
-from zendsp.reference.kind import Kind, Parameter, spread
+from zendsp.reference.kind import BLEND, MOVE_TIME, TIME_LAW, Kind, Parameter, spread
 from zendsp.reference.machine import Machine
 from zendsp.reference.profiles import Law, make_grid, rest_to_rest
 
@@ -117,24 +117,9 @@ KIND = Kind(
             "Goal of every joint.",
             by_machine={"imi_planar": [1.0, -0.5], "wam7": [0.5, -1.4, 0.5, 2.5, 0.3, 0.3, 0.3]},
         ),
-        Parameter(
-            "duration",
-            "float",
-            "s",
-            0.0,
-            "Time of the move; 0: the shortest within the limits.",
-            0.0,
-            3600.0,
-        ),
-        Parameter(
-            "law",
-            "choice",
-            "",
-            "quintic",
-            "Time law along the way.",
-            choices=("quintic", "trapezoid"),
-        ),
-        Parameter("blend", "float", "", 0.25, "Share of each ramp (trapezoid).", 0.01, 0.5),
+        MOVE_TIME,
+        TIME_LAW,
+        BLEND,
     ),
     make_point_to_point,
 )

@@ -1,0 +1,189 @@
+"""The torques that bodies add along the measured motion, as columns: their Gram matrices per joint
+and block, and where the numbers of a hypothesis stand among them.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.bodies.hypotheses import LIMITS, OWN, BodyLimits, Hypothesis, calibrated
+from zendsp.physics.bodies import Links, change_of, turned_gravity
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.model import Model, Quantity, Term, per_joint
+from zendsp.physics.predict import response, run
+
+Array = npt.NDArray[np.float64]
+NUISANCE = 6  # columns that every joint has for itself
+
+
+# standard deviations of the sensor's noise: an observer that is so far off has left the track
+LOST = 1e6
+
+
+class Sums:
+    """Gram matrices of all columns and the innovations, per joint and block; the innovations are
+    the last column.
+    """
+
+    def __init__(
+        self, data: Data, model: Model, limits: BodyLimits = LIMITS, jobs: int = 1
+    ) -> None:
+        seconds = sum(rec[0].n * rec[0].sample_time for rec in data.records)
+        block = min(limits.block, seconds / limits.blocks)
+        grams: list[Array] = []
+        counts: list[Array] = []
+        for rec in data.records:
+            starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
+            with ThreadPoolExecutor(jobs) as pool:  # the kernel runs outside the interpreter's lock
+                done = list(
+                    pool.map(
+                        lambda record, starts=starts: _grams(record, model, starts, limits), rec
+                    )
+                )
+            grams.append(np.stack([g for g, _ in done]))
+            counts.append(np.stack([c for _, c in done]).astype(np.float64))
+        self.grams = np.concatenate(grams, axis=1)  # (joints, blocks, columns, columns)
+        self.counts = np.concatenate(counts, axis=1)  # (joints, blocks)
+
+    @property
+    def whole(self) -> Array:
+        """Sum over the blocks, (joints, columns, columns)."""
+        return np.asarray(self.grams.sum(axis=1))
+
+
+def _grams(
+    record: JointRecord, model: Model, starts: Array, limits: BodyLimits
+) -> tuple[Array, Array]:
+    """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
+    columns, moving = _columns(record, model, limits)
+    columns = np.ascontiguousarray(columns[:, moving].T)
+    edges = np.searchsorted(np.flatnonzero(moving), [*starts, record.n])
+    parts = [columns[a:b] for a, b in pairwise(edges)]
+    return np.stack([part.T @ part for part in parts]), np.diff(edges)
+
+
+def _columns(
+    record: JointRecord, model: Model, limits: BodyLimits
+) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Responses of all columns and the innovations, (columns + 1, n), and the samples at which the
+    joint moves.
+    """
+    bandwidth = min(limits.bandwidth, fastest_of(record))
+    q, qd, qdd = record.motion.states
+    speed, j = record.scale.speed, record.joint - 1
+    links = record.links
+    assert links is not None
+    slow = limits.still * speed
+    gain = per_joint(model.actuator.gain, record.joint, 1.0)
+    own = [np.ones(record.n), qd, np.tanh(qd / slow), np.tanh(qd / slow / 8), qd * np.abs(qd), qdd]
+    torques = [*own, *_shared(links, j, model, record), -gain * record.command]
+    torques += [np.sin(q), np.cos(q), q - np.mean(q), np.sin(2 * q), np.cos(2 * q)]
+    damping = sum(t.value("coefficient") for t in model.at(record.joint) if t.effect == "viscous")
+    inertia = effective_inertia(record, model)
+    all_torques = np.stack(torques)
+    acts = np.any(all_torques != 0.0, axis=1)  # of the links, only those that the joint moves
+    seen = np.zeros_like(all_torques)
+    seen[acts] = response(record, bandwidth, inertia, np.full(record.n, damping), all_torques[acts])
+    left = run(record, model, bandwidth).innovations
+    still = max(3.0 * float(np.sqrt(np.median(record.motion.variances[1]))), slow)
+    sticks = np.flatnonzero(np.abs(qd) < still)
+    moving = record.counted.copy()
+    for k in range(max(1, round(limits.memory / record.sample_time))):
+        at = sticks + k
+        moving[at[at < record.n]] = False
+    moving[: round(0.5 / record.sample_time)] = False  # the observer settles
+    if np.max(np.abs(left), initial=0.0) > LOST:
+        moving[:] = False  # it has left the track: this joint tells nothing of bodies
+    return np.concatenate([seen, left[None]]), moving
+
+
+def fastest_of(record: JointRecord) -> float:
+    """Fastest observer that a record's sample time allows, rad/s."""
+    return 0.5 / record.sample_time
+
+
+def _shared(links: Links, joint: int, model: Model, record: JointRecord) -> list[Array]:
+    """Columns that all joints share: ten numbers of each link, tilt about x and y, gravity's size,
+    mechanism parameters.
+    """
+    n = record.n
+    out: list[Array] = []
+    for k in range(len(links.bodies)):
+        out += list(links.columns(joint, k)[1]) if links.moves(joint, k) else [np.zeros(n)] * 10
+    weight = links.weight(joint)
+    for key in ("angle_x", "angle_y"):
+        tilt = Term("base_tilt", 1, {key: Quantity(1e-6)})
+        out.append((turned_gravity(links.gravity, [tilt]) - links.gravity) / 1e-6 @ weight)
+    out.append(links.gravity @ weight)
+    qdd = record.others[joint, 2]
+    for key in calibrated(model):
+        basis = record.basis.get(key)
+        if basis is not None:
+            out.append(basis.inertia * qdd + basis.bias)
+        else:
+            out.append(np.sin(record.motion.states[0]) if key == "gravity" else np.zeros(n))
+    return out
+
+
+class Layout:
+    """Where the numbers of a hypothesis stand among the columns."""
+
+    def __init__(self, model: Model, links: Links) -> None:
+        self.model, self.links, self.keys = model, links, calibrated(model)
+        self.given = np.array([model.mechanism[key][0].value for key in self.keys])
+        self.joints = len(links.bodies)
+        self.tilt = NUISANCE + 10 * self.joints
+        self.scale = self.tilt + 2
+        self.mechanism = self.scale + 1
+        self.own = self.mechanism + len(self.keys)
+        self.width = self.own + OWN
+
+    def term(self, h: Hypothesis, values: Array) -> Term:
+        """The hypothesis as a term of a model."""
+        known = dict(zip(h.free, values.tolist(), strict=True))
+        effect = get_effect(h.effect)
+        return Term(
+            h.effect,
+            max(h.joint, 1),
+            {
+                p.name: Quantity(known.get(p.name, p.default or 0.0), p.name in known)
+                for p in effect.parameters
+            },
+        )
+
+    def place(self, h: Hypothesis, values: Array) -> Array:
+        """Coefficients of the columns, (joints, width); a last number ``gain`` is the error of all
+        joints' actuators beside it.
+        """
+        if h.free and h.free[-1] == "gain":
+            x = self.place(replace(h, free=h.free[:-1]), values[:-1])
+            x[:, self.own] += values[-1]
+            return x
+        x = np.zeros((self.joints, self.width))
+        if h.effect in ("payload", "body"):
+            k = h.joint - 1
+            at = NUISANCE + 10 * k
+            x[:, at : at + 10] = change_of(self.term(h, values), self.links.bodies[k])
+        elif h.effect == "base_tilt":
+            x[:, self.tilt : self.tilt + 2] = values
+        elif h.effect == "gravity_scale":
+            x[:, self.scale] = values[0]
+        elif h.effect == "calibration":
+            x[:, self.mechanism : self.own] = values
+        elif h.effect == "torque_gain":
+            rows = slice(None) if h.joint == 0 else slice(h.joint - 1, h.joint)
+            x[rows, self.own] = values
+        elif h.effect == "gravity":
+            x[h.joint - 1, self.own + 1 : self.own + 3] = values
+        elif h.effect == "stiffness":
+            x[h.joint - 1, self.own + 3] = values[0]
+        elif h.effect == "unknown":
+            x[h.joint - 1, self.own :] = values
+        return x

@@ -1,0 +1,128 @@
+"""Hypotheses after their fits, in order: which explains what all joints leave, and what is as
+good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.bodies.hypotheses import LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.bodies.solver import Solver
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A hypothesis after its linear fit.
+
+    Attributes
+    ----------
+    hypothesis : Hypothesis
+    values : ndarray, shape (p,)
+        Of ``hypothesis.free``.
+    std : ndarray, shape (p,)
+        Over the blocks.
+    gain : float
+        Deviance over ``nothing`` on the recordings that choose.
+    z : float
+        Standard deviations over their blocks.
+    behind : float
+        Standard deviations by which the best explanation predicts better; 0 for the best.
+    joints : ndarray, shape (joints,)
+        The gain by joints.
+    blocks : ndarray, shape (blocks,)
+        The gain by blocks.
+    share : ndarray, shape (joints,)
+        Of the squared innovations that ``nothing`` leaves at a joint, how much goes.
+    """
+
+    hypothesis: Hypothesis
+    values: Array
+    std: Array
+    gain: float
+    z: float
+    behind: float
+    joints: Array
+    blocks: Array
+    share: Array
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(
+            f"{n} = {v:.4g} ± {s:.2g}"
+            for n, v, s in zip(self.hypothesis.free, self.values, self.std, strict=True)
+        )
+        return (
+            f"<{self.hypothesis.name}: {numbers}; gain {self.gain:.0f}, z = {self.z:.1f}, behind"
+            f" {self.behind:.1f}>"
+        )
+
+
+def explain(solver: Solver, tried: Sequence[Hypothesis]) -> list[Explained]:
+    """All hypotheses after their linear fits, the best first.
+
+    Those that predict as well as the best one that is sure are ordered by what they cost; then all
+    others by their gain.
+    """
+    nothing = solver.at(Hypothesis("nothing"), np.zeros(0))
+    none, before = solver.points(nothing), solver.squares(nothing)
+    before = np.where(before > 0, before, np.inf)
+    out = []
+    for h in tried:
+        values = solver.estimate(h)
+        if not solver.plausible(h, values):
+            continue
+        x = solver.at(h, values)
+        gain = none - solver.points(x)
+        blocks = gain.sum(axis=0)
+        share = np.where(np.isfinite(before), 1.0 - solver.squares(x) / before, 0.0)
+        out.append(
+            Explained(
+                h,
+                values,
+                solver.std(h, values),
+                float(blocks.sum()),
+                z_of(blocks),
+                0.0,
+                gain.sum(axis=1),
+                blocks,
+                share,
+            )
+        )
+    sure = [e for e in out if e.z > solver.limits.sure]
+    top = max(sure or out, key=lambda e: e.gain)
+    out = [replace(e, behind=z_of(top.blocks - e.blocks) if e is not top else 0.0) for e in out]
+    ties = [e for e in out if tied(e, top, solver.limits)]
+    ties.sort(key=lambda e: (_cost(e, solver), -e.gain))
+    others = sorted((e for e in out if not any(e is t for t in ties)), key=lambda e: -e.gain)
+    return ties + others
+
+
+def _cost(e: Explained, solver: Solver) -> float:
+    """What an explanation costs; nothing where free parameters of the model need little for it."""
+    if e.hypothesis.effect == "calibration":
+        given = solver.layout.given
+        if np.all(np.abs(e.values) < solver.limits.calibrated * np.abs(given)):
+            return 0.0
+    return e.hypothesis.cost
+
+
+def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
+    """Whether an explanation predicts as well as the best one."""
+    return other.behind < limits.tie or top.gain - other.gain < limits.share * abs(top.gain)
+
+
+def z_of(blocks: Array) -> float:
+    """Mean of the blocks over its standard error, neighbours taken together."""
+    n = len(blocks)
+    if n < 4:
+        return 0.0
+    off = blocks - blocks.mean()
+    variance = float(off @ off) + float(off[:-1] @ off[1:])
+    return float(
+        blocks.sum() / np.sqrt(max(variance, 1e-12 * float(blocks @ blocks), 1e-300) * n / (n - 1))
+    )

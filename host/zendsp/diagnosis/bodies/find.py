@@ -1,0 +1,270 @@
+"""Hypotheses about the whole robot: a payload, a wrong link, a tilted base, and what must be told
+from them.
+
+Joint by joint a wrong body looks like a gain, a coupling, a gravity. Here all joints decide
+together. To first order, the torque that a body adds along the measured motion leaves its response
+in the observers' innovations (``physics.predict.response``), and torque is linear in ten numbers of
+each link (``physics.bodies``). Beside them, every joint has nuisance columns of its own: offset,
+viscous and dry friction, drag, rotor inertia. So friction that the model lacks does not pass for a
+body, nor a body for friction. All that a hypothesis needs is in the blocks' Gram matrices:
+estimate, evidence on other recordings and rivals cost next to nothing. What wins is estimated again
+around itself, so that what a body does to the inertia is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from zendsp.diagnosis.bodies.columns import Layout, Sums
+from zendsp.diagnosis.bodies.explain import Explained, explain, tied
+from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS, BodyLimits, hypotheses
+from zendsp.diagnosis.bodies.solver import Solver
+from zendsp.physics.bodies import Links
+from zendsp.physics.fit import Data
+from zendsp.physics.model import Model, Term
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class FoundBody:
+    """What all joints together say of one body, or of gravity.
+
+    Attributes
+    ----------
+    term : Term
+        To be added to a model; its numbers bear their standard deviations and are held in fits of
+        single joints.
+    body : str
+        Name of the link; empty for gravity.
+    explained : Explained
+        Values, evidence on the recordings that choose, and what each joint gains.
+    indistinguishable : tuple of str
+        Explanations that predict as well.
+    rejected : tuple of Explained
+        Those that predict worse, the best first.
+    aside : frozenset of int
+        Joints (1-based) with a fault of their own that is larger.
+    """
+
+    term: Term
+    body: str
+    explained: Explained
+    indistinguishable: tuple[str, ...]
+    rejected: tuple[Explained, ...]
+    aside: frozenset[int] = frozenset()
+
+
+@dataclass(frozen=True)
+class BodySearch:
+    """What is wrong with the bodies of a machine.
+
+    ``model`` is the given one with it; ``tried`` are all explanations of the last round, ``aside``
+    the joints that had been set aside by then for a fault of their own.
+    """
+
+    model: Model
+    found: tuple[FoundBody, ...] = ()
+    tried: tuple[Explained, ...] = ()
+    aside: frozenset[int] = frozenset()
+
+
+def find_bodies(
+    fit: Data, choose: Data, model: Model, jobs: int, tell: Progress, limits: BodyLimits = LIMITS
+) -> BodySearch:
+    """Look for wrong bodies: payloads, links, gravity.
+
+    Parameters
+    ----------
+    fit, choose : Data
+        Recordings to fit to, and to choose by.
+    model : Model
+        The given one, in kernel form.
+    jobs : int
+        Threads.
+    tell : callable
+        Receives a sentence at each stage.
+    limits : BodyLimits
+
+    Returns
+    -------
+    BodySearch
+        Proposals: whether they are claimed is decided on recordings that were not touched here.
+    """
+    links = fit.records[0][0].links
+    # a single joint's payload is its inertia and its gravity
+    if links is None or all(b.parent < 0 for b in links.bodies):
+        return BodySearch(model)
+    begun = model
+    found: list[FoundBody] = []
+    tried: list[Explained] = []
+    aside: frozenset[int] = frozenset()
+    while len(found) < limits.bodies:
+        tell("bodies: a payload, a wrong link, a tilted base, and what looks like them")
+        layout = Layout(model, links)
+        solver, tried, aside = _round(
+            Sums(fit, model, limits, jobs), Sums(choose, model, limits, jobs), layout, limits
+        )
+        best = tried[0]
+        taken = {(f.term.effect, f.term.joint) for f in found}
+        if (
+            not counts(best, solver)
+            or (best.hypothesis.effect, max(best.hypothesis.joint, 1)) in taken
+        ):
+            break
+        best = refined(
+            fit, choose, layout, own_mass(best, tried, links, limits), limits, jobs, aside
+        )
+        if weight_of(choose, layout, best) < limits.least:
+            break
+        h = best.hypothesis
+        alike = [
+            e.hypothesis
+            for e in tried
+            if tied(e, tried[0], limits) and e.hypothesis.effect != "unknown"
+        ]
+        same = tuple(
+            dict.fromkeys(o.name for o in alike if (o.effect, o.joint) != (h.effect, h.joint))
+        )
+        others = tuple(e for e in tried[1:] if e.hypothesis not in alike and e.gain > 0)
+        term = stated(layout, best)
+        tell(f"bodies: {best.hypothesis.name}")
+        found.append(FoundBody(term, best.hypothesis.body, best, same, others, aside))
+        if "calibration" in same:  # what the body explains is not to be calibrated away
+            held = {
+                key: tuple(replace(q, free=False) for q in items)
+                for key, items in begun.mechanism.items()
+            }
+            begun = replace(begun, mechanism=held)
+        model = begun.with_terms((*begun.terms, *(f.term for f in found)))
+    return BodySearch(model, tuple(found), tuple(tried), aside)
+
+
+def _round(
+    fit: Sums, choose: Sums, layout: Layout, limits: BodyLimits
+) -> tuple[Solver, list[Explained], frozenset[int]]:
+    """All explanations, the best first; joints with a larger fault of their own are set aside."""
+    everything = hypotheses(layout.model, layout.links)
+    aside: set[int] = set()
+    while True:
+        solver = Solver(fit, choose, layout, limits, aside=aside)
+        tried = explain(solver, [h for h in everything if h.of_bodies or h.joint not in aside])
+        best = tried[0]
+        if best.hypothesis.of_bodies or not best.hypothesis.joint or best.z < limits.sure:
+            return solver, tried, frozenset(aside)
+        aside.add(best.hypothesis.joint)
+
+
+def counts(best: Explained, solver: Solver) -> bool:
+    """Whether an explanation is about bodies, and one that the recordings to choose by bear out."""
+    limits = solver.limits
+    return (
+        best.hypothesis.of_bodies and best.z > limits.sure and float(best.share.max()) > limits.part
+    )
+
+
+def own_mass(
+    best: Explained, tried: Sequence[Explained], links: Links, limits: BodyLimits
+) -> Explained:
+    """The wrong mass of a link in place of a body that sits at its centre of mass."""
+    h = best.hypothesis
+    if "mass" not in h.free or h.free == ("mass",):
+        return best
+    body = links.bodies[h.joint - 1]
+    known = dict(zip(h.free, best.values.tolist(), strict=True))
+    mass, com = known["mass"], np.array([known.get(key, 0.0) for key in COM])
+    away = com - body.com if h.effect == "payload" else com * (body.mass + mass) / (mass or 1e-12)
+    if abs(mass) > 0.5 * body.mass or float(np.linalg.norm(away)) > limits.same:
+        return best
+    plain = [
+        e
+        for e in tried
+        if (e.hypothesis.effect, e.hypothesis.joint, e.hypothesis.free)
+        == ("body", h.joint, ("mass",))
+    ]
+    return plain[0] if plain else best
+
+
+def refined(
+    fit: Data,
+    choose: Data,
+    layout: Layout,
+    first: Explained,
+    limits: BodyLimits = LIMITS,
+    jobs: int = 1,
+    aside: Collection[int] = (),
+) -> Explained:
+    """An explanation estimated again around itself, until its numbers stand; a mass with an inertia
+    of its own where that shows.
+
+    What a recording leaves unexplained pulls at the numbers by more than its blocks show, since it
+    comes back with the poses. Another recording has other poses: standard deviations grow to what
+    the two estimates differ by. They hold also where all actuators give a little more or less than
+    stated, which looks much like mass.
+    """
+    model, h, values = layout.model, first.hypothesis, first.values
+    wider = (
+        replace(h, free=(*h.free, "inertia")) if "mass" in h.free and "inertia" not in h.free else h
+    )
+    last, by_gain = first, np.zeros(len(values))
+    for _ in range(limits.rounds):
+        here = model.with_terms((*model.terms, layout.term(h, values)))
+        sums = Sums(fit, here, limits, jobs)
+        solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
+        new = solver.estimate(h, values)
+        std = solver.std(h, new)
+        if len(wider.free) > len(h.free):
+            more = solver.estimate(wider, np.append(new, 0.0))
+            spread = solver.std(wider, more)
+            told_apart = spread[0] < max(3.0 * std[0], 0.01 * abs(more[0]))
+            if abs(more[-1]) > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
+                h, new, std = wider, more, spread
+        known = len(values)
+        stands = (
+            len(new) == known
+            and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3
+        )
+        last, values = replace(first, hypothesis=h, values=new, std=std), new
+        *beside, gain = solver.estimate(replace(h, free=(*h.free, "gain")), np.append(values, 0.0))
+        by_gain = (np.array(beside) - values) * min(1.0, limits.constant / max(abs(gain), 1e-12))
+        if stands:
+            break
+    here = model.with_terms((*model.terms, layout.term(h, values)))
+    sums = Sums(choose, here, limits, jobs)
+    solver = Solver(sums, sums, layout, limits, layout.place(h, values), aside)
+    other = solver.estimate(h, values)
+    apart = (other - values) ** 2 / np.maximum(last.std**2 + solver.std(h, other) ** 2, 1e-300)
+    std = last.std * max(1.0, float(np.sqrt(np.mean(apart))))
+    return replace(last, std=np.hypot(std, by_gain))
+
+
+def stated(layout: Layout, e: Explained) -> Term:
+    """The term of an explanation, with its standard deviations; held in fits of single joints."""
+    term = layout.term(e.hypothesis, e.values)
+    spread = dict(zip(e.hypothesis.free, e.std.tolist(), strict=True))
+    numbers = {
+        key: replace(q, free=False, std=spread.get(key, 0.0)) for key, q in term.parameters.items()
+    }
+    return Term(term.effect, term.joint, numbers)
+
+
+def weight_of(data: Data, layout: Layout, e: Explained) -> float:
+    """RMS torque of an explanation at the joint where it is largest, as a part of that joint's RMS
+    torque.
+    """
+    term = layout.term(e.hypothesis, e.values)
+    most = 0.0
+    for j in range(layout.joints):
+        total = scale = 0.0
+        for rec in data.records:
+            record = rec[j]
+            assert record.links is not None
+            change = record.links.change([term], j)
+            torque = change.bias + change.inertia * record.others[j, 2]
+            total += float(torque @ torque)
+            scale += record.scale.torque**2 * record.n
+        most = max(most, float(np.sqrt(total / max(scale, 1e-300))))
+    return most

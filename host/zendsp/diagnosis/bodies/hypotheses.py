@@ -1,0 +1,160 @@
+"""What may be wrong with the bodies of a machine, and what looks like it: each as a hypothesis with
+its numbers and its cost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zendsp.physics.bodies import Links
+from zendsp.physics.model import Model
+
+
+@dataclass(frozen=True)
+class BodyLimits:
+    """What the search for bodies takes for granted."""
+
+    # rad/s of the observers: fast, since much is missing when bodies are looked for
+    bandwidth: float = 64.0
+    block: float = 1.0  # s: what an observer remembers, and a swing of an arm, lie within
+    blocks: int = 16  # at least so many, or they are shorter
+    # of the RMS speed: slower, a joint may stick, and says nothing of what pulls it
+    still: float = 0.05
+    memory: float = 0.1  # s for which an observer remembers that a joint stuck
+    # standard deviations over the blocks within which two explanations are as good
+    tie: float = 2.5
+    share: float = 0.03  # of the best one's gain: nearer, two explanations are as good
+    sure: float = 3.0  # standard deviations over the blocks from which an explanation is one
+    part: float = 0.2  # of what some joint leaves has to go on the recordings that choose
+    least: float = 0.01  # of some joint's RMS torque: less is no body that anybody would look for
+    bodies: int = 3  # at most so many wrong bodies
+    same: float = 0.02  # m from a link's centre of mass: what it carries there is its own
+    spread: float = 0.3  # m: no payload's radius of gyration is larger
+    reach: float = 1.0  # m: farther from its link's origin nothing is carried
+    gain: float = 0.5  # no actuator gives half as much again, or half
+    constant: float = 0.05  # relative standard deviation of the torque constants that makers state
+    step: float = 1e-6  # relative, of numerical derivatives
+    # a free parameter of the mechanism farther off than so much of itself is no calibration
+    calibrated: float = 0.15
+    rounds: int = 3  # estimates around the one before
+    # m from the link's origin, of a payload's centre to begin with
+    starts: tuple[float, ...] = (0.05, 0.15, 0.4)
+
+
+LIMITS = BodyLimits()
+OWN = 6  # further columns of one joint, its rivals to a body: gain, sin q, cos q, q, sin 2q, cos 2q
+COM = ("com_x", "com_y", "com_z")
+# what an explanation costs where several are as good: the fewest numbers, and the most frequent
+# cause first
+COST = {
+    "payload": 4.0,
+    "body": 1.0,
+    "base_tilt": 1.0,
+    "torque_gain": 1.0,
+    "gravity": 2.0,
+    "stiffness": 3.0,
+    "unknown": 8.0,
+}
+TOOL = 2.0  # of a payload at the end of a chain
+RARE = 4.0  # of causes that act on the whole machine: its gravity, all its gains
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """An explanation of what all joints leave.
+
+    Attributes
+    ----------
+    effect : str
+        Name in the library, or ``gravity_scale`` (g times a factor), ``calibration`` (the
+        mechanism's own free parameters), ``nothing``; ``unknown`` is any torque of one joint's own
+        position and command.
+    joint : int
+        1-based; the last joint that moves the body. 0: all joints.
+    body : str
+        Name of the link, empty where it is of none.
+    free : tuple of str
+        Names of its numbers.
+    """
+
+    effect: str
+    joint: int = 0
+    body: str = ""
+    free: tuple[str, ...] = ()
+    cost: float = 0.0
+
+    @property
+    def of_bodies(self) -> bool:
+        """Whether it is about bodies or gravity, and not a rival of those."""
+        return self.effect in ("payload", "body", "base_tilt")
+
+    @property
+    def name(self) -> str:
+        """Name for a list of what cannot be told apart."""
+        if self.effect == "torque_gain":
+            return (
+                f"torque_gain of joint {self.joint}" if self.joint else "torque_gain of all joints"
+            )
+        return self.effect + (
+            f" of {self.body}" if self.body else f" of joint {self.joint}" if self.joint else ""
+        )
+
+
+def calibrated(model: Model) -> tuple[str, ...]:
+    """Mechanism parameters of a model that may be calibrated."""
+    return tuple(
+        key for key, items in model.mechanism.items() if any(i.free and i.value for i in items)
+    )
+
+
+# of the ten numbers of a link (``NUMBERS``), those that each coordinate of its centre is in
+_HOLDS = {"com_x": (1, 5, 6, 7, 8), "com_y": (2, 4, 6, 7, 9), "com_z": (3, 4, 5, 8, 9)}
+UNFELT = 1e-9  # of the largest column of a link: rounding is 1e-16 of it
+
+
+def felt(links: Links, link: int) -> tuple[str, ...]:
+    """Coordinates of a link's centre that any joint feels: along parallel axes, a place in their
+    direction is nothing to any of them.
+    """
+    sizes = np.zeros(10)
+    for joint in range(len(links.bodies)):
+        if links.moves(joint, link):
+            sizes = np.maximum(sizes, np.abs(links.columns(joint, link)[1]).max(axis=1))
+    seen = sizes > UNFELT * float(sizes.max())
+    return tuple(key for key, at in _HOLDS.items() if seen[list(at)].any())
+
+
+def hypotheses(model: Model, links: Links) -> list[Hypothesis]:
+    """All that is tried."""
+    out: list[Hypothesis] = []
+    ends = {k for k in range(len(links.bodies)) if all(b.parent != k for b in links.bodies)}
+    # its parameters know nothing of what lies beside the links' lines
+    flat = model.kind == "planar2r"
+    for k, b in enumerate(links.bodies):
+        com = ("com_x",) if flat else felt(links, k)
+        free = ("mass", *com)
+        out.append(
+            Hypothesis("payload", k + 1, b.name, free, TOOL if k in ends else COST["payload"])
+        )
+        if b.mass > 0:
+            out.append(Hypothesis("body", k + 1, b.name, ("mass",), COST["body"] + 1))
+            if com:
+                out.append(Hypothesis("body", k + 1, b.name, com, COST["body"] + len(com)))
+                out.append(Hypothesis("body", k + 1, b.name, free, COST["body"] + 1 + len(com)))
+    if any(b.mass > 0 for b in links.bodies) and np.any(links.gravity):
+        out.append(Hypothesis("base_tilt", free=("angle_x", "angle_y"), cost=COST["base_tilt"] + 2))
+        out.append(Hypothesis("gravity_scale", free=("ratio",), cost=RARE))
+    if keys := calibrated(model):
+        out.append(Hypothesis("calibration", free=keys, cost=RARE))
+    out.append(Hypothesis("torque_gain", free=("ratio",), cost=RARE))
+    for j in range(1, len(links.bodies) + 1):
+        for effect, free in (
+            ("torque_gain", ("ratio",)),
+            ("gravity", ("sine", "cosine")),
+            ("stiffness", ("coefficient",)),
+            ("unknown", tuple(f"c{i}" for i in range(OWN))),
+        ):
+            out.append(Hypothesis(effect, j, "", free, COST[effect]))
+    return out

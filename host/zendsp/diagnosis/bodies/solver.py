@@ -1,0 +1,207 @@
+"""Linear fits of hypotheses to the Gram matrices, and their evidence on the recordings to choose
+by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.bodies.columns import NUISANCE, Layout, Sums
+from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS, BodyLimits, Hypothesis
+
+Array = npt.NDArray[np.float64]
+
+
+class Solver:
+    """Linear fits of hypotheses to the recordings that fit, and their evidence on those that
+    choose.
+
+    ``origin`` are the coefficients of what the model behind the sums has already of the hypothesis;
+    ``aside`` are the joints (1-based) whose own gain and functions of position are nuisance too,
+    since they have a fault of their own.
+    """
+
+    def __init__(
+        self,
+        fit: Sums,
+        choose: Sums,
+        layout: Layout,
+        limits: BodyLimits = LIMITS,
+        origin: Array | None = None,
+        aside: Collection[int] = (),
+    ) -> None:
+        self.fit, self.choose, self.layout, self.limits = fit, choose, layout, limits
+        self.origin = np.zeros((layout.joints, layout.width)) if origin is None else origin
+        whole, n = fit.whole, NUISANCE
+        free, own = list(range(n)), list(range(layout.own, layout.width))
+        # (x, 1) with the best nuisance
+        self.complete = np.zeros((layout.joints, layout.width + 1, layout.width + 1 - n))
+        self.complete[:, n:] = np.eye(layout.width + 1 - n)
+        for j, g in enumerate(whole):
+            out = free + own if j + 1 in aside else free
+            self.complete[j, out] -= solve(g[np.ix_(out, out)], g[out, n:])
+        self.rest = np.einsum(
+            "jab,jac,jcd->jbd", self.complete, whole, self.complete, optimize=True
+        )
+        self.counts = fit.counts.sum(axis=1)
+
+    def _full(self, x: Array) -> Array:
+        """Coefficients (joints, width) with the best nuisance and the innovations' 1, (joints,
+        width + 1).
+        """
+        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+        return np.asarray(np.einsum("jab,jb->ja", self.complete, tail))
+
+    def _left(self, x: Array) -> Array:
+        """Sum of squares that the fit leaves, per joint."""
+        tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+        left = np.einsum("ja,jab,jb->j", tail, self.rest, tail)
+        return np.asarray(np.maximum(left, 1e-9 * self.rest[:, -1, -1]))  # less is rounding
+
+    def deviance(self, x: Array) -> float:
+        """Of the fit, with the noise of each joint profiled out."""
+        used = self.counts > NUISANCE
+        return float(
+            np.sum(
+                self.counts[used]
+                * np.log(np.maximum(self._left(x)[used], 1e-300) / self.counts[used])
+            )
+        )
+
+    def at(self, h: Hypothesis, values: Array) -> Array:
+        """Coefficients that a hypothesis adds to the model, (joints, width)."""
+        return self.layout.place(h, values) - self.origin
+
+    def estimate(self, h: Hypothesis, start: Array | None = None) -> Array:
+        """Numbers that make the innovations of all joints most likely, (p,)."""
+        begins = self._starts(h) if start is None else [start]
+        ends = [self._descend(h, values) for values in begins]
+        return min(ends, key=lambda end: end[1])[0]
+
+    def _descend(self, h: Hypothesis, values: Array) -> tuple[Array, float]:
+        """Levenberg-Marquardt from some numbers: where it ends, and its deviance."""
+        best = self.deviance(self.at(h, values))
+        damping = 1e-6
+        for _ in range(30):
+            x, jac = self._linear(h, values)
+            left = self._left(x)
+            # a joint that stands still tells nothing
+            told = left > 1e-12 * float(np.max(left, initial=0.0))
+            weight = np.where(told, self.counts / np.where(told, left, 1.0), 0.0)
+            tail = np.concatenate([x[:, NUISANCE:], np.ones((len(x), 1))], axis=1)
+            inner = np.einsum("jab,jbp->jap", self.rest[:, :-1, :-1], jac)
+            normal = np.einsum("j,jap,jaq->pq", weight, jac, inner)
+            slope = np.einsum(
+                "j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
+            )
+            while damping < 1e6:
+                trial = values - solve(normal + damping * np.diag(np.diag(normal)), slope)
+                value = self.deviance(self.at(h, trial))
+                if value <= best:
+                    break
+                damping *= 10
+            else:
+                break
+            done = best - value < 1e-3
+            values, best, damping = trial, value, max(damping / 10, 1e-9)
+            if done:
+                break
+        return values, best
+
+    def _linear(self, h: Hypothesis, values: Array) -> tuple[Array, Array]:
+        """Coefficients and their derivatives without the nuisance, (joints, columns, p)."""
+        x = self.at(h, values)
+        step = self.limits.step * np.maximum(np.abs(values), 0.1)
+        jac = [
+            (self.at(h, values + step * e) - x) / step.sum(where=e > 0) for e in np.eye(len(values))
+        ]
+        return x, np.stack(jac, axis=2)[:, NUISANCE:]
+
+    def _starts(self, h: Hypothesis) -> list[Array]:
+        """Numbers to begin with: all zero, but for a payload, whose centre nobody can see without
+        its mass.
+        """
+        if h.effect != "payload":
+            return [np.zeros(len(h.free))]
+        at = 10 * (h.joint - 1)  # mass and first moment are linear
+        weight = self.counts / np.maximum(self._left(-self.origin), 1e-300)
+        part = slice(at, at + len(h.free))
+        normal = np.einsum("j,jab->ab", weight, self.rest[:, part, part])
+        slope = np.einsum("j,ja->a", weight, self.rest[:, part, -1])
+        mass, *moment = -solve(normal + 1e-9 * np.diag(np.diag(normal)), slope)
+        size = max(float(np.linalg.norm(moment)), 1e-6)
+        heavy = [max(abs(float(mass)), 1e-3), *(size / distance for distance in self.limits.starts)]
+        far = self.limits.reach
+        return [np.array([m, *np.clip(np.array(moment) / m, -far, far)]) for m in heavy]
+
+    def plausible(self, h: Hypothesis, values: Array) -> bool:
+        """Whether numbers are those of a machine."""
+        known = dict(zip(h.free, values.tolist(), strict=True))
+        bodies = self.layout.links.bodies
+        if h.effect == "payload":
+            robot = sum(b.mass for b in bodies) or np.inf
+            far = max(abs(known.get(key, 0.0)) for key in COM)
+            wide = 0.0 <= known.get("inertia", 0.0) < known["mass"] * self.limits.spread**2
+            return bool(0.0 < known["mass"] < robot and far < self.limits.reach and wide)
+        if h.effect == "body":
+            far = max(abs(known.get(key, 0.0)) for key in COM)
+            link, mass = bodies[h.joint - 1], abs(known.get("mass", 0.0))
+            # as a link of another density has, and thrice that
+            most = 3.0 * float(np.max(link.inertia)) * mass / link.mass
+            return bool(
+                mass < link.mass
+                and far < self.limits.reach
+                and abs(known.get("inertia", 0.0)) <= most
+            )
+        if h.effect in ("torque_gain", "gravity_scale"):
+            return bool(abs(known["ratio"]) < self.limits.gain)
+        return True
+
+    def std(self, h: Hypothesis, values: Array) -> Array:
+        """Standard deviations from what the blocks disagree, (p,)."""
+        if not len(values):
+            return np.zeros(0)
+        x, jac = self._linear(h, values)
+        full, weight = self._full(x), self.counts / np.maximum(self._left(x), 1e-300)
+        sense = np.einsum("jab,jbp->jap", self.complete[:, :, :-1], jac)
+        force = np.einsum("jkab,jb->jka", self.fit.grams, full)
+        scores = np.einsum("j,jap,jka->kp", weight, sense, force)
+        normal = np.einsum("j,jap,jab,jbq->pq", weight, jac, self.rest[:, :-1, :-1], jac)
+        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+        paired = scores[:-1].T @ scores[1:]
+        # neighbours are alike (Newey and West 1987)
+        spread = scores.T @ scores + 0.5 * (paired + paired.T)
+        return np.asarray(np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
+
+    def squares(self, x: Array) -> Array:
+        """Squared innovations on the recordings that choose, per joint."""
+        full = self._full(x)
+        return np.asarray(np.einsum("ja,jkab,jb->j", full, self.choose.grams, full))
+
+    def points(self, x: Array) -> Array:
+        """Deviance of the blocks that choose, (joints, blocks)."""
+        full = self._full(x)
+        left = np.maximum(np.einsum("ja,jkab,jb->jk", full, self.choose.grams, full), 0.0)
+        counts = self.choose.counts
+        mean = left.sum(axis=1) / np.maximum(counts.sum(axis=1), 1.0)
+        mean = np.maximum(mean, 1e-300)[:, None]
+        return np.asarray(
+            np.where(
+                counts.sum(axis=1)[:, None] > NUISANCE, left / mean + counts * np.log(mean), 0.0
+            )
+        )
+
+
+def solve(a: Array, b: Array) -> Array:
+    """Solution of a symmetric system in units of its diagonal; what nothing determines is 0."""
+    unit = np.sqrt(np.maximum(np.diag(a), 0.0))
+    unit = np.where(unit > 0, unit, 1.0)
+    scaled = (b.T / unit).T
+    if not (np.isfinite(a).all() and np.isfinite(scaled).all()):
+        return np.zeros(b.shape)  # beyond numbers: nowhere to go from here
+    return np.asarray(
+        (np.linalg.lstsq(a / np.outer(unit, unit), scaled, rcond=1e-10)[0].T / unit).T
+    )

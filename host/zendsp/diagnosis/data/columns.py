@@ -1,0 +1,120 @@
+"""The columns of a recording by the names that a model gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import RecordingError
+from zendsp.recording import Recording, Table, read_table
+from zendsp.recording.units import to_si
+
+Array = npt.NDArray[np.float64]
+Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
+Columns = Mapping[str, Any]  # a model's [columns]: a name, or a list of them, by role
+
+
+def optional(name: str, role: str, get: Getter, spec: Any, n: int, joints: int) -> Array:
+    """An optional column, one number for all joints or one each, (n, joints)."""
+    parts = [
+        np.asarray(get(str(item)), float) for item in (spec if isinstance(spec, list) else [spec])
+    ]
+    values = np.concatenate([part[:, None] if part.ndim == 1 else part for part in parts], axis=1)
+    if values.shape[1] not in (1, joints) or len(values) != n:
+        raise RecordingError(
+            f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints}"
+            " columns"
+        )
+    bad = ~np.isfinite(values)
+    if bad.any():
+        raise RecordingError(
+            f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers"
+            f" (first in row {int(np.argwhere(bad)[0, 0]) + 1}); expected none"
+        )
+    return np.array(np.broadcast_to(values, (n, joints)))
+
+
+def getter(
+    source: str | Path | Recording | Table,
+) -> tuple[str, Getter, tuple[str, ...]]:
+    """Its name, a function from a column's name to its numbers in SI, and what was done to get
+    these.
+    """
+    if isinstance(source, Recording):
+        names = set(source.names)
+
+        def from_recording(column: str) -> Array:
+            if column in ("t", "time") and column not in names:
+                return np.asarray(source.t, float)
+            try:
+                known = to_si(source.units.get(column.partition("[")[0], ""))
+                return np.asarray(source[column], float) * (known[0] if known else 1.0)
+            except (KeyError, RecordingError):
+                raise RecordingError(
+                    f"the recording has no channel {column!r}; it has {', '.join(source.names)}"
+                ) from None
+
+        return "recording", from_recording, ()
+    table = source if isinstance(source, Table) else read_table(source)
+    return str(table.path), lambda column: table[column], table.notes
+
+
+def without_repeats(get: Getter, columns: Columns) -> tuple[Getter, int]:
+    """A getter without the rows whose time and positions are those of the row before, and how many
+    there are.
+    """
+    if "time" not in columns or not has(get, columns["time"]):
+        return get, 0
+    time = np.asarray(get(str(columns["time"])))
+    spec = columns["position"]
+    parts = [np.asarray(get(str(item))) for item in (spec if isinstance(spec, list) else [spec])]
+    if time.ndim != 1 or len(time) < 2 or any(len(p) != len(time) for p in parts):
+        return get, 0
+    again = np.r_[False, np.diff(time) == 0]
+    for p in parts:
+        again[1:] &= (p[1:] == p[:-1]).reshape(len(time) - 1, -1).all(axis=1)
+    if not again.any():
+        return get, 0
+    keep = ~again
+    return lambda column: np.asarray(get(column))[keep], int(again.sum())
+
+
+def has(get: Getter, column: Any) -> bool:
+    try:
+        for item in column if isinstance(column, list) else [column]:
+            get(item)
+    except RecordingError:
+        return False
+    return True
+
+
+def names_of(spec: Any) -> list[str]:
+    """The names of a column specification."""
+    return [str(item) for item in spec] if isinstance(spec, list) else [str(spec)]
+
+
+def column_name(spec: Any, index: int) -> str:
+    return str(spec[index]) if isinstance(spec, list) else str(spec)
+
+
+def matrix(name: str, label: str, get: Getter, spec: Any, joints: int) -> Array:
+    if isinstance(spec, list):
+        parts = [np.asarray(get(str(item)), float) for item in spec]
+        for item, part in zip(spec, parts, strict=True):
+            if part.ndim != 1:
+                raise RecordingError(
+                    f"{name}: column {item!r} has shape {part.shape}; expected one number a row"
+                )
+        values = np.stack(parts, axis=1)
+    else:
+        values = np.asarray(get(str(spec)), float)
+        values = values[:, None] if values.ndim == 1 else values
+    if values.shape[1] != joints:
+        raise RecordingError(
+            f"{name}: {label} {spec!r} has {values.shape[1]} columns; the model has {joints} joints"
+        )
+    return values

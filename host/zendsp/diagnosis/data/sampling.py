@@ -1,0 +1,227 @@
+"""A recording's clock and its sensors' counts: checked, resampled, averaged down."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.columns import Columns, Getter, column_name, has
+from zendsp.diagnosis.data.signals import Signals
+from zendsp.errors import RecordingError
+from zendsp.physics.model import Model, per_joint
+from zendsp.physics.signals import find_resolution
+
+Array = npt.NDArray[np.float64]
+TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
+# samples times joints of a recording above which it is averaged down further, to SLOWEST_RATE at
+# least: the fastest observer has 10 Hz
+BUDGET = 150_000
+SLOWEST_RATE = 250.0  # Hz
+
+
+def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
+    """Positions (n, joints) without those that a logger only repeated, and how many there were.
+
+    A joint does not stand still for one sample and make up for it in the next: the value before
+    stands there again, the step before it is several counts, and the step after it is two.
+    """
+    out, count = position.copy(), 0
+    step = np.diff(position, axis=0)
+    for j in range(position.shape[1]):
+        before, none, after = step[:-2, j], step[1:-1, j], step[2:, j]
+        fast = 0.1 * float(np.abs(step[:, j]).max())  # slower, such a row is next to no error
+        several = np.abs(before) > max(4.0 * resolution[j], fast)
+        double = np.abs(after - 2.0 * before) < 0.5 * np.abs(before)
+        rows = 2 + np.flatnonzero((none == 0) & several & double)
+        out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
+        count += len(rows)
+    return out, count
+
+
+def clock(
+    name: str, get: Getter, columns: Columns, model: Model, n: int
+) -> tuple[Array, float, list[str], Array | None]:
+    notes: list[str] = []
+    if "time" not in columns or not has(get, columns["time"]):
+        if model.sample_time is None:
+            raise RecordingError(
+                f"{name}: has no time column {columns.get('time', 't')!r} and the model no"
+                " sample_time"
+            )
+        return np.arange(n, dtype=np.float64) * model.sample_time, model.sample_time, notes, None
+    time: Array = np.asarray(get(str(columns["time"])), dtype=np.float64)
+    if time.ndim != 1 or not np.isfinite(time).all():
+        raise RecordingError(
+            f"{name}: time column {columns['time']!r} holds values that are not finite numbers"
+        )
+    step = np.diff(time)
+    if (step <= 0).any():
+        row = int(np.argmax(step <= 0)) + 2
+        raise RecordingError(
+            f"{name}: time runs backwards or stands still at row {row}: are two runs glued"
+            " together? Give them as two files"
+        )
+    period = float(np.median(step))
+    if period > 0.1:
+        raise RecordingError(
+            f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is"
+            f" the time column {columns['time']!r} in seconds?"
+        )
+    if model.sample_time and abs(period / model.sample_time - 1) > 0.2:
+        raise RecordingError(
+            f"{name}: samples are {period:.6g} s apart, the model says sample_time ="
+            f" {model.sample_time:.6g} s: check the unit of the time column"
+        )
+    if (
+        model.sample_time
+        and abs(np.mean(step) / model.sample_time - 1) < 1e-3
+        and abs(period / model.sample_time - 1) < 0.05
+    ):
+        period = model.sample_time
+    jitter = float(np.max(np.abs(step - period))) / period
+    if jitter < 0.02:
+        return time, float((time[-1] - time[0]) / (n - 1)), notes, None
+    if float(np.max(step)) > max(50 * period, 0.1):
+        k = int(np.argmax(step))
+        raise RecordingError(
+            f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together?"
+            " Give them as two files"
+        )
+    spread = float(np.std(step)) / period
+    notes.append(
+        f"{name}: time stamps jitter by {100 * spread:.1f} % of the sample time (largest step"
+        f" {np.max(step) / period:.1f} samples); resampled uniformly"
+    )
+    return time, period, notes, np.arange(time[0], time[-1], period)
+
+
+def resolution_of(
+    name: str,
+    columns: Columns,
+    joint: int,
+    position: Array,
+    command: Array,
+    model: Model,
+    notes: list[str],
+) -> float:
+    """Step of a position column: as the model says, checked against the lattice that its numbers
+    lie on.
+    """
+    stated = per_joint(model.sensor.resolution, joint + 1, 0.0)
+    y = position[:, joint]
+    found = find_resolution(y)
+    if stated <= 0:
+        return found
+    if _on_lattice(y, stated):
+        return stated
+    where = f"{name}: position {column_name(columns['position'], joint)!r}"
+    if found > 0:
+        for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):
+            if abs(found / stated / factor - 1) < 0.02:
+                raise RecordingError(
+                    f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the"
+                    f" model's position_resolution of {stated:.6g}: the column is in {words}"
+                )
+    if any(_on_lattice(y, stated / part) for part in (2, 4, 8, 5, 10)):
+        return stated  # whole fractions of a count: interpolated or averaged by the drive
+    if "command" in columns and _on_lattice(command[:, joint], stated, least=100):
+        raise RecordingError(
+            f"{where}: the command column has the sensor's resolution of {stated:.6g} and the"
+            " position column has not: position and command are swapped"
+        )
+    notes.append(
+        f"{where} does not lie on the model's position_resolution of {stated:.4g}; "
+        + (f"its smallest step is {found:.4g}" if found else "no lattice is seen")
+    )
+    return found
+
+
+def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
+    """Whether differences are whole steps, as far as the numbers' own digits allow; ``least``: so
+    many must show it.
+    """
+    ratio = np.abs(np.diff(y)) / step
+    ratio = ratio[(ratio > 0.02) & (ratio < 300)]
+    if len(ratio) < 10 or len(ratio) < least:
+        return least == 0
+    return float(np.mean(np.abs(ratio - np.round(ratio)) < 0.05)) > 0.95
+
+
+def on_counts(values: Array, origin: Array, resolution: Array) -> Array:
+    """Interpolated positions put back on the sensor's counts: the quantiser's model holds for
+    counts, not for means of them.
+    """
+    step = np.where(resolution > 0, resolution, 1.0)
+    counts: Array = np.where(
+        resolution > 0, origin + step * np.round((values - origin) / step), values
+    )
+    return counts
+
+
+def resample(grid: Array, time: Array, values: Array) -> Array:
+    """Straight lines between the rows, at the instants of a uniform grid, (n, columns)."""
+    return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
+
+
+def resample_held(grid: Array, time: Array, values: Array) -> Array:
+    """The mean over each step of a uniform grid of what is held from row to row, (n, columns).
+
+    The command before an instant would come half a sample late, where stamps lie on both sides of
+    the grid.
+    """
+    period = float(grid[1] - grid[0])
+    edges = np.append(grid, grid[-1] + period)
+    ends = np.append(time, max(edges[-1], time[-1]) + period)
+    out = []
+    for column in values.T:
+        sums = np.concatenate([[0.0], np.cumsum(column * np.diff(ends))])
+        out.append(np.diff(np.interp(edges, ends, sums)) / period)
+    return np.stack(out, axis=1)
+
+
+def decimated(signals: Signals) -> Signals:
+    seconds = len(signals.time) * signals.sample_time
+    affordable = BUDGET / (seconds * signals.position.shape[1])
+    rate = min(TARGET_RATE, max(SLOWEST_RATE, affordable))
+    factor = int(1.0 / (signals.sample_time * rate) + 0.2)
+    if factor < 2:
+        return signals
+    n = (len(signals.time) // factor) * factor
+    half = (factor - 1) // 2  # windows that overlap would make the noise of neighbours alike
+
+    def centred(values: Array) -> Array:  # mean over the samples around each kept sample
+        padded = np.concatenate(
+            [np.repeat(values[:1], half, axis=0), values, np.repeat(values[-1:], factor, axis=0)]
+        )
+        sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), padded]), axis=0)
+        start = np.arange(0, n, factor)
+        width = 2 * half + 1
+        mean: Array = (sums[start + width] - sums[start]) / width
+        return mean
+
+    held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
+    # means of many counts within a sample are better than one of them; of a few, which at low speed
+    # are all the same, they hide the counts
+    few = half == 0 or 1 / signals.sample_time < 1.5 * TARGET_RATE
+    counts = (signals.resolution > 0) & few
+    white = signals.resolution / np.sqrt(12 * (2 * half + 1))
+    least = np.zeros_like(white) if signals.least_noise is None else signals.least_noise
+    note = (
+        f"{signals.name}: {1 / signals.sample_time:.0f} Hz averaged down to"
+        f" {1 / signals.sample_time / factor:.0f} Hz"
+    )
+    return replace(
+        signals,
+        time=signals.time[:n:factor],
+        sample_time=signals.sample_time * factor,
+        position=np.where(counts, signals.position[:n:factor], centred(signals.position)),
+        command=held,
+        reference=None if signals.reference is None else signals.reference[:n:factor],
+        resolution=np.where(counts, signals.resolution, 0.0),
+        least_noise=np.maximum(least, np.where(counts, 0.0, white)),
+        extra={role: centred(values) for role, values in signals.extra.items()},
+        notes=(*signals.notes, note),
+        raw=signals,
+    )

@@ -1,0 +1,81 @@
+"""Where a recording is cut: to fit to, to choose by, to test on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
+
+from zendsp.diagnosis.data.signals import MIN_SAMPLES, Signals
+
+Array = npt.NDArray[np.float64]
+
+
+def split(signals: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
+    """Hold out the last third of each recording's motion.
+
+    Returns
+    -------
+    train, test, notes
+    """
+    train, test, notes = [], [], []
+    for s in signals:
+        n = len(s.time)
+        cut = int(
+            np.clip(
+                np.searchsorted(_way(s), 2 / 3),
+                min(MIN_SAMPLES, n // 2),
+                n - min(MIN_SAMPLES, n // 3),
+            )
+        )
+        from_time = f"{s.time[cut] - s.time[0]:.3g} s"
+        notes.append(
+            f"{s.name}: no other recording given to judge on; held out from {from_time} on, the"
+            " last third of its motion"
+        )
+        train.append(s.part(0, cut, f"{s.name} (first part)"))
+        test.append(s.part(cut, len(s.time), f"{s.name} (last part)"))
+    return train, test, notes
+
+
+def halves(held: Sequence[Signals]) -> tuple[list[Signals], list[Signals], list[str]]:
+    """Recordings to choose by and recordings to test on: whole ones where there are several, else
+    the halves of the one.
+
+    Returns
+    -------
+    choose, test, notes
+    """
+    if len(held) > 1:
+        middle = len(held) // 2
+        return list(held[:middle]), list(held[middle:]), []
+    (s,) = held
+    n = len(s.time)
+    if n < 2 * MIN_SAMPLES:
+        note = (
+            f"{s.name}: too short to be divided: what was chosen by it is tested on it too, so the"
+            " tested figures flatter"
+        )
+        return [s], [s], [note]
+    way = _way(s)
+    cut = int(np.clip(np.searchsorted(way, 0.5), MIN_SAMPLES, n - MIN_SAMPLES))
+    return (
+        [s.part(0, cut, f"{s.name} (to choose by)")],
+        [s.part(cut, n, f"{s.name} (to test on)")],
+        [],
+    )
+
+
+def _way(s: Signals) -> Array:
+    """Share of the way that is behind at each row, (n,), the mean over the joints; what a sensor
+    trembles is averaged out.
+    """
+    block = max(1, round(0.02 / s.sample_time))
+    means = uniform_filter1d(s.position, block, axis=0, mode="nearest")[::block]
+    way = np.cumsum(np.abs(np.diff(means, axis=0, prepend=means[:1])), axis=0)
+    way = way[:, way[-1] > 0]
+    share = np.mean(way / way[-1], axis=1) if way.shape[1] else np.linspace(0.0, 1.0, len(means))
+    out: Array = np.interp(np.arange(len(s.time)), np.arange(len(means)) * block, share)
+    return out

@@ -1,0 +1,1 @@
+"""What two sensors on the two sides of a transmission show of it."""

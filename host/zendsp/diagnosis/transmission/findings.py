@@ -1,0 +1,176 @@
+"""Claims about a transmission as findings, and as the terms that go into the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.confidence import MOST
+from zendsp.diagnosis.decide.decide import PLAIN
+from zendsp.diagnosis.decide.findings import number, sentence
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.torsion import has_bodies, joint_inertia
+from zendsp.diagnosis.result import Estimate, Finding
+from zendsp.diagnosis.search.forward import calibrate_joint
+from zendsp.diagnosis.transmission.claims import Claim
+from zendsp.physics.effects import get_effect, unit_of
+from zendsp.physics.model import Model, Quantity, Term
+
+OF_A_GAP = 0.05  # of its width: so much too narrow it came out of a simulated one of 20 mrad
+
+
+def load_behind(model: Model, inertia: float, motor: tuple[float, float]) -> tuple[float, float]:
+    """Inertia behind the transmission, with its standard deviation; 0 where the bodies say it."""
+    if has_bodies(model):
+        return 0.0, 0.0
+    return max(inertia - motor[0], 0.02 * inertia), motor[1]
+
+
+def _sure(claim: Claim) -> float:
+    ratio = (claim.size / max(claim.left, 1e-300)) ** 1.5
+    return float(min(MOST, ratio / (0.5 + ratio)))
+
+
+def findings_of(
+    parts: Parts,
+    model: Model,
+    joint: int,
+    scale: float,
+    claims: Sequence[Claim],
+    waves: Sequence[Claim],
+    load: tuple[float, float],
+) -> tuple[tuple[Finding, ...], tuple[Term, ...]]:
+    """Findings with the contract's names, and the terms that go into the model."""
+    by = {c.name: c for c in claims}
+    made: list[tuple[str, Claim, dict[str, tuple[float, float]], dict[str, object]]] = []
+    spring = by.get("spring")
+    if spring is not None:
+        stiffness = -1.0 / spring.value
+        relative = spring.std / abs(spring.value)
+        numbers = {"stiffness": (stiffness, relative * stiffness)}
+        if spring.damping[0] > PLAIN * spring.damping[1]:
+            numbers["damping"] = spring.damping
+        if load[0]:
+            numbers["load_inertia"] = load
+        details: dict[str, object] = {"compliance": -spring.value, "compliance_std": spring.std}
+        name = "elasticity"
+        if "gap" in by:
+            name, numbers = "backlash", {"gap": _gap(by["gap"]), **numbers}
+        elif "cubic" in by:
+            name = "stiffening"
+            bend = by["cubic"].value * stiffness**4 / scale**2
+            numbers["stiffness3"] = bend, by["cubic"].std / by["cubic"].value * bend
+        made.append((name, spring, numbers, details))
+    elif "gap" in by:
+        made.append(("backlash", by["gap"], {"gap": _gap(by["gap"])}, {}))
+    if "step" in by and spring is None:
+        step = by["step"]
+        made.append(("hysteresis", step, {"step": (-2 * step.value, 2 * step.std)}, {}))
+    for w in waves:
+        numbers = {
+            "order": (w.order, w.order_std),
+            "amplitude": (w.value, w.std),
+            "phase": (w.phase, w.std / w.value),
+        }
+        made.append(("transmission_error", w, numbers, {}))
+    everything = sum(c.size**2 for _, c, _, _ in made) or 1.0
+    findings = tuple(
+        _finding(model, joint, name, claim, numbers, details, claim.size**2 / everything)
+        for name, claim, numbers, details in made
+    )
+    terms = tuple(_term(model, parts, name, joint, numbers) for name, _, numbers, _ in made)
+    return findings, tuple(t for t in terms if t is not None)
+
+
+def _gap(claim: Claim) -> tuple[float, float]:
+    """Full width, and its standard deviation."""
+    width = -2.0 * claim.value
+    return width, math.hypot(2.0 * claim.std, OF_A_GAP * width)
+
+
+def _term(
+    model: Model, parts: Parts, name: str, joint: int, numbers: dict[str, tuple[float, float]]
+) -> Term | None:
+    """A held term: the motor's position says less of it than the two sensors. None where the
+    kernel has no such law.
+
+    What was not measured: all that the bodies are is the load, and the spring loses a twentieth of
+    critical.
+    """
+    if name == "hysteresis" or (name == "backlash" and "stiffness" not in numbers):
+        return None
+    known = dict(numbers)
+    if "stiffness" in known:
+        inertia = joint_inertia(parts.fit, model, joint)
+        load = known.setdefault("load_inertia", (_bodies(parts, model, joint), 0.0))[0]
+        damping = 0.1 * math.sqrt(known["stiffness"][0] * min(load, inertia))
+        known.setdefault("damping", (damping, 0.0))
+    values = {
+        p.name: Quantity(max(known[p.name][0], p.lower), False, "", known[p.name][1])
+        for p in get_effect(name).parameters
+    }
+    return Term(name, joint, values)
+
+
+def _bodies(parts: Parts, model: Model, joint: int) -> float:
+    """Mean inertia of the bodies behind a joint, kg m² or kg."""
+    inertia, _ = parts.fit.records[0][joint - 1].inertia_and_bias(model)
+    return float(np.mean(inertia))
+
+
+def _finding(
+    model: Model,
+    joint: int,
+    name: str,
+    claim: Claim,
+    numbers: dict[str, tuple[float, float]],
+    details: dict[str, object],
+    share: float,
+) -> Finding:
+    effect = get_effect(name)
+    kind, torque = model.joint_kind(joint), model.torque_unit(joint)
+    values = {}
+    for key, (value, std) in numbers.items():
+        size = next((p.size for p in effect.parameters if p.name == key), "position")
+        values[key] = Estimate(value, std, unit_of(size, kind, model.actuator.unit, torque))
+    if name == "hysteresis":
+        text = (
+            f"The transmission of joint {joint} steps by {number(values['step'])} as the direction"
+            " changes: lost motion, or a spring behind dry friction."
+        )
+    elif name == "elasticity":
+        text = f"Joint {joint} is elastic: stiffness {number(values['stiffness'])}."
+    else:
+        text = sentence(Term(name, joint, {}), values)
+    text += " Measured by the sensors on both sides of its transmission."
+    if claim.same:
+        text += f" This recording cannot tell it from {', '.join(claim.same)}."
+    same = claim.same
+    sure = _sure(claim) * (0.5 + 0.5 / (1 + len(same)))
+    return Finding(
+        name,
+        joint,
+        values,
+        sure,
+        share,
+        same,
+        (),
+        text,
+        {"details": {"sensors": "both sides", **details}},
+        effect.mechanism,
+        {name: 1.0},
+    )
+
+
+def helpful(
+    parts: Parts, model: Model, joint: int, terms: tuple[Term, ...], jobs: int
+) -> tuple[Term, ...]:
+    """The measured terms, where the motor's own prediction is no worse with them."""
+    if not terms:
+        return ()
+    plain = calibrate_joint(parts.fit, model, joint, jobs)
+    bent = calibrate_joint(parts.fit, model.with_terms((*model.terms, *terms)), joint, jobs)
+    return terms if compare(plain, bent, parts.choose, joint).gain > 0 else ()

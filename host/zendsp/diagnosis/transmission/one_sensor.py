@@ -1,0 +1,62 @@
+"""What the motor's sensor alone could not have shown of a transmission."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.decide import FINEST, Decision
+from zendsp.diagnosis.measure.torsion import OF_BODIES, has_bodies, of_bodies
+from zendsp.diagnosis.result import Detectable
+from zendsp.diagnosis.transmission.sets import torque_unit
+from zendsp.physics.effects import unit_of
+from zendsp.physics.model import Model
+
+
+def by_one_sensor(
+    parts: Parts, model: Model, decisions: Sequence[Decision]
+) -> tuple[Detectable, ...]:
+    """The smallest compliance that the motor's sensor alone would have shown, at each joint of a
+    model with bodies that has no other.
+
+    A load that lags behind its motor by c T lacks the torque of its inertia times c T̈; what stays
+    unexplained hides as much.
+    """
+    if not has_bodies(model):
+        return ()
+    out = []
+    for decision in decisions:
+        joint = decision.joint
+        records = [rec[joint - 1] for rec in parts.test.records]
+        if any("position_load" in r.columns for r in records):
+            continue
+        squares = count = 0.0
+        for record in records:
+            fs = 1.0 / record.sample_time
+            sos = butter(4, min(OF_BODIES, 0.2 * fs), fs=fs, output="sos")
+            inertia, _ = record.inertia_and_bias(model)
+            torque = sosfiltfilt(sos, of_bodies(record, model))
+            bend = inertia * np.gradient(np.gradient(torque, 1.0 / fs), 1.0 / fs)
+            edge = max(2, round(0.5 * fs))
+            squares += float(np.sum(bend[edge:-edge] ** 2))
+            count += len(bend[edge:-edge])
+        hidden = max(decision.after.value, FINEST) * decision.scale
+        least = hidden / max(math.sqrt(squares / max(count, 1.0)), 1e-300)
+        unit = unit_of("position", model.joint_kind(joint)) + "/(" + torque_unit(model, joint) + ")"
+        out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
+    return tuple(out)
+
+
+def said(unseen: Sequence[Detectable]) -> list[str]:
+    """The note on what one sensor a joint could not have shown; none where there is nothing."""
+    if not unseen:
+        return []
+    listed = ", ".join(f"joint {d.joint} {d.size:.2g} {d.unit}" for d in unseen)
+    return [
+        "one position sensor a joint: these recordings cannot show a transmission's compliance"
+        f" below {listed}"
+    ]

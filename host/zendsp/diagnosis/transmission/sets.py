@@ -1,0 +1,70 @@
+"""The torsion of one joint in the three parts of the data, and the lag of its second sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.measure.torsion import Twist, joined, lowpass, rms, twists
+from zendsp.physics.model import Model
+
+
+@dataclass(frozen=True)
+class Sets:
+    """The three parts of the data at one joint."""
+
+    fit: list[Twist]
+    choose: list[Twist]
+    test: list[Twist]
+
+    def each(self, change: Callable[[Twist], Twist]) -> Sets:
+        """The same with every recording changed."""
+        return Sets(*([change(t) for t in part] for part in (self.fit, self.choose, self.test)))
+
+
+def sets_of(parts: Parts, model: Model, joint: int) -> Sets:
+    """Raw torsion; halves of one recording share their sensors' zeros."""
+    fit = twists(parts.fit, model, joint)
+    choose = twists(parts.choose, model, joint)
+    if parts.choose is parts.test:
+        return Sets(fit, choose, choose)
+    test = twists(parts.test, model, joint)
+    if len(choose) == len(test) == 1 and _follows(parts, joint):
+        choose, test = [[joined(choose[0], test[0], part)] for part in (0, 1)]
+    return Sets(fit, choose, test)
+
+
+def _follows(parts: Parts, joint: int) -> bool:
+    """Whether the recording to test on begins where the one to choose by ends."""
+    first, second = parts.choose.records[0][joint - 1], parts.test.records[0][joint - 1]
+    gap = second.t0 - first.t0 - first.n * first.sample_time
+    return abs(gap) < 0.5 * first.sample_time
+
+
+def lag_of(raw: Sets, band: float) -> float:
+    """Time by which the second sensor's column is late, s: torsion that goes with speed beside all
+    that a transmission may do.
+    """
+    slow = [lowpass(t, band) for t in raw.fit]
+    columns, y = [], []
+    for t in slow:
+        parts = [t.qd, t.torque, t.drive, t.qdd, t.extra["direction"]]
+        parts += [np.ones_like(t.q), np.sin(t.q), np.cos(t.q)]
+        columns.append(np.stack(parts, axis=1)[t.kept])
+        y.append(t.torsion[t.kept])
+    a = np.concatenate(columns)
+    norms = np.linalg.norm(a, axis=0)
+    x = np.linalg.lstsq(a / np.where(norms > 0, norms, 1.0), np.concatenate(y), rcond=1e-9)[0]
+    return -float(x[0] / norms[0])
+
+
+def torque_scale(twists: Sequence[Twist]) -> float:
+    return max(rms([t.torque[t.kept] for t in twists]), 1e-300)
+
+
+def torque_unit(model: Model, joint: int) -> str:
+    """N m, or N of a linear joint."""
+    return "N" if model.joint_kind(joint) == "linear" else "N m"

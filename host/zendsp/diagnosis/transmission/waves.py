@@ -1,0 +1,98 @@
+"""Errors over the angle of a transmission, each an order with its amplitude and phase."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from zendsp.diagnosis.decide.decide import PLAIN, SURE
+from zendsp.diagnosis.measure.torsion import (
+    Array,
+    Linear,
+    Twist,
+    evidence,
+    regress,
+    rms,
+    strongest_order,
+    wave,
+)
+from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, needed, unexplained
+from zendsp.diagnosis.transmission.sets import Sets
+from zendsp.physics.model import Model
+
+WAVES = 2  # errors over the angle, at most
+
+
+def waves_of(raw: Sets, model: Model) -> tuple[list[Claim], Sets]:
+    """Errors over the angle, up to the recordings' own rate, and the torsion without them.
+
+    Beside them stands all that is slow: torque, acceleration, direction, a disc off centre. A gear
+    need not mesh with the same teeth after another homing: a recording may choose the phase anew,
+    and only the phase.
+    """
+    out: list[Claim] = []
+    while len(out) < WAVES:
+        order = strongest_order(raw.fit, _beneath(raw.fit).residual)
+        claim = _wave(raw, model, order) if order else None
+        if claim is None:
+            break
+        out.append(claim)
+        known = _beneath(raw.fit, claim.order).x
+        raw = raw.each(lambda t, c=claim, x=known: _straight(t, c, x))  # type: ignore[misc]
+    return out, raw
+
+
+def _beneath(twists: Sequence[Twist], order: float = 0.0, known: Array | None = None) -> Linear:
+    """Torsion regressed on all that is slow and, where it is not 0, on one order."""
+    columns = []
+    for t in twists:
+        slow = np.stack([t.torque, t.drive, t.qdd, np.sign(t.qd)], axis=1)[t.kept]
+        columns.append(np.concatenate([slow, wave(t, order)], axis=1) if order else slow)
+    return regress(twists, columns, True, known)
+
+
+def _own_phase(twist: Twist, order: float, slow: Array) -> float:
+    """The phase of an order in one recording."""
+    (residual,) = _beneath([twist], known=slow).residual
+    sine, cosine = np.linalg.lstsq(wave(twist, order), residual, rcond=None)[0]
+    return math.atan2(cosine, sine)
+
+
+def _straight(twist: Twist, claim: Claim, x: Array) -> Twist:
+    """The torsion without an error over the angle, of the phase that it has in this recording."""
+    phase = _own_phase(twist, claim.order, x[:-2])
+    error = claim.value * np.sin(claim.order * twist.q + phase)
+    return replace(twist, torsion=twist.torsion - error)
+
+
+def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
+    span = max(float(np.ptp(t.q[t.kept])) for t in raw.fit)
+    width = math.pi / span
+
+    def cost(n: float) -> float:
+        return rms(_beneath(raw.fit, n).residual)
+
+    order = float(minimize_scalar(cost, bounds=(order - width, order + width), method="bounded").x)
+    found, again = _beneath(raw.fit, order), _beneath(raw.fit)
+    sine, cosine = float(found.x[-2]), float(found.x[-1])
+    amplitude, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
+    std = math.sqrt(float(np.mean(np.diag(found.covariance)[-2:])))
+    without, with_it = [], []
+    for twist in raw.test:
+        here = _own_phase(twist, order, found.x[:-2])
+        known = np.r_[found.x[:-2], amplitude * math.cos(here), amplitude * math.sin(here)]
+        with_it += _beneath([twist], order, known).residual
+        without += _beneath([twist], known=again.x).residual
+    held, log_e = evidence(without, with_it, raw.test)
+    log_e -= 0.5 * len(raw.test) * math.log(sum(len(r) for r in with_it))  # of the phases
+    size, left = apart(raw.test, without, with_it), unexplained(with_it, raw.test)
+    sure = log_e > needed(model) and held.z > PLAIN and amplitude > SURE * std
+    if not sure or size <= ENOUGH * left:
+        return None
+    # of a sine's frequency, from its phase at both ends of the range (Rife and Boorstyn 1974)
+    order_std = math.sqrt(12.0) * std / amplitude / span
+    return Claim("wave", amplitude, std, held, log_e, size, left, order, phase, order_std)

@@ -1,0 +1,94 @@
+"""Threads that work for links, and how all links end with the process."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import zenoh
+
+
+class Connected(Protocol):
+    """What has to be let go of before the process ends."""
+
+    def close(self) -> None:
+        """Say goodbye."""
+
+    def disown(self) -> None:
+        """Forget it, in a child of fork(): it is the parent's."""
+
+
+open_links: weakref.WeakSet[Connected] = weakref.WeakSet()
+_background: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
+END_S = 1.0  # for saying goodbye when the process ends
+
+
+def background(name: str, work: Callable[..., object], *arguments: object) -> threading.Thread:
+    """Do ``work`` in a thread that does not keep the process, and that the process's end waits for
+    a little; return it.
+
+    Python ends a thread that comes back from Zenoh while the interpreter goes down by unwinding it,
+    and Rust takes the whole process down for that ("FATAL: exception not rethrown"): so the links
+    are closed first, which ends what waits in Zenoh, and these threads are given the time to leave.
+    """
+    thread = threading.Thread(target=work, args=arguments, name=name, daemon=True)
+    _background.add(thread)
+    thread.start()
+    return thread
+
+
+class Listener:
+    """Calls ``take`` with each sample of a subscriber, in a thread that no process ever waits for.
+
+    A Python callback of Zenoh's has a thread that Python joins before anything registered with
+    ``atexit`` runs: a script that does not close its session would never end.
+    """
+
+    def __init__(
+        self, subscriber: zenoh.Subscriber[Any], take: Callable[[zenoh.Sample], None], name: str
+    ) -> None:
+        self._subscriber = subscriber
+        background(name, _pull, subscriber.handler, take)
+
+    def undeclare(self) -> None:
+        """End it."""
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _pull(samples: Any, take: Callable[[zenoh.Sample], None]) -> None:
+    while True:
+        try:
+            sample = samples.recv()
+        except zenoh.ZError:  # undeclared, or its session is closed
+            return
+        try:
+            take(sample)
+        except Exception:  # of a user's callback; the next sample may fare better
+            sys.excepthook(*sys.exc_info())
+
+
+@atexit.register
+def _close_all() -> None:
+    """Let go of every target; one that cannot be told (a frozen peer) notices within the lease."""
+    for link in list(open_links):
+        background("closing", link.close)
+    deadline = time.monotonic() + END_S
+    for thread in list(_background):
+        if thread is not threading.current_thread():
+            thread.join(max(0.0, deadline - time.monotonic()))
+
+
+def _disown_all() -> None:
+    for link in list(open_links):
+        link.disown()
+    open_links.clear()
+    _background.clear()
+
+
+os.register_at_fork(after_in_child=_disown_all)

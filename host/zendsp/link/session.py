@@ -1,0 +1,74 @@
+"""Zenoh sessions with targets: opening one, what is there instead, and this connection's name."""
+
+from __future__ import annotations
+
+import getpass
+import itertools
+import os
+import platform
+import re
+from collections.abc import Sequence
+
+import zenoh
+
+from zendsp.errors import LinkError
+from zendsp.link.settings import Credentials, zenoh_config
+from zendsp_protocol import keys
+
+_numbers = itertools.count(1)
+
+
+def open_session(
+    endpoints: Sequence[str], credentials: Credentials, timeout: float
+) -> zenoh.Session:
+    """Open a Zenoh session with at least one of ``endpoints``.
+
+    Raises
+    ------
+    LinkError
+        None answers; or, indistinguishable for Zenoh, the credentials are refused.
+    """
+    where = ", ".join(endpoints)
+    try:
+        session = zenoh.open(zenoh_config(endpoints, credentials, timeout))
+    except zenoh.ZError as error:
+        secured = any(endpoint.startswith(("tls/", "quic/")) for endpoint in endpoints)
+        doubt = (
+            ", or it refuses the certificate or password given"
+            if secured or credentials.user
+            else ""
+        )
+        raise LinkError(
+            f"nothing answers at {where} within {timeout:g} s{doubt}. Is the target running?"
+        ) from error
+    if not session.info.peers_zid() and not session.info.routers_zid():
+        session.close()  # type: ignore[no-untyped-call]
+        raise LinkError(
+            f"nothing answers at {where}, or it refuses the certificate or password given"
+        )
+    return session
+
+
+def not_there(session: zenoh.Session, target: str, endpoints: Sequence[str]) -> str:
+    names = [
+        keys.target_of(str(reply.ok.key_expr))
+        for reply in session.liveliness().get(keys.alive(), timeout=0.5)
+        if reply.ok is not None
+    ]
+    there = f"there is {', '.join(sorted(names))}" if names else "no target is there"
+    return f"no target named {target!r} at {', '.join(endpoints)}; {there}"
+
+
+def new_author(identity: str = "") -> str:
+    """Name this connection: user, machine, process, and a number from the second one on; fit for a
+    key.
+    """
+    try:
+        user = identity or getpass.getuser()
+    except (KeyError, OSError):  # a container without an entry for its user
+        user = str(os.getuid())
+    number = next(_numbers)
+    name = f"{user}@{platform.node() or 'host'}:{os.getpid()}" + (
+        f".{number}" if number > 1 else ""
+    )
+    return re.sub(r"[^\w@:.-]", "_", name)

@@ -1,0 +1,89 @@
+"""A function fits on a screen and is told few things; where not, its reason stands here."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SOURCES = ("host", "target", "protocol", "c_isr")
+SCREEN = 60  # lines of a body, its docstring aside
+MOST = 7  # parameters
+
+# file:function: why it is longer
+LONG = {
+    "host/zendsp/tui/actions.py:_table": "the table of actions",
+    "target/zendsp_target/__main__.py:parser": "the table of options",
+    "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
+    "host/zendsp/proof/page.py:proof_page": "the parts of a page, in their order",
+    "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
+    "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
+    "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
+    "host/zendsp/diagnosis/decide/decide.py:_named": "the decision, case by case",
+    "host/zendsp/diagnosis/decide/naming.py:_finding": "the fields of a finding",
+    "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
+    "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
+}
+PUBLIC = "a user's function: keywords with defaults, each explained"
+PLANNED = "the fields of its form, one keyword each"
+# file:function, or a folder: why it takes more
+TOLD = {
+    "host/zendsp/reference/kinds/": PLANNED,
+    "host/zendsp/physics/simulate_run.py:simulate": PUBLIC,
+    "host/zendsp/physics/simulate_run.py:simulate_loop": PUBLIC,
+    "host/zendsp/physics/loop.py:simulate_joint_loop": PUBLIC,
+    "host/zendsp/physics/fit.py:fit": PUBLIC,
+    "host/zendsp/link/acquire.py:acquire": PUBLIC,
+    "host/zendsp/diagnosis/fleet.py:diagnose_each": PUBLIC,
+    "host/zendsp/experiment/lab.py:record": "what a recording may be asked for, keywords",
+    "host/zendsp/tui/app.py:__init__": "the options of `zendsp tui`",
+    "host/zendsp/cli/tui.py:_serve": "the options of `zendsp tui --web`, handed on",
+    "host/zendsp/tui/play_job.py:__init__": "a job's own fields",
+    "host/zendsp/tui/scope/picture.py:compose": "what stands on a picture",
+    "host/zendsp/proof/mujoco/kit.py:truth": "the fields of a truth, keywords",
+    "host/zendsp/diagnosis/decide/decide.py:_named": "what a joint is decided by",
+    "host/zendsp/diagnosis/decide/decide.py:_law": "what a joint is decided by",
+}
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Every function with the file that it stands in."""
+    for source in SOURCES:
+        for path in sorted((ROOT / source).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                    yield str(path.relative_to(ROOT)), node
+
+
+def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of the body without its docstring."""
+    told = ast.get_docstring(node) is not None and len(node.body) > 1
+    return (node.end_lineno or 0) - node.body[int(told)].lineno + 1
+
+
+def parameters(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Parameters, without ``self``; the options of a command are not counted."""
+    if any("click." in ast.unparse(decorator) for decorator in node.decorator_list):
+        return 0
+    names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+    return len([name for name in names if name not in ("self", "cls")])
+
+
+def unexcused(found: set[str], excuses: dict[str, str]) -> tuple[set[str], set[str]]:
+    """What has no reason, and reasons that nothing needs."""
+    folders = [e for e in excuses if e.endswith("/")]
+    reasons = {
+        f: f if f in excuses else next((e for e in folders if f.startswith(e)), None) for f in found
+    }
+    return {f for f, e in reasons.items() if e is None}, set(excuses) - set(reasons.values())
+
+
+def test_a_function_fits_on_a_screen_or_says_why_not() -> None:
+    found = {f"{file}:{node.name}" for file, node in functions() if lines(node) > SCREEN}
+    assert unexcused(found, LONG) == (set(), set())
+
+
+def test_a_function_is_told_few_things_or_says_why_more() -> None:
+    found = {f"{file}:{node.name}" for file, node in functions() if parameters(node) > MOST}
+    assert unexcused(found, TOLD) == (set(), set())
