@@ -219,3 +219,32 @@ def test_the_end_of_a_host_is_quiet(installed: Installed) -> None:
         for process in [installed.start("python", path) for _ in range(4)]:
             said = process.communicate(timeout=PATIENCE_S)
             assert process.returncode == 0, said
+
+
+INTERRUPTED = """
+import sys, time, zendsp
+t = zendsp.local('imi_planar', clock='fast')
+print('ready', flush=True)
+try:
+    time.sleep(9999)
+except KeyboardInterrupt:
+    print('interrupted', flush=True)
+sys.stdin.readline()
+print(t.status().state, t.alive, flush=True)
+"""
+
+
+def test_ctrl_c_interrupts_what_is_typed_and_leaves_the_local_target_alone(
+    installed: Installed,
+) -> None:
+    """A terminal, and a notebook's button too, send Ctrl-C to all processes of the group."""
+    path = installed.write("interrupted.py", INTERRUPTED)
+    process = installed.start("python", path, stdin=subprocess.PIPE)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    (found,) = json.loads(installed.run("ls", "--json").stdout)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.stdout.readline() == "interrupted\n"
+    told = installed.run("info", "-t", found["name"])  # a moment later, and from elsewhere
+    assert told.returncode == 0, told.stderr
+    said, _ = process.communicate("\n", timeout=PATIENCE_S)
+    assert said == "empty True\n", said
