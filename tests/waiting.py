@@ -12,8 +12,6 @@ import subprocess
 import time
 from collections.abc import Callable
 
-import pytest
-
 PATIENCE_S = 150.0
 
 
@@ -31,7 +29,7 @@ def until(
     while not done():
         if alive is not None and alive.poll() is not None:
             said = alive.stdout.read() if alive.stdout else ""
-            pytest.fail(f"waiting for {what}: the process ended with {alive.returncode}: {said}")
+            raise AssertionError(f"{what}: the process ended with {alive.returncode}: {said}")
         if time.monotonic() > deadline:
-            pytest.fail(f"never happened within {PATIENCE_S:g} s: {what} {shown()}")
+            raise AssertionError(f"never happened within {PATIENCE_S:g} s: {what} {shown()}")
         time.sleep(0.005)
