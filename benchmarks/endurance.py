@@ -25,7 +25,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from hardships import bombs, kills, links, messages, starts, views
+from hardships import bombs, kills, links, messages, signals, starts, views
 from hardships.place import Place, Tally, until
 
 PROGRESS_S = 10.0
@@ -33,6 +33,7 @@ PARTS = {
     "messages": messages,
     "links": links,
     "kills": kills,
+    "signals": signals,
     "bombs": bombs,
     "views": views,
     "starts": starts,

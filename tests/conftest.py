@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import signal
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from zendsp.reference import load_machine
+
+sys.path.insert(0, str(Path(__file__).parent))  # waiting.py
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background of a shell: what the tests start would inherit it, and not end at

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from hardships.place import Place, Tally
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "e2e"))
+sys.path[:0] = [str(Path(__file__).parents[2] / room) for room in ("tests", "tests/e2e")]
 
-from helpers import relay_to
+from helpers import relay_to  # noqa: E402
 
 PROMISE = "over cut links no change is lost, made twice, out of order, or told wrongly"
 CUTS = 12  # of a round

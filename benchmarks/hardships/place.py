@@ -20,6 +20,9 @@ from zendsp.link import Target
 OWN_FOLDER = "ZENDSP_RUNTIME_DIR"
 SHARED = Path("/dev/shm")
 PATIENCE_S = 20.0  # for what happens within a second on a computer that has nothing else to do
+LOOK_S = 0.01
+SLOWER = 10.0  # how many times as long, at the most, it is waited on a computer that is busy
+START_S = 150.0  # for a target to come up
 TOLD = 20  # violations of a hardship that are told in full
 
 
@@ -45,7 +48,8 @@ class Tally:
         if not holds:
             self.violations += 1
             if len(self.violated) < TOLD:
-                self.violated.append(what)
+                busy = f"at a load of {os.getloadavg()[0]:.0f} on {os.cpu_count()} processors"
+                self.violated.append(f"{what} ({busy})")
         return bool(holds)
 
 
@@ -74,8 +78,9 @@ class Place:
 
     def local(self, name: str, clock: str = "real", **options: str) -> Target:
         """Start a target of the planar arm."""
-        return zendsp.local("imi_planar", clock=clock, name=name,
-            **options)  # type: ignore[arg-type]
+        return zendsp.local(
+            "imi_planar", clock=clock, name=name, timeout=START_S, **options  # type: ignore[arg-type]
+        )
 
     def script(
         self, text: str, *words: str, env: Mapping[str, str] | None = None
@@ -112,12 +117,17 @@ class Place:
 
 
 def until(holds: Callable[[], object], patience: float = PATIENCE_S) -> bool:
-    """Wait until something holds; returns whether it came to that."""
-    deadline = time.monotonic() + patience
+    """Wait until something holds; returns whether it came to that.
+
+    Time counts as far as this process could look: where others take the processor, a look takes
+    longer, and what is waited for has had as little of it. So a slow computer is no violation.
+    """
+    looks, last = int(patience / LOOK_S), time.monotonic() + SLOWER * patience
     while not holds():
-        if time.monotonic() > deadline:
+        looks -= 1
+        if looks < 0 or time.monotonic() > last:
             return False
-        time.sleep(0.01)
+        time.sleep(LOOK_S)
     return True
 
 

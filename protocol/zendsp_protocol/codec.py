@@ -13,7 +13,7 @@ import msgpack
 import msgspec
 
 from zendsp_protocol import errors
-from zendsp_protocol.errors import LinkError, VersionMismatch, ZendspError
+from zendsp_protocol.errors import LinkError, Refused, VersionMismatch, ZendspError
 from zendsp_protocol.messages import ErrorBody
 from zendsp_protocol.texts import shown, shown_all, suspicious
 from zendsp_protocol.values import enc_hook
@@ -121,6 +121,9 @@ def encode_result(result: Any) -> bytes:
 
 def encode_error(error: BaseException, details: dict[str, Any] | None = None) -> bytes:
     """Encode a reply that says no, and why."""
+    if isinstance(error, OSError) and not isinstance(error, ZendspError) and error.strerror:
+        # a full disk, no memory, a folder that is gone: nothing that a program of ours can mend
+        error = Refused(f"the target's computer refuses: {error}")
     kind = type(error).__name__ if isinstance(error, ZendspError) else "Internal"
     text = (
         str(error)

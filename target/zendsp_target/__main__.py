@@ -146,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.getuid() == 0:
             print(AS_ROOT, file=sys.stderr, flush=True)
         return _serve(args, listen, security)
-    except (ZendspError, ValueError) as error:
+    except (ZendspError, ValueError, OSError) as error:
         print(f"zendsp target: {error}", file=sys.stderr)
         return 2
 

@@ -195,3 +195,29 @@ def test_json_on_the_terminal_is_the_report(
     for value in (printed, filed):
         del value["seconds"]
     assert printed == filed  # the same seed, the same bits
+
+
+def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def write(result: object, out: Path) -> Path:
+        if out == tmp_path / "out":
+            raise OSError(28, "No space left on device", str(out / "report.html"))
+        (out / "report.html").write_text("written")
+        return out
+
+    for name in ("run.csv", "model.toml"):
+        (tmp_path / name).write_text("")
+    monkeypatch.setattr("zendsp.diagnosis.diagnose", lambda *_, **__: "a diagnosis")
+    monkeypatch.setattr("zendsp.diagnosis.report.files.write_report", write)
+    monkeypatch.setattr("zendsp.diagnosis.report.files.report_text", lambda result: "{}")
+    words = ("run.csv", "--model", tmp_path / "model.toml", "--out", tmp_path / "out", "--json")
+    monkeypatch.setattr(
+        sys, "argv", ["zendsp", "diagnose", str(tmp_path / words[0]), *map(str, words[1:])]
+    )
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 1 and "No space left" in said, said
+    elsewhere = Path(said.split("it is in ", 1)[1].split()[0])
+    assert (elsewhere / "report.html").read_text() == "written"

@@ -9,19 +9,10 @@ import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-DEADLINE_S = 40.0  # generous: CI shares its two CPUs
-
-
-def until(condition: Callable[[], object], what: str, deadline_s: float = DEADLINE_S) -> None:
-    """Wait until ``condition`` holds."""
-    deadline = time.monotonic() + deadline_s
-    while not condition():
-        assert time.monotonic() < deadline, f"never happened: {what}"
-        time.sleep(0.01)
+from waiting import PATIENCE_S
 
 
 def python(code: str, *arguments: str) -> subprocess.Popen[str]:
@@ -33,7 +24,7 @@ def python(code: str, *arguments: str) -> subprocess.Popen[str]:
 def kill(process: subprocess.Popen[str]) -> None:
     """End a helper the hard way."""
     process.send_signal(signal.SIGKILL)
-    process.communicate(timeout=DEADLINE_S)
+    process.communicate(timeout=PATIENCE_S)
 
 
 def running(pid: int) -> bool:
@@ -50,6 +41,13 @@ def children(pid: int) -> list[int]:
         with contextlib.suppress(OSError), open(f"/proc/{pid}/task/{task}/children") as file:
             found += [int(child) for child in file.read().split()]
     return found
+
+
+def processor_s(pid: int) -> float:
+    """Time of a processor that a process has taken, in s."""
+    with open(f"/proc/{pid}/stat") as file:
+        words = file.read().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def make_certificates(folder: Path) -> None:

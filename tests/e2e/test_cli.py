@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import DEADLINE_S, running, until
+from helpers import running
+from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.cli import COMMANDS
@@ -40,7 +41,7 @@ OURS = (
 def zendsp_(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from zendsp.cli import main; main()", *arguments]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=2 * DEADLINE_S, **options
+        command, capture_output=True, text=True, timeout=PATIENCE_S, **options
     )
 
 
@@ -217,7 +218,7 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     line = watch.stdout.readline()
     assert re.fullmatch(r"t +[\d.]+ s  q\[0\] .* rad  q\[1\] .* rad\n", line), line
     watch.send_signal(signal.SIGINT)
-    _, said = watch.communicate(timeout=DEADLINE_S)
+    _, said = watch.communicate(timeout=PATIENCE_S)
     assert watch.returncode == 130 and said.strip() == "interrupted"
     assert target.status().state == "running"
 
@@ -241,7 +242,7 @@ def test_target_runs_in_the_foreground_until_ctrl_c() -> None:
     with zendsp.connect("bench") as bench:
         assert bench.info.clock == "fast"
     process.send_signal(signal.SIGINT)
-    assert process.wait(DEADLINE_S) == 0
+    assert process.wait(PATIENCE_S) == 0
     assert not running(process.pid) and zendsp.discover() == []
     assert os.listdir(os.environ["ZENDSP_RUNTIME_DIR"]) == []
     process.stdout.close()

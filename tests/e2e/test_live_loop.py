@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEADLINE_S, until
+from helpers import children, processor_s
+from waiting import PATIENCE_S, until
 
 import zendsp
 from zendsp.errors import AcquisitionError, CompileFailed, Refused, TooLarge, VariableError
@@ -52,10 +52,9 @@ def test_on_the_fast_clock_an_experiment_is_quick_and_the_same_each_time(
     for _ in range(2):
         fast.download("pd.c")
         fast.update(at_tick=2000, Kp1=500.0)
-        before = time.monotonic()
         records.append(fast.acquire(["q", "e", "tau"], seconds=20.0, start=True))
-        # 20 s of machine time take well under 1 s on a quiet machine
-        assert time.monotonic() - before < 15.0
+        # 20 s of machine time take well under 1 s of a processor, however busy the computer is
+        assert 0.0 < sum(map(processor_s, children(fast.info.pid))) < 10.0
     first, second = records
     assert first.start_tick == 0 and len(first) == 20_000
     assert np.array_equal(first.data, second.data)
@@ -217,7 +216,7 @@ def test_the_client_in_the_documentation_works_as_printed(real: Target) -> None:
     text = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
     code = text.partition("```python\n")[2].partition("```")[0]
     command = [sys.executable, "-c", code, real.link.endpoints[0], real.name]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     assert "'Kp1', 'value': 2000.0" in done.stdout.replace('"', "'") and real["Kp1"] == 450.0
     assert done.stdout.count("['q[0]', 'q[1]']") == 3

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import struct
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S, until
 
 from zendsp.errors import NotStopped
 from zendsp.link import Target, connect
@@ -40,18 +40,16 @@ def target(runtime: Runtime, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def _latched(target: Target) -> int:
-    deadline = time.monotonic() + 10.0
-    while (trip := target.status().trip) is None:
-        assert time.monotonic() < deadline, "no trip"
-        time.sleep(0.005)
-    assert trip.reason == "stop"
+    until(lambda: target.status().trip is not None, "a trip")
+    trip = target.status().trip
+    assert trip is not None and trip.reason == "stop"
     return trip.tick
 
 
 def test_the_loop_takes_stop_from_shared_memory_and_says_at_which_sample(target: Target) -> None:
     found = find("paged")
     assert found is not None
-    sample = found.taken(found.ask(), 10.0)
+    sample = found.taken(found.ask(), PATIENCE_S)
     assert sample == _latched(target)
 
 
@@ -75,16 +73,11 @@ def test_a_stop_asked_of_a_loop_that_died_is_not_for_the_next_program(
     found = find("paged")
     assert found is not None
     os.kill(runtime.runner_pid(), signal.SIGKILL)
-    deadline = time.monotonic() + 10.0
-    while target.status().state != "crashed":
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+    until(lambda: target.status().state == "crashed", "the crash is told")
     found.ask()
     target.download("pd.c")
     target.start()
-    while target.status().tick < 20:
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+    until(lambda: target.status().tick >= 20, "twenty samples")
     assert target.status().trip is None
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import environment
-from helpers import DEADLINE_S
 from story_cases import Answer, live_case
+from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.demo.controller import plan_update, slots, sources
@@ -262,5 +262,5 @@ def test_run_needs_a_folder_for_the_new_recording() -> None:
         "--run",
         "imi",
     ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 2 and "--run needs --out" in done.stderr

@@ -7,15 +7,13 @@ import contextlib
 import os
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import pytest
+from waiting import PATIENCE_S, until
 
-LIMIT_S = 60.0  # for one command of a journey, on a machine that is busy with everything else
-
+__all__ = ["PATIENCE_S", "Installed", "until"]
 
 @dataclass
 class Installed:
@@ -40,7 +38,7 @@ class Installed:
     def run(
         self,
         *command: str | Path,
-        timeout: float = LIMIT_S,
+        timeout: float = PATIENCE_S,
         env: Mapping[str, str] | None = None,
         **options: object,
     ) -> subprocess.CompletedProcess[str]:
@@ -57,7 +55,7 @@ class Installed:
         )
 
     def script(
-        self, text: str, *arguments: str, timeout: float = LIMIT_S
+        self, text: str, *arguments: str, timeout: float = PATIENCE_S
     ) -> subprocess.CompletedProcess[str]:
         """Run a Python script of the user's to its end."""
         path = self.write("script.py", text)
@@ -131,21 +129,3 @@ class Installed:
             with contextlib.suppress(OSError):
                 if os.readlink(f"/proc/{pid}/exe").startswith(str(self.folder)):
                     os.kill(int(pid), signal.SIGKILL)
-
-
-def until(
-    done: Callable[[], object],
-    what: str,
-    timeout: float = LIMIT_S,
-    alive: subprocess.Popen[str] | None = None,
-) -> None:
-    """Wait until `done`; fail by name when it takes longer than `timeout` s or `alive` has ended.
-    """
-    deadline = time.monotonic() + timeout
-    while not done():
-        if alive is not None and alive.poll() is not None:
-            said = alive.stdout.read() if alive.stdout else ""
-            pytest.fail(f"waiting for {what}: the process ended with {alive.returncode}: {said}")
-        if time.monotonic() > deadline:
-            pytest.fail(f"waiting for {what}: not within {timeout:g} s")
-        time.sleep(0.02)

@@ -11,11 +11,9 @@ import signal
 import struct
 import termios
 import threading
-import time
 
 import pyte
-import pytest
-from journey import Installed
+from journey import Installed, until
 
 
 class Screen:
@@ -66,24 +64,21 @@ class Screen:
         """Type."""
         os.write(self.fd, data)
 
-    def until(self, what: str, timeout: float = 30.0) -> None:
+    def until(self, what: str) -> None:
         """Wait until the text is on the screen."""
-        deadline = time.monotonic() + timeout
-        while what not in self.text():
-            if time.monotonic() > deadline:
-                pytest.fail(f"not on the screen within {timeout:g} s: {what}\n{self.text()}")
-            time.sleep(0.02)
+        until(lambda: what in self.text(), f"on the screen: {what}", lambda: "\n" + self.text())
 
-    def ended(self, timeout: float = 30.0) -> int:
+    def ended(self) -> int:
         """Wait until the application has ended by itself; its exit status."""
-        deadline = time.monotonic() + timeout
-        while self.status is None:
+
+        def reaped() -> bool:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
                 self.status = os.waitstatus_to_exitcode(status)
-            elif time.monotonic() > deadline:
-                pytest.fail(f"the terminal is still there after {timeout:g} s\n{self.text()}")
-            time.sleep(0.02)
+            return bool(pid)
+
+        until(lambda: self.status is not None or reaped(), "the terminal's end", self.text)
+        assert self.status is not None
         return self.status
 
     def end(self) -> None:

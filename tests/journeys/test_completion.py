@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 
-from journey import Installed
+from journey import PATIENCE_S, Installed
 
 # what bash does when Tab is pressed behind these words
 PRESS = """
@@ -25,7 +25,7 @@ def _tab(installed: Installed, *words: str) -> list[str]:
         env=installed.env,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     # compopt knows no completion that is in progress here, and says so

@@ -78,7 +78,6 @@ def test_nothing_that_a_program_tries_to_start_is_there_after_a_reload_or_a_kill
     until(
         lambda: not any(Path(f"/proc/{pid}").exists() for pid in runners),
         "the runner has ended with its target",
-        10.0,
     )
     assert _with(mark) == []
 

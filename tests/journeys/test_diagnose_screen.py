@@ -72,7 +72,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         screen.keys(b"\x03")
         screen.until("— cancelled —")
         _click(screen, "Start s")
-        screen.until("Missing physics: dry friction (coulomb) at joint 1", 240.0)
+        screen.until("Missing physics: dry friction (coulomb) at joint 1")
         screen.until("without coulomb")
         assert any(0x2800 < ord(c) <= 0x28FF for c in screen.text()), "and it is drawn"
         _click(screen, "Save w")

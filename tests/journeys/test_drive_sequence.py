@@ -77,7 +77,7 @@ def pressed(what):
     pin = target.machine().stop_input
     target.start()
     target.stop() if what == "stop" or pin < 0 else target.set_inputs(1 << pin)
-    end = time.monotonic() + 20
+    end = time.monotonic() + 150
     while target.status().trip is None and time.monotonic() < end:
         time.sleep(0.002)
     assert target.status().trip.reason in ("stop", "stop input")
@@ -147,7 +147,7 @@ sys.exit(bool(bad))
 
 
 def journey(installed: Installed, machine: str, program: str, clock: str, ms: int) -> None:
-    said = installed.script(SCRIPT, machine, program, clock, str(ms), timeout=110.0)
+    said = installed.script(SCRIPT, machine, program, clock, str(ms), timeout=300.0)
     assert said.returncode == 0, said.stdout + said.stderr
 
 

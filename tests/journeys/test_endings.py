@@ -6,21 +6,18 @@ import json
 import os
 import signal
 import subprocess
-import time
 
 import pytest
-from journey import Installed, until
+from journey import PATIENCE_S, Installed, until
 
-GONE_S = 2.0
-SPARE_S = 3.0  # for a machine that is busy with everything else
 ENDINGS = {
     "end": "",
     "exception": "raise RuntimeError('by the user')",
     "sys.exit": "import sys; sys.exit(3)",
     "os._exit": "import os; os._exit(0)",
-    "ctrl-c": "time.sleep(60)",
-    "terminate": "time.sleep(60)",
-    "kill": "time.sleep(60)",
+    "ctrl-c": "time.sleep(9999)",
+    "terminate": "time.sleep(9999)",
+    "kill": "time.sleep(9999)",
     "a forked child first": "import os; os.fork() or sys.exit(0); os.wait()",
     "workers": (
         "import multiprocessing; multiprocessing.get_context('fork').Pool(2).map(abs, [1, -2])"
@@ -60,16 +57,13 @@ with zendsp.connect('imi') as t:
 """
 
 
-def _finish(process: subprocess.Popen[str], ending: str) -> float:
-    """Wait for the end of a script that has said its last word; return how long it took."""
-    begin = time.monotonic()
+def _finish(process: subprocess.Popen[str], ending: str) -> None:
+    """Wait for the end of a script that has said its last word; one that does not let go never
+    ends.
+    """
     if ending in SIGNALS:
         os.kill(process.pid, SIGNALS[ending])
-    try:
-        process.wait(GONE_S + SPARE_S)
-    except subprocess.TimeoutExpired:
-        pytest.fail(f"{ending}: the process is still there after {GONE_S + SPARE_S:g} s")
-    return time.monotonic() - begin
+    until(lambda: process.poll() is not None, f"{ending}: the end of the process")
 
 
 @pytest.mark.parametrize("opening", OPENINGS)
@@ -91,7 +85,6 @@ def test_a_script_ends_however_it_ends(installed: Installed, opening: str) -> No
         until(
             lambda: installed.run("ls").stdout.count("imi_planar-") == 0,
             "all that were started here have ended",
-            5.0,
         )
 
 
@@ -111,7 +104,7 @@ def test_the_policy_acts_however_the_commanding_script_ends(installed: Installed
             seen[:] = json.loads(installed.script(LOOK).stdout)
             return seen == ["stopped", "host lost"]
 
-        until(acted, f"{name}: the policy acts", 5.0)
+        until(acted, f"{name}: the policy acts")
 
 
 def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
@@ -125,7 +118,7 @@ def test_pytest_ends_after_its_last_line(installed: Installed) -> None:
     process = installed.start(
         "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py"
     )
-    said, _ = process.communicate(timeout=40)
+    said, _ = process.communicate(timeout=PATIENCE_S)
     assert "1 failed, 1 passed" in said
 
 
@@ -135,7 +128,7 @@ import nbformat
 from nbclient import NotebookClient
 cells = ["import zendsp; t = zendsp.local('imi_planar'); t.download('pd.c'); v = t.live(['tick'])", "t.status().state"]
 notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
-client = NotebookClient(notebook, timeout=40, kernel_name="python3")
+client = NotebookClient(notebook, timeout=150, kernel_name="python3")
 with client.setup_kernel():
     for number, cell in enumerate(notebook.cells):
         client.execute_cell(cell, number)
@@ -143,9 +136,7 @@ print(notebook.cells[1].outputs[0]["data"]["text/plain"])
 """  # noqa: E501
     done = kernels.script(text)
     assert "'loaded'" in done.stdout, done.stdout + done.stderr
-    until(
-        lambda: "imi_planar-" not in kernels.run("ls").stdout, "the kernel's target has ended", 5.0
-    )
+    until(lambda: "imi_planar-" not in kernels.run("ls").stdout, "the kernel's target has ended")
 
 
 NOTEBOOK = """
@@ -155,18 +146,18 @@ LOOK = "print('seen', t.status().state, t.drive_status().commander != '')"
 
 def said(client, code):
     words = []
-    client.execute_interactive(code, timeout=40, output_hook=lambda m: words.append(m["content"].get("text", m["content"].get("evalue", ""))))
+    client.execute_interactive(code, timeout=150, output_hook=lambda m: words.append(m["content"].get("text", m["content"].get("evalue", ""))))
     return "".join(words)
 
 manager, client = start_new_kernel(kernel_name="python3")
 print(said(client, COMMANDING.replace("import sys, time, zendsp", "import time, zendsp")).strip(), flush=True)
 ending = sys.argv[1]
 if ending == "interrupt":  # a cell that is stopped is no end: the kernel goes on to command
-    asked = client.execute("print('asleep', flush=True); time.sleep(60)", stop_on_error=False)
-    while "asleep" not in client.get_iopub_msg(timeout=40)["content"].get("text", ""):
+    asked = client.execute("print('asleep', flush=True); time.sleep(9999)", stop_on_error=False)
+    while "asleep" not in client.get_iopub_msg(timeout=150)["content"].get("text", ""):
         pass
     manager.interrupt_kernel()
-    while client.get_shell_msg(timeout=40)["parent_header"]["msg_id"] != asked:
+    while client.get_shell_msg(timeout=150)["parent_header"]["msg_id"] != asked:
         pass
     print(said(client, LOOK).strip(), flush=True)
 elif ending == "restart":
@@ -207,8 +198,8 @@ def test_the_policy_acts_however_the_commanding_kernel_ends(kernels: Installed) 
             seen[:] = json.loads(kernels.script(LOOK).stdout)
             return seen == expected
 
-        until(acted, f"{ending}: {expected}", 5.0)
-        process.communicate("over\n", timeout=30)
+        until(acted, f"{ending}: {expected}")
+        process.communicate("over\n", timeout=PATIENCE_S)
 
 
 QUIET_END = """
@@ -226,5 +217,34 @@ def test_the_end_of_a_host_is_quiet(installed: Installed) -> None:
     path = installed.write("quiet.py", QUIET_END)
     for _ in range(5):
         for process in [installed.start("python", path) for _ in range(4)]:
-            said = process.communicate(timeout=60)
+            said = process.communicate(timeout=PATIENCE_S)
             assert process.returncode == 0, said
+
+
+INTERRUPTED = """
+import sys, time, zendsp
+t = zendsp.local('imi_planar', clock='fast')
+print('ready', flush=True)
+try:
+    time.sleep(9999)
+except KeyboardInterrupt:
+    print('interrupted', flush=True)
+sys.stdin.readline()
+print(t.status().state, t.alive, flush=True)
+"""
+
+
+def test_ctrl_c_interrupts_what_is_typed_and_leaves_the_local_target_alone(
+    installed: Installed,
+) -> None:
+    """A terminal, and a notebook's button too, send Ctrl-C to all processes of the group."""
+    path = installed.write("interrupted.py", INTERRUPTED)
+    process = installed.start("python", path, stdin=subprocess.PIPE)
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    (found,) = json.loads(installed.run("ls", "--json").stdout)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.stdout.readline() == "interrupted\n"
+    told = installed.run("info", "-t", found["name"])  # a moment later, and from elsewhere
+    assert told.returncode == 0, told.stderr
+    said, _ = process.communicate("\n", timeout=PATIENCE_S)
+    assert said == "empty True\n", said

@@ -9,10 +9,10 @@ import signal
 from pathlib import Path
 
 import pytest
-from journey import Installed, until
+from journey import PATIENCE_S, Installed, until
 
 ENDURANCE = Path(__file__).parents[2] / "benchmarks" / "endurance.py"
-ROUNDS = {"messages": 5, "links": 1, "kills": 2, "bombs": 5, "views": 2, "starts": 4}
+ROUNDS = {"messages": 5, "links": 1, "kills": 2, "signals": 4, "bombs": 5, "views": 2, "starts": 4}
 BROKEN = """
 import sys
 sys.path.insert(0, {folder!r})
@@ -35,14 +35,14 @@ def test_it_holds(installed: Installed, part: str) -> None:
     process = installed.start(
         "python", ENDURANCE, "--only", part, "--rounds", str(ROUNDS[part]), "--json", "found.json"
     )
-    said, _ = process.communicate(timeout=100)
+    said, _ = process.communicate(timeout=2 * PATIENCE_S)
     assert process.returncode == 0, said
     (found,) = json.loads((installed.folder / "found.json").read_text())["parts"]
     assert found["rounds"] == ROUNDS[part] and found["violations"] == 0 and found["found"], said
 
 
 def test_each_part_is_here(installed: Installed) -> None:
-    said, _ = installed.start("python", ENDURANCE, "--list").communicate(timeout=30)
+    said, _ = installed.start("python", ENDURANCE, "--list").communicate(timeout=PATIENCE_S)
     assert [line.split()[0] for line in said.splitlines()] == list(ROUNDS)
 
 
@@ -72,9 +72,9 @@ def test_ctrl_c_ends_it_with_all_that_it_started(installed: Installed) -> None:
 
     until(a_runner_runs, "a target with its runner", alive=process)
     os.kill(process.pid, signal.SIGINT)
-    said, _ = process.communicate(timeout=30)
+    said, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130 and re.search(r"ended by Ctrl-C after 0 of 1", said), said
-    until(lambda: not any(_command(pid) for pid in started), "all that it started has ended", 10.0)
+    until(lambda: not any(_command(pid) for pid in started), "all that it started has ended")
 
 
 def _command(pid: int) -> str:

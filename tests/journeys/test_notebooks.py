@@ -12,7 +12,7 @@ RUN = """
 import sys, nbformat
 from nbclient import NotebookClient
 notebook = nbformat.read(sys.argv[1], 4)
-NotebookClient(notebook, timeout=80, kernel_name="python3").execute()
+NotebookClient(notebook, timeout=250, kernel_name="python3").execute()
 for cell in notebook.cells:
     for output in cell.get("outputs", []):
         print(output.get("data", {}).get("text/html", ""), output.get("text", ""))
@@ -23,7 +23,7 @@ for cell in notebook.cells:
 def test_a_notebook_of_the_examples_runs_and_shows_tables_and_curves(
     kernels: Installed, notebook: Path
 ) -> None:
-    done = kernels.script(RUN, str(notebook), timeout=110.0)
+    done = kernels.script(RUN, str(notebook), timeout=300.0)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert "<polyline" in done.stdout and "<table>" in done.stdout
 

@@ -36,7 +36,7 @@ with zendsp.local(machine, clock="fast") as target:
                 target.upload(name, rows)
         target.update(use_table=True, row_rate=round(1 / reference.sample_time))
         approach = target["approach_time"] if "approach_time" in names else 0.0
-        status = target.run_for(approach + reference.duration + 0.5, timeout=60)
+        status = target.run_for(approach + reference.duration + 0.5, timeout=250)
         if status.trip is not None:
             bad.append(f"{kind}: {status.trip.text}")
             target.acknowledge()
@@ -52,7 +52,7 @@ def test_default_motions_do_not_trip_the_default_program(
 ) -> None:
     if machine == "wam7":
         pytest.importorskip("pinocchio")
-    said = installed.script(SCRIPT, machine, DEFAULT[machine], timeout=110.0)
+    said = installed.script(SCRIPT, machine, DEFAULT[machine], timeout=300.0)
     assert said.returncode == 0, said.stdout + said.stderr
     assert len(said.stdout.split()) >= 8, "every kind that the machine can move was played"
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-from journey import Installed, until
+from journey import PATIENCE_S, Installed, until
 
 RECORDING = """
 import zendsp
@@ -24,7 +24,7 @@ def _interrupted(installed: Installed, *options: str) -> subprocess.Popen[str]:
     )
     until(lambda: "True" in installed.script(RECORDING).stdout, "rows come in", alive=process)
     os.kill(process.pid, signal.SIGINT)
-    process.wait(20)
+    process.wait(PATIENCE_S)
     return process
 
 

@@ -15,7 +15,7 @@ with zendsp.connect('killed') as t:
     t.update(Kp1=321.0)
     t.acquire_configure(['tick', 'q', 'tau'], seconds=%(seconds)s, continuous=%(ring)s)
     t.acquire_start(); t.start()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 150
     while t.acquire_status().count < 400 and time.monotonic() < deadline: time.sleep(0.02)
     print(t.acquire_status().count)
 """

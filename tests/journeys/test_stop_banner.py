@@ -54,12 +54,12 @@ def test_stop_ends_in_the_right_banner(
     os.kill(process.pid, signal.SIGSTOP)  # before the runner: its watchdog would end it
     os.kill(runner, signal.SIGSTOP)
     screen.keys(F9)
-    screen.until("NOT STOPPED: use the machine's emergency stop", 8.0)
+    screen.until("NOT STOPPED: use the machine's emergency stop")
     os.kill(process.pid, signal.SIGCONT)
     os.killpg(process.pid, signal.SIGKILL)
     screen.until("LINK LOST")
     screen.keys(F9)
-    screen.until("NOT STOPPED: use the machine's emergency stop", 8.0)
+    screen.until("NOT STOPPED: use the machine's emergency stop")
     assert "STOP sent" not in screen.text()
 
 
@@ -82,7 +82,7 @@ def test_a_target_whose_own_process_hangs_is_stopped_all_the_same(
     screen.until("● running")
     os.kill(process.pid, signal.SIGSTOP)
     screen.keys(F9)
-    screen.until("stopped, at sample", 8.0)
+    screen.until("stopped, at sample")
     assert "NOT STOPPED" not in screen.text()
     os.kill(process.pid, signal.SIGCONT)
     assert "stop" in installed.script(NOT_STOPPED).stdout
@@ -133,9 +133,9 @@ def test_f9_works_where_the_process_of_the_keys_was_killed(
         "the process of the keys is gone, and was waited for",
     )
     screen.keys(F9)
-    screen.until("stopped, at sample", 8.0)
+    screen.until("stopped, at sample")
     screen.keys(b"\x1bOR")
-    screen.until("reference chosen", 10.0)
+    screen.until("reference chosen")
 
 
 def test_f9_works_where_the_process_of_the_keys_hangs(
@@ -149,10 +149,10 @@ def test_f9_works_where_the_process_of_the_keys_hangs(
     stopper = stopper_of(screen.pid)
     os.kill(stopper, signal.SIGSTOP)
     screen.keys(F9)
-    screen.until("stopped, at sample", 15.0)
+    screen.until("stopped, at sample")
     assert not Path(f"/proc/{stopper}").exists()
     screen.keys(b"\x1bOR")
-    screen.until("reference chosen", 10.0)
+    screen.until("reference chosen")
 
 
 def stopper_of(terminal: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 
 import pytest
-from journey import Installed
+from journey import PATIENCE_S, Installed
 
 ANNA = r"""
 import sys, zendsp
@@ -37,7 +37,7 @@ class Anna:
 
     def leaves(self) -> None:
         """End Python."""
-        self._process.communicate(timeout=20)
+        self._process.communicate(timeout=PATIENCE_S)
 
 
 @pytest.fixture

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from waiting import until
 
 from zendsp_target.runtime import Runtime
 
@@ -45,12 +45,7 @@ def make_runtime() -> Iterator[Callable[..., Runtime]]:
 def wait_for() -> Callable[..., None]:
     """Sleep until a condition holds: ``wait_for(condition, shown_on_failure)``."""
 
-    def wait(
-        done: Callable[[], bool], shown: Callable[[], object] = str, timeout_s: float = 30.0
-    ) -> None:
-        end = time.monotonic() + timeout_s
-        while not done():
-            assert time.monotonic() < end, f"waited {timeout_s} s in vain: {shown()}"
-            time.sleep(0.002)
+    def wait(done: Callable[[], bool], shown: Callable[[], object] = str) -> None:
+        until(done, "what the test waits for", shown)
 
     return wait

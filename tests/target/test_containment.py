@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S, until
 
 from zendsp_protocol.errors import Refused
 from zendsp_target.runtime import Runtime
@@ -226,25 +227,18 @@ def test_without_a_filter_what_user_code_started_ends_with_it(
         try:
             said = process.stdout.readline()
             assert "NO FILTER OF SYSTEM CALLS" in said, said
-            _until(lambda: _left(mark), "it started a process, so that its end means something")
+            until(lambda: _left(mark), "it started a process, so that its end means something")
             process.stdin.write("look\n")
             process.stdin.flush()
             if end == "orphan":
-                process.wait(10)
+                process.wait(PATIENCE_S)
             else:
                 assert process.stdout.readline() == "ended\n"
-            _until(lambda: not _left(mark), "it has ended")
+            until(lambda: not _left(mark), "it has ended")
         finally:
             process.kill()
             for left in _left(mark):
                 os.kill(left, signal.SIGKILL)
-
-
-def _until(done: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 10.0
-    while not done():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.005)
 
 
 def test_user_code_takes_no_more_memory_than_it_is_given(make_runtime: Make, mark: str) -> None:

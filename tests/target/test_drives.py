@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from waiting import until
 
 from zendsp.errors import Refused
 from zendsp.link import Target, connect, local
@@ -55,17 +55,10 @@ def target(process: Target) -> Iterator[Target]:
     process.release_command()
 
 
-def _soon(condition: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.01)
-
-
 def test_a_script_need_not_know_the_sequence(target: Target) -> None:
     target.start()
     assert target.status().drive == "running" and not target.drive_status().explicit
-    _soon(lambda: target.status().io["aout"][0] != 0.0, "the drives are on")
+    until(lambda: target.status().io["aout"][0] != 0.0, "the drives are on")
     target.pause()
 
 
@@ -111,7 +104,7 @@ def test_each_refusal_names_what_fails(process: Target) -> None:
     with pytest.raises(Refused, match="starting is refused: enabled"):
         process.start()
     process.stop()
-    _soon(lambda: process.status().trip is not None, "latched at the next sample")
+    until(lambda: process.status().trip is not None, "latched at the next sample")
     with pytest.raises(Refused, match="enabling is refused: no trip: STOP"):
         process.enable()
     process.acknowledge()
@@ -124,7 +117,7 @@ def test_each_refusal_names_what_fails(process: Target) -> None:
 def test_a_refused_enable_changes_nothing(target: Target) -> None:
     target.start()
     target.stop()
-    _soon(lambda: target.status().trip is not None, "latched at the next sample")
+    until(lambda: target.status().trip is not None, "latched at the next sample")
     with pytest.raises(Refused, match="enabling is refused: no trip: STOP"):
         target.enable()
     assert not target.drive_status().explicit, "still automatic"
@@ -136,7 +129,7 @@ def test_a_refused_enable_changes_nothing(target: Target) -> None:
 def test_where_every_condition_is_met_enabling_is_not_refused(target: Target) -> None:
     target.start()
     target.stop()
-    _soon(lambda: target.status().trip is not None, "latched at the next sample")
+    until(lambda: target.status().trip is not None, "latched at the next sample")
     target.acknowledge()
     status = target.drive_status()
     assert not status.explicit and all(c.met for c in status.conditions)
@@ -162,7 +155,7 @@ def test_stop_acts_from_any_host_and_nothing_moves_before_enable(target: Target)
     target.start()
     with connect(target.name) as other:
         other.stop()
-    _soon(lambda: target.drive_status().state == "stopped", "stopped")
+    until(lambda: target.drive_status().state == "stopped", "stopped")
     with pytest.raises(Refused):
         target.start()
     target.acknowledge()
@@ -180,7 +173,7 @@ def test_the_digital_input_stops_as_well(target: Target) -> None:
     target.start()
     target.set_inputs(1)
     try:
-        _soon(lambda: target.drive_status().state == "stopped", "the input acts")
+        until(lambda: target.drive_status().state == "stopped", "the input acts")
         trip = target.status().trip
         assert trip is not None and "input" in trip.text
     finally:
@@ -192,7 +185,7 @@ def test_a_limit_trips_and_says_which_joint_and_value(target: Target) -> None:
     target.power_on()
     target.enable()
     target.start()
-    _soon(lambda: target.drive_status().state == "tripped", "such gains exceed the torque")
+    until(lambda: target.drive_status().state == "tripped", "such gains exceed the torque")
     trip = target.status().trip
     assert trip is not None and trip.joint == 1 and abs(trip.value) > trip.limit > 0
     assert target.status().io["aout"] == [0.0, 0.0]
@@ -230,7 +223,7 @@ def test_the_right_falls_free_when_its_holder_leaves(target: Target) -> None:
     with connect(target.name) as other:
         other.take_command()
         assert target.drive_status().commander == other.link.author
-    _soon(lambda: target.drive_status().commander == "", "freed")
+    until(lambda: target.drive_status().commander == "", "freed")
 
 
 def test_managed_targets_enforce_the_sequence() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -71,6 +72,30 @@ def test_close_removes_everything(make_runtime: Make) -> None:
     assert not os.path.exists(f"/proc/{pid}")
     with pytest.raises(Refused):
         runtime.load("0" * 32)
+
+
+def test_a_program_that_is_replaced_lets_go_of_its_files_at_once(
+    make_runtime: Make, load: Callable[[Runtime, str], None], wait_for: Callable[..., None]
+) -> None:
+    """Not when the garbage collector happens to come: until then its memory would be held too."""
+
+    def files() -> int:
+        return len(os.listdir("/proc/self/fd"))
+
+    runtime = make_runtime(COUNT)
+    gc.collect()
+    gc.disable()
+    try:
+        before = files()
+        for _ in range(3):
+            load(runtime, COUNT)
+            runtime.start()
+            os.kill(runtime.runner_pid(), signal.SIGKILL)
+            wait_for(lambda: runtime.status().state == "crashed" and runtime.status().crash)
+        load(runtime, COUNT)
+        wait_for(lambda: files() <= before, files)
+    finally:
+        gc.enable()
 
 
 def test_the_speed_of_the_fast_clock_can_be_limited(make_runtime: Make) -> None:

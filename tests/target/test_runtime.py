@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from waiting import until
 
 from zendsp_protocol.chunks import FOLD, crc, folded_crc
 from zendsp_protocol.errors import AcquisitionError, Refused, VariableError
@@ -130,12 +131,7 @@ def test_stop_is_latched_until_acknowledged(runtime: Runtime) -> None:
 
 
 def runtime_state_is(runtime: Runtime, state: str) -> None:
-    import time
-
-    end = time.monotonic() + 20.0
-    while runtime.status().state != state:
-        assert time.monotonic() < end, runtime.status()
-        time.sleep(0.001)
+    until(lambda: runtime.status().state == state, f"it is {state}", runtime.status)
 
 
 def test_a_trigger_keeps_what_came_before_it(runtime: Runtime) -> None:

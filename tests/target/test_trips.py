@@ -5,7 +5,6 @@ afresh.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -165,31 +164,27 @@ def test_a_joint_stopped_beyond_its_limit_goes_no_further_out(make_runtime: Make
 
 
 SLOW = (
-    '#include "isr.h"\n#include <time.h>\nvoid UserInit(void) { struct timespec t = {2, 0};'
-    " nanosleep(&t, 0); }\nvoid UserISR_INT2(void) {}\n"
+    '#include "isr.h"\n#include <fcntl.h>\n#include <unistd.h>\nvoid UserInit(void) {'
+    ' close(open("%(begun)s", O_CREAT | O_WRONLY, 0600));'
+    ' for (int i = 0; i < 20000 && access("%(go)s", F_OK) != 0; i++) usleep(1000); }\n'
+    "void UserISR_INT2(void) {}\n"
 )
 
 
-def test_stop_does_not_wait_behind_a_load(make_runtime: Make) -> None:
+def test_stop_does_not_wait_behind_a_load(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
     runtime = make_runtime(CONSTANT)
-    slow = runtime.compile({"slow.c": SLOW})
+    begun, go = tmp_path / "begun", tmp_path / "go"
+    slow = runtime.compile({"slow.c": SLOW % {"begun": begun, "go": go}})
     assert slow.ok, slow.diagnostics
-    began = threading.Event()
-
-    def load() -> None:
-        began.set()
-        runtime.load(slow.key)
-
-    thread = threading.Thread(target=load)
+    thread = threading.Thread(target=runtime.load, args=(slow.key,))
     thread.start()
-    began.wait()
-    time.sleep(0.5)  # within the two seconds of its UserInit
-    begin = time.monotonic()
+    wait_for(begun.exists)
     runtime.stop()
-    took = time.monotonic() - begin
-    assert thread.is_alive(), "the load was over already: this proves nothing"
+    assert thread.is_alive(), "STOP came after the load"
+    go.touch()
     thread.join()
-    assert took < 0.5
 
 
 def test_what_begins_afresh_sees_a_first_sample_with_the_drives_off(

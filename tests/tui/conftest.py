@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from textual.pilot import Pilot
+from waiting import PATIENCE_S
 
 from zendsp.errors import ZendspError
 from zendsp.link import Target, local
@@ -19,7 +20,6 @@ from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import find_targets, open_port, start_machine
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers beside the tests
-PATIENCE_S = 40.0  # the machine that runs the tests is busy with others at the same time
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 

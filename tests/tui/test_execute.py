@@ -219,7 +219,9 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
                 lambda: app.session.snapshot.state == "loaded" and app.session.snapshot.variables,
                 "built with motion.h beside it",
             )
-            await pilot.press("o", "e")
+            await pilot.press("o")
+            await until(pilot, lambda: app.session.snapshot.drive == "homed", "powered")
+            await pilot.press("e")
             await until(pilot, lambda: app.session.snapshot.drive == "enabled", "enabled")
             assert app.session.snapshot.position[1] == pytest.approx(-1.9, abs=1e-3)
             screen = await _open(app, pilot, until)

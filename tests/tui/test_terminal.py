@@ -9,8 +9,9 @@ import sys
 import time
 from pathlib import Path
 
+from waiting import PATIENCE_S
+
 CALL = "from zendsp.cli import main; main()"
-LIMIT = 30.0  # s
 
 
 def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
@@ -24,7 +25,7 @@ def test_a_terminal_that_goes_away_ends_the_program_whoever_ignored_its_signal(
             sys.executable,
             [sys.executable, "-c", CALL, "tui", "--folder", str(tmp_path), "--screen", "reference"],
         )
-    deadline, seen = time.monotonic() + LIMIT, b""
+    deadline, seen = time.monotonic() + PATIENCE_S, b""
     while b"Reference" not in seen and time.monotonic() < deadline:
         seen += os.read(terminal, 1 << 16)
     os.close(terminal)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S
 
 from zendsp.link import Target
 
@@ -47,7 +48,7 @@ def _served(folder: Path, *options: str) -> Iterator[int]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + PATIENCE_S
     while True:
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", number)) == 0:
@@ -56,7 +57,7 @@ def _served(folder: Path, *options: str) -> Iterator[int]:
         time.sleep(0.05)
     yield number
     process.terminate()
-    process.wait(20)
+    process.wait(PATIENCE_S)
 
 
 async def test_the_page_shows_the_screen_and_needs_no_other_computer(port: int) -> None:
@@ -74,10 +75,10 @@ async def test_the_page_shows_the_screen_and_needs_no_other_computer(port: int) 
         url = f"{base}/ws?width=120&height=36"
         async with session.ws_connect(url, headers={"Origin": base}) as socket_:
             seen = b""
-            deadline = time.monotonic() + 60.0
+            deadline = time.monotonic() + PATIENCE_S
             while b"Reference and Diagnose work without a target" not in seen:
                 assert time.monotonic() < deadline, seen[-500:]
-                message = await asyncio.wait_for(socket_.receive(), 60.0)
+                message = await asyncio.wait_for(socket_.receive(), PATIENCE_S)
                 if message.type == aiohttp.WSMsgType.BINARY:
                     seen += message.data
                 elif message.type == aiohttp.WSMsgType.TEXT:
@@ -104,10 +105,10 @@ async def test_stop_from_a_page(target: Target, tmp_path: Path, press: str) -> N
             async def until(
                 done: Callable[[], object], page: aiohttp.ClientWebSocketResponse = page
             ) -> None:
-                deadline = time.monotonic() + 60.0
+                deadline = time.monotonic() + PATIENCE_S
                 while not done():
                     assert time.monotonic() < deadline, "\n".join(shown.display)
-                    message = await asyncio.wait_for(page.receive(), 60.0)
+                    message = await asyncio.wait_for(page.receive(), PATIENCE_S)
                     if message.type == aiohttp.WSMsgType.BINARY:
                         stream.feed(message.data.replace(b"\x1b[>", b"\x1b["))
 

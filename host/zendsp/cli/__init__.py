@@ -5,6 +5,7 @@ nothing heavy.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -141,3 +142,16 @@ def main() -> None:
     except ZendspError as error:
         click.echo(f"zendsp: {shown(str(error))}", err=True)
         sys.exit(2)
+    except OSError as error:  # a full disk, a folder without the right to write, a full output
+        where = f"{error.filename}: " if error.filename else ""
+        click.echo(f"zendsp: {shown(f'{where}{error.strerror or error}')}", err=True)
+        _let_go_of_output()
+        sys.exit(2)
+
+
+def _let_go_of_output() -> None:
+    """Have what nobody takes go nowhere: the end of the interpreter would complain of it again."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,7 +109,11 @@ def command(
                 recording = _until_now(t, note, pause=start)
             except AcquisitionError:
                 raise error from None
-    written = save_somewhere(recording, out)
+    from zendsp.recording.files import save_anyhow
+
+    written, wrong = save_anyhow(recording, out)
+    if wrong:
+        click.echo(f"zendsp: {wrong}", err=True)
     if plot is not None:
         recording.plot(path=plot)
     body = {
@@ -131,7 +134,7 @@ def command(
     if ended:
         click.echo(f"zendsp: {ended}", err=True)
         raise click.exceptions.Exit(1)
-    if written != out:
+    if wrong:
         raise click.exceptions.Exit(1)
 
 
@@ -141,31 +144,3 @@ def _until_now(target: Target, note: str, *, pause: bool) -> Recording:
     if pause:
         target.pause()
     return target.acquire_finish(STOPPING_S, note)
-
-
-def save_somewhere(recording: Recording, out: Path) -> Path:
-    """Save a recording, which cannot be made again, elsewhere where it cannot be saved there; that
-    is said on standard error.
-
-    Parameters
-    ----------
-    recording : Recording
-    out : path
-
-    Returns
-    -------
-    path
-        Where it is.
-    """
-    from zendsp.errors import RecordingError
-
-    try:
-        return recording.save(out)
-    except RecordingError as error:
-        try:
-            elsewhere = recording.save(Path(tempfile.mkdtemp(prefix="zendsp-")) / out.name)
-        except (RecordingError, OSError):
-            raise error from None
-        click.echo(f"zendsp: {error}; it is in {elsewhere} instead", err=True)
-        return elsewhere
-

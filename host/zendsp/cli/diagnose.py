@@ -6,10 +6,14 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from zendsp_protocol.texts import shown
+
+if TYPE_CHECKING:
+    from zendsp.diagnosis import Diagnosis
 
 FILE = click.Path(path_type=Path)
 
@@ -131,7 +135,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
     """One diagnosis of all recordings."""
     from zendsp.cli.progress import stages
     from zendsp.diagnosis import diagnose
-    from zendsp.diagnosis.report.files import report_text, write_report
+    from zendsp.diagnosis.report.files import report_text
     from zendsp.physics.effects import load_effects
 
     for file in asked.effects:
@@ -161,15 +165,34 @@ def _together(asked: _Asked, run_on: str | None) -> None:
             )
         if out is not None:
             tell("writing the report")
-            write_report(result, out)
+            written, wrong = _write(result, out)
     if asked.as_json:
         click.echo(report_text(result))
-        return
-    from zendsp.diagnosis.report.summary import summary
+    else:
+        from zendsp.diagnosis.report.summary import summary
 
-    click.echo(shown(summary(result)))
-    if out is not None:
-        click.echo(f"\nreport: {out / 'report.html'}")
+        click.echo(shown(summary(result)))
+        if out is not None:
+            click.echo(f"\nreport: {written / 'report.html'}")
+    if out is not None and wrong:
+        click.echo(f"zendsp: {wrong}", err=True)
+        raise click.exceptions.Exit(1)
+
+
+def _write(result: Diagnosis, out: Path) -> tuple[Path, str]:
+    """Write the report, in a new folder for what is temporary where the disk took no more of it;
+    where it is, and what was wrong.
+    """
+    import tempfile
+
+    from zendsp.diagnosis.report.files import write_report
+
+    try:
+        return write_report(result, out), ""
+    except OSError as error:
+        elsewhere = write_report(result, Path(tempfile.mkdtemp(prefix="zendsp-report-")))
+        why = error.strerror or error
+        return elsewhere, f"--out {out}: cannot be written ({why}); it is in {elsewhere} instead"
 
 
 def _each(asked: _Asked, scheduler: str | None) -> None:

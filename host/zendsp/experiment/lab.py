@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.errors import Refused, ZendspError
+from zendsp.errors import RecordingError, Refused, ZendspError
 from zendsp.experiment.result import Result
 from zendsp.link import Target
 from zendsp.recording import Recording
+from zendsp.recording.files import save_anyhow
 from zendsp.reference import Reference
 
 Say = Callable[[str], None]
@@ -216,8 +217,14 @@ class Bench:
                 _stop(target)  # first of all
                 self._keep_part(name, str(error) or type(error).__name__)
             raise
-        self.recordings.append(recording.save(self.folder / f"{name}.npz").name)
+        self._keep(recording, name)
         return recording
+
+    def _keep(self, recording: Recording, name: str) -> None:
+        place, wrong = save_anyhow(recording, self.folder / f"{name}.npz")
+        if wrong:
+            raise RecordingError(wrong)
+        self.recordings.append(place.name)
 
     def _require_command(self, name: str, command: str) -> None:
         """The machine says what it is once a program is loaded."""
@@ -232,9 +239,8 @@ class Bench:
         """Keep what was recorded before a run ended early, if it had begun."""
         if self.target.status().tick > 0:
             self.target.acquire_stop()
-            self.target.acquire_load(f"{name}, ended early: {why}").save(
-                self.folder / f"{name}_ended.npz"
-            )
+            recording = self.target.acquire_load(f"{name}, ended early: {why}")
+            save_anyhow(recording, self.folder / f"{name}_ended.npz")
 
 
 def _stop(target: Target) -> None:

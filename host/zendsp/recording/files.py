@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
@@ -62,6 +63,43 @@ def save(recording: Samples, path: Path) -> Path:
         with suppress(OSError):  # nothing is there where the folder is none
             temporary.unlink(missing_ok=True)
     return path
+
+
+def save_anyhow(recording: Samples, path: Path) -> tuple[Path, str]:
+    """Save a recording, which cannot be made again; elsewhere where it cannot be saved there.
+
+    Parameters
+    ----------
+    recording : Samples
+    path : path
+        Where it is meant to be.
+
+    Returns
+    -------
+    path
+        Where it is.
+    str
+        What was the matter and where it is instead, for people; empty where it is at `path`.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be written anywhere.
+    """
+    try:
+        return save(recording, path), ""
+    except RecordingError as error:
+        elsewhere = rescue(recording, path.name)
+        if elsewhere is None:
+            raise
+        return elsewhere, f"{error}; it is in {elsewhere} instead"
+
+
+def rescue(recording: Samples, name: str) -> Path | None:
+    """Save a recording in a new folder for what is temporary; None where that is full too."""
+    with suppress(RecordingError, OSError):
+        return save(recording, Path(tempfile.mkdtemp(prefix="zendsp-")) / name)
+    return None
 
 
 def check_suffix(path: str | Path) -> None:

@@ -20,7 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from zendsp.errors import RecordingError
 from zendsp.recording import Recording
+from zendsp.recording.files import rescue
 from zendsp.tui.workspace import file_name
 
 DATA, CARD = "recording.mat", "run.json"
@@ -73,7 +75,13 @@ def store_run(
     sources: Mapping[str, str] | None = None,
     outcome: str = "complete",
 ) -> Run:
-    """Keep a run; the folder appears complete or not at all."""
+    """Keep a run; the folder appears complete or not at all.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be written there; the recording is elsewhere, and that is said.
+    """
     created = time.time()
     stem = f"{time.strftime('%Y%m%d-%H%M%S', time.localtime(created))}-{file_name(name)}"
     folder = runs / stem
@@ -82,16 +90,6 @@ def store_run(
         folder = runs / f"{stem}-{n}"
         n += 1
     beside = runs / f".{folder.name}.part"
-    shutil.rmtree(beside, ignore_errors=True)
-    beside.mkdir(parents=True)
-    recording.save(beside / DATA)
-    for text_name, text in (recording.sources or sources or {}).items():
-        (beside / file_name(Path(text_name).name)).write_text(text)
-    kept = []
-    for path in references:
-        target = beside / ("reference.mat" if len(references) == 1 else file_name(path.name))
-        shutil.copyfile(path, target)
-        kept.append(path.name)
     run = Run(
         folder,
         name,
@@ -99,16 +97,42 @@ def store_run(
         recording.machine,
         recording.target,
         recording.note,
-        tuple(kept),
+        tuple(path.name for path in references),
         len(recording),
         float(len(recording) * recording.sample_time),
         recording.lost,
         outcome,
         error_figures(recording),
     )
-    _write_card(beside, run)
-    os.replace(beside, folder)
+    try:
+        _write_run(beside, run, recording, references, recording.sources or sources or {})
+        os.replace(beside, folder)
+    except (OSError, RecordingError) as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        elsewhere = rescue(recording, DATA)
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        kept = f"its recording is lost: {error}" if elsewhere is None else f"it is in {elsewhere}"
+        raise RecordingError(f"run {name!r} cannot be kept in {runs} ({why}); {kept}") from error
     return run
+
+
+def _write_run(
+    folder: Path,
+    run: Run,
+    recording: Recording,
+    references: Sequence[Path],
+    sources: Mapping[str, str],
+) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    recording.save(folder / DATA)
+    for name, text in sources.items():
+        (folder / file_name(Path(name).name)).write_text(text)
+    for path in references:
+        shutil.copyfile(
+            path, folder / ("reference.mat" if len(references) == 1 else file_name(path.name))
+        )
+    _write_card(folder, run)
 
 
 def _write_card(folder: Path, run: Run) -> None:

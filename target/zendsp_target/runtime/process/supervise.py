@@ -32,9 +32,13 @@ class Supervisor:
         each_round: Callable[[], None],
         on_death: Callable[[str], None],
     ) -> None:
-        self._process, self._each_round, self._on_death = process, each_round, on_death
+        self._process = process
         self._expected = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="zendsp-supervisor", daemon=True)
+        # The thread alone keeps them, and only until its end: they lead back to who keeps this, and
+        # a program that was replaced would stay mapped until the garbage collector comes.
+        self._thread = threading.Thread(
+            target=self._run, args=(each_round, on_death), name="zendsp-supervisor", daemon=True
+        )
         self._thread.start()
 
     def expect_end(self) -> None:
@@ -46,13 +50,13 @@ class Supervisor:
         if self._thread is not threading.current_thread():
             self._thread.join(timeout_s)
 
-    def _run(self) -> None:
+    def _run(self, each_round: Callable[[], None], on_death: Callable[[str], None]) -> None:
         _, lib = layout()
         heartbeat = ffi_address(self._process.control, "heartbeat")
         seen, stalled, last = -1, 0.0, time.monotonic()
         while not self._process.wait_death(_ROUND_S):
             self._process.look()
-            self._each_round()
+            each_round()
             beat, now = int(lib.monitor_load64(heartbeat)), time.monotonic()
             # a computer that stood still (or starved this thread) must not look like a program that
             # did
@@ -65,18 +69,19 @@ class Supervisor:
             stalled = stalled + passed if beat == seen else 0.0
             seen = beat
             if stalled > allowed:
-                self._end_hung()
+                sentence = self._end_hung()
+                each_round()
+                if not self._expected.is_set():
+                    on_death(sentence)
                 return
         self._process.end_group()
-        self._each_round()
+        each_round()
         if not self._expected.is_set():
             self._process.make_safe()
-            self._on_death(self._process.death())
+            on_death(self._process.death())
 
-    def _end_hung(self) -> None:
+    def _end_hung(self) -> str:
         sentence = self._process.death(hung=True)
         self._process.kill()
         self._process.make_safe()
-        self._each_round()
-        if not self._expected.is_set():
-            self._on_death(sentence)
+        return sentence

@@ -1,0 +1,36 @@
+"""How long a test waits for what must come.
+
+CI runs what waits beside what computes, on two slow processors. So a test waits for a condition,
+with one patience for all: it only says when to give up on something that will never come. A promise
+of a time is shown by what would come otherwise much later (a request that is given minutes, a load
+that does not end), and is measured by `benchmarks/`.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Callable
+
+PATIENCE_S = float(os.environ.get("ZENDSP_TEST_PATIENCE_S", "150"))
+
+
+def until(
+    done: Callable[[], object],
+    what: str,
+    shown: Callable[[], object] = str,
+    alive: subprocess.Popen[str] | None = None,
+) -> None:
+    """Wait until `done`; fail by name, with what is `shown`, when it does not come.
+
+    Also fails as soon as the process that is to bring it is no longer `alive`.
+    """
+    deadline = time.monotonic() + PATIENCE_S
+    while not done():
+        if alive is not None and alive.poll() is not None:
+            said = alive.stdout.read() if alive.stdout else ""
+            raise AssertionError(f"{what}: the process ended with {alive.returncode}: {said}")
+        if time.monotonic() > deadline:
+            raise AssertionError(f"never happened within {PATIENCE_S:g} s: {what} {shown()}")
+        time.sleep(0.005)
