@@ -7,9 +7,7 @@ import os
 import signal
 import time
 
-from journey import LIMIT_S, Installed, until
-
-from zendsp.link.requests import PATIENCE_S
+from journey import Installed, until
 
 RECORD = """
 import time, zendsp
@@ -92,9 +90,10 @@ def test_who_records_is_told_at_once_that_the_target_was_killed_and_what_was_kep
     assert installed.script(ROWS).returncode == 0
     began = time.monotonic()
     target.kill()
-    said, _ = recording.communicate(timeout=LIMIT_S)
+    said, _ = recording.communicate(timeout=60)
     assert recording.returncode == 2 and "is gone" in said
-    assert time.monotonic() - began < PATIENCE_S / 2, "no patience with a process that has ended"
+    # a broken link is waited for for 30 s, a process that has ended is not
+    assert time.monotonic() - began < 20
     assert "zendsp salvage -t killed -o FILE" in said
     assert installed.run("salvage", "-t", "killed", "-o", "q.mat").returncode == 0
 
