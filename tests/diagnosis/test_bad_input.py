@@ -400,6 +400,18 @@ def test_a_free_swing_is_accepted_and_one_about_the_upright_is_not(
     assert "degrees" in refuse(degrees, "--model", model)
 
 
+def test_what_is_said_of_several_recordings_alike_is_said_once(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    milli = {"t_ms": 1e3 * good["t"], **{k: v for k, v in good.items() if k != "t"}}
+    text = model.read_text()
+    assert 'time = "t"' in text
+    model.write_text(text.replace('time = "t"', 'time = "t_ms"'))
+    given = kernel_model(load_model(model))
+    both = [read_signals(reality.save(tmp_path / f"{n}.csv", milli), given) for n in (1, 2)]
+    assert check_signals(both, given).count("t_ms: ms converted to s") == 1
+
+
 def test_rows_that_repeat_the_row_before_are_left_out_and_said(
     good: Columns, model: Path, tmp_path: Path
 ) -> None:

@@ -15,6 +15,8 @@ import reality
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.report.summary import _sized
+from zendsp.diagnosis.result import Detectable
 from zendsp.physics.effects import library
 
 RATE = 500.0
@@ -121,6 +123,11 @@ def test_improved_model_given_again_is_complete(folder: Path) -> None:
     assert {e["kind"] for e in data["effect"]} == {"viscous", "coulomb", "ripple"}
     d = diagnose(folder / "train.csv", again, folder / "heldout.csv")
     assert d.verdict == "complete", d.findings
+
+
+def test_the_unit_of_a_pure_number_is_not_read_out() -> None:
+    assert _sized(Detectable(1, "actuator", "torque_gain", 0.0025, "1", 0.1)) == "0.0025"
+    assert _sized(Detectable(1, "dry_friction", "coulomb", 0.25, "N m", 0.1)) == "0.25 N m"
 
 
 def test_page_is_self_contained(folder: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
@@ -12,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pyte
 import pytest
 from helpers import running
 from waiting import PATIENCE_S, until
@@ -221,6 +224,28 @@ def test_ctrl_c_ends_watch_cleanly(target: Target) -> None:
     _, said = watch.communicate(timeout=PATIENCE_S)
     assert watch.returncode == 130 and said.strip() == "interrupted"
     assert target.status().state == "running"
+
+
+def test_watch_in_a_narrow_terminal_changes_in_place(target: Target) -> None:
+    target.download("pd.c")
+    target.start()
+    watch = "from zendsp.cli import main; main()"
+    columns, lines = 50, 12
+    shown = pyte.HistoryScreen(columns, lines)
+    stream = pyte.ByteStream(shown)
+    pid, fd = pty.fork()
+    if pid == 0:
+        code = [sys.executable, "-c", watch, "watch", "q", "tau", "--interval", "0.01"]
+        os.execve(code[0], [*code, "--count", "40"], {**os.environ, "COLUMNS": str(columns)})
+    with contextlib.suppress(OSError):  # the end of the terminal
+        while data := os.read(fd, 1 << 16):
+            stream.feed(data)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    text = [row for row in shown.display if row.strip() and not row.startswith("waiting for")]
+    assert not shown.history.top, "nothing scrolled away"
+    assert re.sub(r"[-+.e\d]+ ", "", " ".join(" ".join(text).split())) == (
+        "t s q[0] rad q[1] rad tau[0] N m tau[1] N m"
+    ), text
 
 
 def test_target_runs_in_the_foreground_until_ctrl_c() -> None:

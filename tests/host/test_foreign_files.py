@@ -12,7 +12,7 @@ import pytest
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
-from zendsp.recording.units import to_si
+from zendsp.recording.units import to_si, unit_in_name
 
 RNG = np.random.default_rng(7)
 N = 400
@@ -49,6 +49,22 @@ def test_units_are_converted_by_their_factor(written: str, factor: float, si: st
 @pytest.mark.parametrize("unknown", ["furlong", "", "rad/", "°F", "mol", "q1"])
 def test_a_unit_that_is_not_known_is_not_guessed(unknown: str) -> None:
     assert to_si(unknown) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("zeit_ms", "ms"),
+        ("Time_rel_ms", "ms"),
+        ("log.time_us", "us"),
+        ("tiempo_s", "s"),
+        ("v_ms", ""),
+        ("times_ms", ""),
+        ("drift_ms", ""),
+    ],
+)
+def test_ms_is_milliseconds_where_a_word_of_the_name_says_time(name: str, unit: str) -> None:
+    assert unit_in_name(name) == unit
 
 
 def test_units_in_headers_rows_of_units_and_names(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 
 from journey import Installed, until
 
@@ -69,6 +70,32 @@ def test_rows_of_a_killed_target_are_saved_before_and_after_its_next_start(
     assert again.stdout is not None
     assert "zendsp salvage -t killed" in again.stdout.read(), "and says so"
     assert installed.run("salvage", "-t", "killed").returncode == 1, "a clean end leaves nothing"
+
+
+ROWS = """
+import sys, time, zendsp
+with zendsp.connect('killed') as t:
+    deadline = time.monotonic() + 40
+    while t.acquire_status().count < 100 and time.monotonic() < deadline: time.sleep(0.02)
+    sys.exit(t.acquire_status().count < 100)
+"""
+
+
+def test_who_records_is_told_at_once_that_the_target_was_killed_and_what_was_kept(
+    installed: Installed,
+) -> None:
+    target = installed.target("killed")
+    assert installed.run("run", "pd.c", "-t", "killed").returncode == 0
+    recording = installed.start("zendsp", "acquire", "q", "-s", "600", "-o", "q.mat")
+    assert installed.script(ROWS).returncode == 0
+    began = time.monotonic()
+    target.kill()
+    said, _ = recording.communicate(timeout=60)
+    assert recording.returncode == 2 and "is gone" in said
+    # a broken link is waited for for 30 s, a process that has ended is not
+    assert time.monotonic() - began < 20
+    assert "zendsp salvage -t killed -o FILE" in said
+    assert installed.run("salvage", "-t", "killed", "-o", "q.mat").returncode == 0
 
 
 def test_what_was_dropped_is_gone(installed: Installed) -> None:

@@ -121,7 +121,16 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
         ),
         ('SIGNAL(x, "", ""); SIGNAL(x, "", "");', Refused, "'x': declared twice"),
         ('static double t; SIGNAL(t, "", "");', Refused, "taken by a built-in"),
-        ('PARAMETER(x, 5.0, "", 0.0, 1.0, "");', Refused, "outside its limits"),
+        (
+            'PARAMETER(x, 5.0, "", 0.0, 1.0, "");',
+            Refused,
+            "'x': initial value 5 is outside its limits 0 and 1: change one of them in UserInit",
+        ),
+        (
+            'PARAMETER(x, 0.0, "", 2.5, -1.0, "");',
+            Refused,
+            "'x': its limits are 2.5 and -1: the first must not be above the second",
+        ),
     ],
 )
 def test_what_goes_wrong_in_userinit_is_told_at_load(

@@ -54,7 +54,9 @@ static void set_every(void *address, int32_t type, int32_t length, double value)
     }
 }
 
+/* What is wrong with a declaration, NULL where nothing is; the text lasts until the next call. */
 static const char *objection(const zendsp_declaration *d) {
+    static char text[160];
     if (d->kind < KIND_PARAMETER || d->kind > KIND_TABLE || d->type < TYPE_DOUBLE ||
         d->type > TYPE_BOOL || !d->address)
         return "not a declaration of isr.h";
@@ -65,10 +67,15 @@ static const char *objection(const zendsp_declaration *d) {
     if (d->kind != KIND_TABLE && d->bytes / size_of_type[d->type] > LAYOUT_ELEMENTS)
         return "more than 4096 elements: declare it as a TABLE";
     if (!(d->minimum <= d->maximum))
-        return "minimum above maximum";
-    if (d->set && !(d->initial >= d->minimum && d->initial <= d->maximum))
-        return "initial value outside its limits";
-    return NULL;
+        snprintf(text, sizeof text, "its limits are %g and %g: the first must not be above the second",
+                 d->minimum, d->maximum);
+    else if (d->set && !(d->initial >= d->minimum && d->initial <= d->maximum))
+        snprintf(text, sizeof text,
+                 "initial value %g is outside its limits %g and %g: change one of them in UserInit",
+                 d->initial, d->minimum, d->maximum);
+    else
+        return NULL;
+    return text;
 }
 
 /* What PARAMETER, SIGNAL and TABLE do. */

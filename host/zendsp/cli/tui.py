@@ -16,6 +16,15 @@ from zendsp.errors import LinkError
 @click.command("tui")
 @click.argument("target", required=False, default="")
 @click.option(
+    "-t",
+    "--target",
+    "named",
+    default="",
+    envvar="ZENDSP_TARGET",
+    metavar="NAME",
+    help="The same as TARGET, as of the other commands (else $ZENDSP_TARGET).",
+)
+@click.option(
     "--local",
     "machine",
     metavar="MACHINE",
@@ -70,6 +79,7 @@ from zendsp.errors import LinkError
 )
 def command(
     target: str,
+    named: str,
     machine: str | None,
     clock: str,
     source: str | None,
@@ -100,6 +110,8 @@ def command(
             click.echo(picture)
         return
     path = found(source) if source else None
+    if not machine:  # a machine that is started here is the target
+        target = target or named
     if web:
         _serve(target, machine, clock, path, folder, screen, theme, channels, frames, port)
         return

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
+from collections.abc import Sequence
 
 import click
 
@@ -37,7 +39,8 @@ def command(
     connect: str | None,
     as_json: bool,
 ) -> None:
-    """Follow channels until Ctrl-C: one line for each interval, or one changing line on a terminal.
+    """Follow channels until Ctrl-C: one line for each interval; on a terminal one that changes, or
+    as many as they need.
 
     Example:  zendsp watch q tau --interval 0.2
     """
@@ -46,7 +49,7 @@ def command(
         open_target(target, connect) as t,
         t.live(list(channels), interval=min(interval, 0.05), history=1.0) as view,
     ):
-        shown = 0
+        shown, back = 0, ""
         due = time.monotonic()
         while not count or shown < count:
             time.sleep(max(0.0, due - time.monotonic()))
@@ -55,17 +58,38 @@ def command(
             if not newest:
                 newest = _first(view)
                 due = time.monotonic() + interval  # from the first rows on
-            line = "  ".join(
+            parts = [
                 f"{name} {show(value):>10} {unit}".rstrip()
                 for (name, value), unit in zip(newest.items(), ("s", *view.units), strict=True)
-            )
+            ]
             if rewrite:
-                click.echo(f"\r\x1b[K{line}", nl=False)
+                lines = in_rows(parts, shutil.get_terminal_size().columns)
+                click.echo(f"{back}\x1b[J" + "\n".join(lines), nl=False)
+                back = f"\x1b[{len(lines) - 1}A\r" if len(lines) > 1 else "\r"
             else:
-                emit(newest, as_json, line)
+                emit(newest, as_json, "  ".join(parts))
             shown += 1
         if rewrite:
             click.echo()
+
+
+def in_rows(parts: Sequence[str], width: int) -> list[str]:
+    """Set what does not stand beside one another in ``width`` columns beneath: a line that the
+    terminal itself wraps could not be drawn over.
+
+    Examples
+    --------
+    >>> in_rows(["q 1 rad", "qd 2 rad/s", "tau 3 N m"], 24)
+    ['q 1 rad  qd 2 rad/s', 'tau 3 N m']
+    """
+    rows = [parts[0]]
+    for part in parts[1:]:
+        joined = f"{rows[-1]}  {part}"
+        if len(joined) < width:
+            rows[-1] = joined
+        else:
+            rows.append(part)
+    return [row[: width - 1] for row in rows]
 
 
 def _first(view: object) -> dict[str, float]:

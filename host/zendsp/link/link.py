@@ -15,6 +15,7 @@ import zenoh
 from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
 from zendsp.link.background import END_S, Listener, background, open_links
 from zendsp.link.registered import local_entries
+from zendsp.link.salvage import find_salvage
 from zendsp.link.session import new_author, not_there, open_session
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, keys
@@ -101,8 +102,16 @@ class Link:
         return self._alive.is_set() and not self.closed
 
     def wait_alive(self, timeout: float) -> bool:
-        """Wait until the target is reachable (again); False when ``timeout`` s have passed."""
-        return self._alive.wait(timeout)
+        """Wait until the target is reachable (again); False when ``timeout`` s have passed, and as
+        soon as it is known that its process has ended.
+        """
+        deadline = time.monotonic() + timeout
+        while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
+            if time.monotonic() >= deadline or self.ended:
+                return False
+            if self.own and self.target not in {entry.name for entry in local_entries()}:
+                return False
+        return True
 
     def on_return(self, callback: Callable[[], None]) -> None:
         """Have ``callback`` called, in a thread of its own, whenever the target comes back after an
@@ -180,7 +189,7 @@ class Link:
             pass  # its request or its reply is lost
         again = stamp(self._name, number, instance, AGAIN)
         while (
-            not self.closed and (left := deadline - time.monotonic()) > 0 and self._comes_back(left)
+            not self.closed and (left := deadline - time.monotonic()) > 0 and self.wait_alive(left)
         ):
             # it may be that the news of a death, or of the lanes of one that is back, is a moment
             # behind
@@ -240,10 +249,19 @@ class Link:
                 how, why = "has ended", ""
             return LinkError(
                 f"target {self.target!r} at {where} {how}: {verb!r} was not answered.{why}"
-                " The connection comes back by itself if the target does"
+                f" The connection comes back by itself if the target does{self._kept()}"
             )
         return NoAnswer(
             f"target {self.target!r} at {where} did not answer {verb!r} within {timeout:g} s"
+        )
+
+    def _kept(self) -> str:
+        """Where the rows are that a killed target of this computer had recorded."""
+        if not self.own or not find_salvage(self.target):
+            return ""
+        return (
+            "; what it had recorded is kept: zendsp salvage -t"
+            f" {self.target} -o FILE, or find_salvage()"
         )
 
     def close(self) -> None:
@@ -343,18 +361,6 @@ class Link:
         """
         self._lost.wait(STEP_S)
         return self._alive.is_set()
-
-    def _comes_back(self, timeout: float) -> bool:
-        """Wait until the target is reachable; False also as soon as it is known that its process
-        has ended.
-        """
-        deadline = time.monotonic() + timeout
-        while not self._alive.wait(min(STEP_S, max(0.0, deadline - time.monotonic()))):
-            if time.monotonic() >= deadline or self.ended:
-                return False
-            if self.own and self.target not in {entry.name for entry in local_entries()}:
-                return False
-        return True
 
     def _meet(self) -> None:
         """Learn which run of the target has come back; with a timeout, so that no querier is in use

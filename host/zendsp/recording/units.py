@@ -57,7 +57,8 @@ PREFIX = {
     "n": 1e-9,
 }
 AS_WRITTEN = ("%", "°C", "degC", "counts", "count", "ticks")  # numbers that are left as they are
-# suffixes of names that say nothing else; `_ms` is milliseconds only where the rest names a time
+# suffixes of names that say nothing else; `_ms` is milliseconds only where a word of the rest names
+# a time
 SUFFIXES = {
     "deg": "deg",
     "rpm": "rpm",
@@ -68,9 +69,11 @@ SUFFIXES = {
     "ma": "mA",
 }
 TIME_SUFFIXES = {"ms": "ms", "us": "us", "ns": "ns", "sec": "s", "s": "s"}
-TIME_NAMES = ("t", "time", "timestamp", "stamp", "clock")
+TIME_NAMES = {"t", "time", "timestamp", "stamp", "clock", "elapsed"}
+TIME_NAMES |= {"zeit", "tijd", "tid", "temps", "tempo", "tiempo", "czas", "aika"}
 
 _FACTOR = re.compile(r"^(?P<symbol>[^\d^²³\-+]+)\^?(?P<power>[+-]?\d+|²|³)?$")
+_WORDS = re.compile(r"[^\W\d_]+")
 _POWERS = {"²": 2, "³": 3}
 
 
@@ -147,7 +150,7 @@ def unit_in_name(name: str) -> str:
     rest, _, last = name.partition("[")[0].rpartition("_")
     if not rest:
         return ""
-    if rest.lower() in TIME_NAMES:
+    if TIME_NAMES & set(_WORDS.findall(rest.lower())):
         return TIME_SUFFIXES.get(last.lower(), "")
     return SUFFIXES.get(last.lower(), "")
 

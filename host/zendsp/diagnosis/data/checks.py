@@ -31,7 +31,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
     """
     notes = unused_effects(signals, model)
     for s in signals:
-        notes += s.notes
+        notes += [note for note in s.notes if note not in notes]  # of several alike: once
         raw = s.raw or s
         seconds = float(raw.time[-1] - raw.time[0]) + raw.sample_time  # the last row's, too
         if seconds < MIN_SECONDS - 0.5 * raw.sample_time:

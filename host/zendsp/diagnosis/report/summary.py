@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from zendsp.diagnosis.result import Diagnosis
+    from zendsp.diagnosis.result import Detectable, Diagnosis
 
 LEAST = 1e-4  # of a torque: less is not told from nothing
 MOST = 9.99
@@ -97,7 +97,7 @@ def summary(d: Diagnosis) -> str:
         small = sorted(d.detectable, key=lambda x: -x.share)[:3]
         lines.append(
             "it would have shown: "
-            + ", ".join(f"{x.effect} of {x.size:.2g} {x.unit} (joint {x.joint})" for x in small)
+            + ", ".join(f"{x.effect} of {_sized(x)} (joint {x.joint})" for x in small)
         )
     if d.next_recording:
         lines += ["", f"next: {d.next_recording.sentence}"]
@@ -105,6 +105,10 @@ def summary(d: Diagnosis) -> str:
         lines += ["", *[f"note: {n}" for n in d.notes]]
     lines.append(f"({d.seconds:.1f} s)")
     return "\n".join(lines)
+
+
+def _sized(x: Detectable) -> str:
+    return f"{x.size:.2g} {x.unit}".removesuffix(" 1")  # a pure number has no unit to be read
 
 
 def percent(share: float) -> str:

@@ -1,0 +1,36 @@
+"""What the command line makes of `zendsp tui`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+from click.testing import CliRunner
+
+from zendsp.cli.tui import command
+
+
+@pytest.mark.parametrize(
+    ("options", "environment", "target"),
+    [
+        (["imi"], {}, "imi"),
+        (["-t", "imi"], {}, "imi"),
+        (["--target", "imi"], {"ZENDSP_TARGET": "other"}, "imi"),
+        ([], {"ZENDSP_TARGET": "other"}, "other"),
+        (["imi"], {"ZENDSP_TARGET": "other"}, "imi"),
+        (["--local", "imi_planar"], {"ZENDSP_TARGET": "other"}, ""),
+        ([], {}, ""),
+    ],
+)
+def test_the_target_is_named_as_of_any_command(
+    options: list[str],
+    environment: Mapping[str, str],
+    target: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("ZENDSP_TARGET", raising=False)
+    asked: list[str] = []
+    monkeypatch.setattr("zendsp.cli.tui._serve", lambda name, *_: asked.append(name))
+    done = CliRunner().invoke(command, ["--web", *options], env=environment)
+    assert done.exit_code == 0, done.output
+    assert asked == [target]
