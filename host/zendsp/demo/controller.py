@@ -13,7 +13,6 @@ from zendsp.physics.codegen_terms import compensable, kernel_terms, why_not
 from zendsp.physics.effects import library
 from zendsp.physics.model import Model, Quantity, Term
 
-APPROACH_S = 1.0
 LAWS = range(4)  # of a coupling
 # Numbers that give an effect its shape, not its size: 1 is harmless for all of them, while 0 would
 # divide by zero.
@@ -97,7 +96,7 @@ def flags(joints: int) -> tuple[str, ...]:
 class Update:
     """What one synchronous update writes, and what it cannot cancel."""
 
-    values: Mapping[str, float]
+    values: Mapping[str, float | list[float]]
     left_out: tuple[str, ...]  # sentences
     # whose torque is compensated by terms that the given model had not (1-based)
     joints: tuple[int, ...]
@@ -106,7 +105,7 @@ class Update:
 def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Update:
     """Values of the program's parameters that turn the given model into the improved one.
 
-    Terms that both have, and the rigid body, get the numbers of the fit; terms that the fit
+    Terms that both have, and the rigid body with what it carries, get the numbers of the fit; terms that the fit
     replaced get size zero; what was found goes into its slot of the compensation.
 
     Parameters
@@ -120,9 +119,12 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
     -------
     Update
     """
-    values: dict[str, float] = {}
+    values: dict[str, float | list[float]] = {}
     left_out: list[str] = []
     joints: set[int] = set()
+    if given.kind in TREES:
+        values |= _bodies(improved)
+        joints |= bearing(given, improved)
     had = _labelled(given.terms, "model")
     room = _labelled(slots(given.joints), "comp")
     for label in had:
@@ -144,6 +146,18 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
                 if name in variables:
                     values[name] = quantity.value
     return Update(values, tuple(left_out), tuple(sorted(joints)))
+
+
+def _bodies(model: Model) -> dict[str, float | list[float]]:
+    """The links with what they carry, by the names that the generated C gives their numbers."""
+    rows, gravity = tree_of(model)
+    return {
+        "model_mass": rows[:, 17].tolist(),
+        "model_com": rows[:, 18:21].ravel().tolist(),
+        "model_inertia": rows[:, 21:27].ravel().tolist(),
+        "model_rotor": rows[:, 27].tolist(),
+        "model_g": gravity.tolist(),
+    }
 
 
 def _labelled(terms: Sequence[Term], prefix: str) -> dict[str, Term]:

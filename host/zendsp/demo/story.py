@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zendsp.demo.controller import APPROACH_S, plan_update
+from zendsp.demo.controller import plan_update
 from zendsp.demo.evidence import (
     Hidden,
     Judged,
@@ -97,7 +97,7 @@ def _record(
         f" conceals physics under the seal {seal[:16]}…"
     )
     with narrator.step("compiling the control program on the target"):
-        machine, seconds = prepare_machine(target, stage)
+        machine, seconds = prepare_machine(target, stage, out)
     (out / "given_model.toml").write_text(model_text(machine.model), encoding="utf-8")
     narrator.say(
         f"compiled track.c (model fed forward, PD feedback) on the target in {seconds:.2f} s"
@@ -214,8 +214,8 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
     for sentence in update.left_out:
         narrator.say(f"not compensated: {sentence}")
     motion = machine.stage.work(machine.stage.plan)
-    begin, end = APPROACH_S, APPROACH_S + motion.duration
-    half = APPROACH_S + 0.5 * motion.duration
+    begin = machine.stage.approach_s
+    half, end = begin + 0.5 * motion.duration, begin + motion.duration
     with narrator.step("the machine works; half-way the found physics is switched on"):
         try:
             told.work = machine.run(
