@@ -139,7 +139,7 @@ WAM_START = (0.0, -0.5, 0.0, 1.7, 0.0, 0.2, 0.0)  # rad: the elbow ahead, the ha
 
 
 def _wam_multisine(machine: Machine, share: float, period: float, f_max: float) -> Reference:
-    amplitude = share * np.array([0.7, 0.5, 0.7, 0.6, 0.8, 0.7, 0.35])
+    amplitude = share * np.array([0.7, 0.5, 0.7, 0.6, 0.8, 0.7, 0.25])
     return _multisine(machine, list(WAM_START), amplitude.tolist(), period, f_max, fade=1.0)
 
 

@@ -30,7 +30,10 @@ class Machine:
     key: str
 
     def run(
-        self, motion: Reference, note: str, update: tuple[float, Mapping[str, float]] | None = None
+        self,
+        motion: Reference,
+        note: str,
+        update: tuple[float, Mapping[str, float | list[float]]] | None = None,
     ) -> Recording:
         """Start the program afresh and record a motion.
 
