@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from zendsp_protocol.errors import VariableError
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
+MODELS = Path(__file__).parents[2] / "examples" / "models"
 Make = Callable[..., Runtime]
 
 PROGRAM = """#include "isr.h"
@@ -91,6 +93,16 @@ def test_a_matrix_is_recorded_whole_and_by_element(loaded: Runtime) -> None:
 def test_matrices_are_declared_without_a_warning(loaded: Runtime) -> None:
     result = loaded.compile({"matrix.c": PROGRAM}, ("-Wall", "-Wextra", "-Wconversion"))
     assert result.ok and not result.diagnostics, result.diagnostics
+
+
+def test_a_simulated_program_has_the_same_matrices() -> None:
+    from zendsp.physics import load_model, simulate
+
+    model = load_model(MODELS / "imi_planar.toml")
+    sim = simulate({"matrix.c": PROGRAM}, model, seconds=0.01, channels=["P", "P[1,0]"],
+        parameters={"K": [[9.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]]})  # fmt: skip
+    assert np.array_equal(sim["P"][-1], [9.0, 3.0, 15.0, 17.0]) and sim["P[1,0]"][-1] == 15.0
+    assert sim.parameters["K"] == [[9.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]]
 
 
 def test_an_array_of_three_dimensions_does_not_compile(loaded: Runtime) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from zendsp.cli.common import parse_assignments
+from zendsp.cli.common import parse_assignments, parse_names
 
 
 @click.command("simulate")
@@ -101,7 +101,7 @@ def command(
 
     values = parse_assignments(assignments)
     source = find_program(program)
-    wanted = [name.strip() for name in channels.split(",")] if channels else None
+    wanted = parse_names(channels) if channels else None
     start = _numbers(position)
     with stages(quiet=as_json) as tell:
         tell("simulating")
