@@ -105,8 +105,8 @@ HEAD = """# Do the intervals of the experiments hold?
 machine, with other noise, other places of uneven friction and other start positions. *Spread* is
 that of the values found, *stated* the mean of the standard deviations that the experiment gave;
 the last column counts how many of its 95 % intervals hold what the machine has. Where the spread is
-far below what is stated, the law that is fitted is not quite the machine's: the error is the same in
-every copy, and its interval holds the truth each time, or never.
+far below what is stated, the law that is fitted is not quite the machine's: the error is the same
+in every copy, and its interval holds the truth each time, or never.
 """
 
 
