@@ -157,8 +157,9 @@ def test_the_true_payload_is_taken_up_while_the_seven_joint_arm_moves(tmp_path: 
     joints = bearing(machine.model, improved, motion, stage.gains["Kp"])
     tracking = compare_tracking(work, 6000, 4.0, 8.5)
     assert set(joints) >= {4, 6, 7} and not update.left_out
-    # A right mass at a right place leaves what the loop makes itself, less than a tenth.
-    assert all(tracking.after[j - 1] < 0.15 * tracking.before[j - 1] for j in joints), tracking
+    # `zendsp demo --machine wam7 --seed 1` left 2 to 8 % over twice the time, the swing of the
+    # exchange included.
+    assert all(tracking.after[j - 1] < 0.3 * tracking.before[j - 1] for j in joints), tracking
 
 
 @pytest.mark.timeout(300)
