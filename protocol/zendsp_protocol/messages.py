@@ -81,7 +81,7 @@ class VariableInfo(Message, frozen=True):
     initial: WireValue = 0.0
     description: str = ""  # as declared
     address: int = 0  # bytes within the program's image
-    columns: int = 1  # of a table: values a row; length counts all values
+    columns: int = 1  # of a table or matrix: values a row; length counts all values
 
 
 class Timing(Message, frozen=True):

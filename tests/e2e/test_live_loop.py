@@ -220,3 +220,37 @@ def test_the_client_in_the_documentation_works_as_printed(real: Target) -> None:
     assert done.returncode == 0, done.stderr
     assert "'Kp1', 'value': 2000.0" in done.stdout.replace('"', "'") and real["Kp1"] == 450.0
     assert done.stdout.count("['q[0]', 'q[1]']") == 3
+
+
+def test_a_matrix_is_read_written_saved_and_reset_over_the_link(tmp_path: Path) -> None:
+    text = (
+        '#include "isr.h"\nstatic double K[2][4], P[2][2];\n'
+        'void UserInit(void) { PARAMETER(K, 1.0, "", -9.0, 9.0, ""); SIGNAL(P, "", ""); }\n'
+        "void UserISR_INT2(void) { P[1][0] = K[1][2]; }\nvoid UserBackground(void) {}\n"
+    )
+    given = np.arange(8.0).reshape(2, 4)
+    with zendsp.local("imi_planar", clock="fast") as target:
+        target.download({"matrix.c": text})
+        target["K"] = given
+        target.start()
+        target.update(**{"K[1,2]": 9.0})
+        given[1, 2] = 9.0
+        assert np.array_equal(target["K"], given) and target["K[1,2]"] == 9.0
+        kept = target.parameters()
+        target.reset()
+        assert np.array_equal(target["K"], np.ones((2, 4)))
+        target.restore(kept)
+        with pytest.raises(VariableError, match=r"K: needs shape \(2, 4\)"):
+            target["K"] = given.T
+        rec = target.acquire(["P", "K[1,2]"], seconds=0.02)
+        back = zendsp.Recording.load(rec.save(tmp_path / "matrix.mat"))
+    assert np.array_equal(back["P"][-1], [0.0, 0.0, 9.0, 0.0]) and back["K[1,2]"][-1] == 9.0
+    assert np.array_equal(back.parameters["K"], given)
+
+
+def test_names_and_values_of_matrices_are_read_from_a_command_line() -> None:
+    from zendsp.cli.common import parse_assignments, parse_names
+
+    assert parse_names("q, K[1,2],tau") == ["q", "K[1,2]", "tau"]
+    given = parse_assignments(("K[0,1]=2", "K=[[1, 2], [3, 4]]"))
+    assert given == {"K[0,1]": 2, "K": [[1, 2], [3, 4]]}

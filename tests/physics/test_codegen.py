@@ -24,6 +24,8 @@ from zendsp.physics import (
 )
 from zendsp.physics.codegen_terms import compensable
 from zendsp.physics.model import Actuator, Model, Quantity, Term
+from zendsp.physics.simulate_program import compile_program
+from zendsp_isr.build import source_root
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
 
@@ -92,6 +94,17 @@ def test_the_wam_in_c_is_pinocchio_plus_friction_to_1e_9_in_a_simulation_and_on_
         runtime.wait_paused()
         q, qd, qdd, tau = np.split(runtime.acquire_read(0, 0, 200), 4, axis=1)
     assert np.abs(tau - wam_by_hand(q, qd, qdd)).max() < 1e-9
+
+
+def test_the_c_of_a_tree_stands_beside_the_motion_of_seven_joints() -> None:
+    model = load_model(MODELS / "wam7.toml")
+    head = "#define N 7\n#include \"motion.h\"\n#include \"model.h\"\n"
+    user = "void UserInit(void) { MotionInit(); ModelInit(); }\n"
+    isr = "void UserISR_INT2(void) { MotionStep(); double tau[N]; ModelTorque(r, rd, rdd, tau); }\n"
+    text = f'#include "isr.h"\n{head}{user}{isr}void UserBackground(void) {{}}\n'
+    motion = source_root() / "programs" / "motion.h"
+    files = {"all.c": text, "motion.h": motion.read_text(), "model.h": model_code(model)}
+    compile_program(files, ("-DF=1",))  # N and F are the user's names
 
 
 def test_a_payload_and_a_tilted_base_are_in_the_c_of_the_wam() -> None:

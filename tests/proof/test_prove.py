@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,20 @@ def test_a_sample_is_drawn_before_anything_is_made_as_many_of_each_reality() -> 
     every = requests(3, False, ("own", "mujoco"))
     assert all(r in every for r in few)
     assert len({r.seed for r in every}) == len(every)
+
+
+def test_the_same_body_cases_are_asked_given_as_mjcf_beside_urdf() -> None:
+    plain = requests(0, False, ("own", "mujoco"))
+    both = requests(0, False, ("own", "mujoco"), given="mjcf")
+    twins = [r for r in both if r.given == "mjcf"]
+    assert [r for r in both if not r.given] == plain and len(twins) > 8
+    assert all(replace(r, given="") in plain for r in twins)
+    names = {name for r in twins for name in r.effect.split("+")}
+    assert {"payload", "heavier", "com", "base_tilt"} <= names and "lag" not in names
+    assert {r.machine for r in twins} == {"mj_arm6", "mj_arm7"}
+    # a sample is drawn first: its cases are those of a run without
+    few = requests(3, False, ("mujoco",), 40, given="mjcf")
+    assert [r for r in few if not r.given] == requests(3, False, ("mujoco",), 40)
 
 
 def test_failures_are_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -453,6 +453,27 @@ def test_scoreboard_prints_every_promise() -> None:
     assert "1/1 = 100.0%" in printed
 
 
+def test_names_of_cases_given_in_two_forms_are_compared() -> None:
+    right = Answer("missing", (found("coulomb"),))
+    judged = [
+        judge(truth([effect("coulomb")], reality="mujoco", seed=k, given=given), answer)
+        for k, given, answer in (
+            (1, "", right),
+            (1, "mjcf", right),
+            (2, "", right),
+            (2, "mjcf", Answer("missing", (found("ripple"),))),
+            (3, "", right),  # has no twin
+        )
+    ]
+    printed = text(judged, "forms")
+    assert "given as urdf" in printed and "2/2 = 100.0%" in printed.split("given as urdf")[1]
+    assert "1/2 = 50.0%" in printed.split("given as mjcf")[1].splitlines()[0]
+    assert "the same first name in both" in printed
+    page = proof_page(judged, {}, command="zendsp prove", stamp="")
+    assert "## Given as URDF and as MJCF" in page
+    assert "given as" not in text([judged[0]], "one form").lower()
+
+
 def test_each_reality_has_a_column_and_a_table_of_confidence() -> None:
     own = judge(truth([effect("coulomb")]), Answer("missing", (found("coulomb"),)))
     other = judge(

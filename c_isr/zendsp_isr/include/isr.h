@@ -119,7 +119,7 @@ typedef struct zendsp_declaration {
     double initial, minimum, maximum;
     int32_t kind, type;
     int32_t bytes;         /* size of the variable; of a table: 0 */
-    int32_t rows, columns; /* of a table */
+    int32_t rows, columns; /* of a table; columns of a matrix too, else 1 */
     int32_t set;           /* 1: give every element `initial` now */
 } zendsp_declaration;
 
@@ -145,9 +145,20 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
 #define ZENDSP_AOUT(ch) (zendsp->aout[(ch)&7])
 #define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[(ch)&7] = (mv))
 
+/* Type of a number, of an array's elements, or of a matrix's: that of its first row's. */
 #define ZENDSP_TYPE(variable)                                                                                                  \
     _Generic((variable), double: ZENDSP_DOUBLE, double *: ZENDSP_DOUBLE, float: ZENDSP_FLOAT, float *: ZENDSP_FLOAT,          \
-        int32_t: ZENDSP_INT32, int32_t *: ZENDSP_INT32, bool: ZENDSP_BOOL, bool *: ZENDSP_BOOL)
+        int32_t: ZENDSP_INT32, int32_t *: ZENDSP_INT32, bool: ZENDSP_BOOL, bool *: ZENDSP_BOOL,                              \
+        default: _Generic(ZENDSP_ROW(variable), double: 0, float: 0, int32_t: 0, bool: 0, double *: ZENDSP_DOUBLE,            \
+            float *: ZENDSP_FLOAT, int32_t *: ZENDSP_INT32, bool *: ZENDSP_BOOL))
+/* What an array's first element is, and a matrix's first row; of a number, which has none, something valid. Never evaluated. */
+#define ZENDSP_ROW(variable) \
+    (*_Generic((variable), double: (double **)0, float: (double **)0, int32_t: (double **)0, bool: (double **)0, default: (variable)))
+#define ZENDSP_SIZE(variable) \
+    (ZENDSP_TYPE(variable) == ZENDSP_DOUBLE ? sizeof(double) : ZENDSP_TYPE(variable) == ZENDSP_BOOL ? sizeof(bool) : sizeof(float))
+#define ZENDSP_COLUMNS(variable)                                     \
+    _Generic((variable), double: 1u, float: 1u, int32_t: 1u, bool: 1u, \
+        default: sizeof(ZENDSP_ROW(variable)) / ZENDSP_SIZE(variable))
 #define ZENDSP_DECLARE(variable, kind, set, initial, unit, min, max, text) \
     ZENDSP_DECLARE_BYTES(variable, sizeof(variable), kind, set, initial, unit, min, max, text)
 #define ZENDSP_DECLARE_FIRST(variable, count, kind, set, initial, unit, min, max, text)                         \
@@ -166,6 +177,7 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
                                                 .kind = (kind_),                                                               \
                                                 .type = ZENDSP_TYPE(variable),                                                 \
                                                 .bytes = (int32_t)(bytes_),                                                    \
+                                                .columns = (int32_t)ZENDSP_COLUMNS(variable),                                  \
                                                 .set = (set_)})
 
 static inline void zendsp_declare_table(table *variable, const char *name, int32_t capacity, int32_t columns, const char *unit,

@@ -105,7 +105,7 @@ void dictionary_declare(const zendsp_declaration *d) {
         *(table *)d->address = (table){.columns = d->columns};
     } else {
         v->length = d->bytes / size_of_type[d->type];
-        v->columns = 1;
+        v->columns = d->columns > 1 ? d->columns : 1; /* a program built before matrices says 0 */
         v->size = d->bytes;
         if (d->set)
             set_every(d->address, d->type, v->length, d->initial);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -136,7 +137,8 @@ def show(value: Any) -> str:
 
 
 def parse_value(text: str) -> Any:
-    """Read a value as typed on a command line: ``3``, ``0.5``, ``true``, ``[1, 2]``.
+    """Read a value as typed on a command line: ``3``, ``0.5``, ``true``, ``[1, 2]``, or of a matrix
+    ``[[1, 2], [3, 4]]``.
 
     Raises
     ------
@@ -147,13 +149,27 @@ def parse_value(text: str) -> Any:
         value = json.loads(text)
     except ValueError:
         value = None
-    if isinstance(value, bool | int | float) or (
-        isinstance(value, list)
-        and value
-        and all(isinstance(item, bool | int | float) for item in value)
-    ):
+    if isinstance(value, bool | int | float) or _numbers(value):
         return value
-    raise click.BadParameter(f"{text!r} is not a value; write 3, 0.5, true, false or [1, 2]")
+    matrix = isinstance(value, list) and value and all(_numbers(row) for row in value)
+    if matrix and len({len(row) for row in value}) == 1:
+        return value
+    raise click.BadParameter(
+        f"{text!r} is not a value; write 3, 0.5, true, false, [1, 2] or [[1, 2], [3, 4]]"
+    )
+
+
+def _numbers(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(item, bool | int | float) for item in value)
+    )
+
+
+def parse_names(text: str) -> list[str]:
+    """Read names with commas between them; those within ``K[1,2]`` belong to the name."""
+    return [name.strip() for name in re.split(r",(?![^\[]*\])", text) if name.strip()]
 
 
 def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Any]:

@@ -18,7 +18,12 @@ from zendsp.cli.common import emit
     show_default=True,
     help="Folder for what it makes.",
 )
-@click.option("--machine", default="imi_planar", show_default=True, help="imi_planar or pendulum.")
+@click.option(
+    "--machine",
+    default="imi_planar",
+    show_default=True,
+    help="imi_planar, pendulum, or wam7, which conceals a payload.",
+)
 @click.option(
     "--effect",
     default=None,

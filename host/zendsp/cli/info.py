@@ -29,6 +29,12 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
         emit(body, as_json, lambda: _text(t.info, status, machine, variables))
 
 
+def _sizes(v: Any) -> str:
+    if v.columns > 1 and v.kind != "table":
+        return f"[{v.length // v.columns}][{v.columns}]"
+    return f"[{v.length}]" if v.length > 1 else ""
+
+
 def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> str:
     if machine is None:
         described = f"{status.machine} (joints and variables are known when a program is loaded)"
@@ -57,7 +63,7 @@ def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> st
     rows = [
         [
             v.name,
-            v.type + (f"[{v.length}]" if v.length > 1 else ""),
+            v.type + _sizes(v),
             v.kind,
             v.unit,
             show(v.minimum),

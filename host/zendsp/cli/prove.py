@@ -89,6 +89,16 @@ def realities(words: str) -> tuple[str, ...]:
     help="Only so many of the cases, drawn by the seed, as many of each reality.",
 )
 @click.option(
+    "--given",
+    type=click.Choice(["urdf", "mjcf"]),
+    default="urdf",
+    show_default=True,
+    help=(
+        "mjcf: ask the cases of MuJoCo's arms that conceal a body a second time, their model given"
+        " as MJCF, and compare the names."
+    ),
+)
+@click.option(
     "--make", "make_only", type=FOLDER, default=None, help="Only write and seal the cases there."
 )
 @click.option(
@@ -155,6 +165,7 @@ def command(
     scheduler: str,
     seed: int,
     sample: int | None,
+    given: str,
     make_only: Path | None,
     judge_only: Path | None,
     resume: bool,
@@ -205,11 +216,13 @@ def command(
             made, words = prepared(judge_only), f"zendsp prove --judge {judge_only.name}"
         else:
             makers = realities(reality)
+            if given == "mjcf" and "mujoco" not in makers:
+                raise click.UsageError("--given mjcf needs the reality mujoco: its arms are asked")
             folder = make_only or out or Path(f"proof_{'quick_' if quick else ''}{seed}")
             if not resume:
                 forget(folder)
-            made = making(folder, makers, seed, quick, sample or 0, cores, scheduler)
-            words = _words(makers, seed, quick, sample)
+            made = making(folder, makers, seed, quick, sample or 0, given, cores, scheduler)
+            words = _words(makers, seed, quick, sample, given)
     except (FileExistsError, FileNotFoundError) as error:
         raise click.ClickException(str(error)) from error
     if make_only is not None:
@@ -227,11 +240,14 @@ def command(
     sys.exit(1 if missed or any(j.trouble for j in outcome.judged) else 0)
 
 
-def _words(makers: Sequence[str], seed: int, quick: bool, sample: int | None) -> str:
+def _words(
+    makers: Sequence[str], seed: int, quick: bool, sample: int | None, given: str
+) -> str:
     """The command that makes these cases again, for the page."""
     words = ["zendsp prove", *(["--quick"] if quick else [])]
     words.append(f"--reality {','.join(makers)} --seed {seed}")
-    return " ".join(words + ([f"--sample {sample}"] if sample else []))
+    words += [f"--sample {sample}"] if sample else []
+    return " ".join(words + (["--given mjcf"] if given == "mjcf" else []))
 
 
 def prepared(folder: Path) -> Prepared:
@@ -247,13 +263,14 @@ def making(
     seed: int,
     quick: bool,
     sample: int,
+    given: str,
     jobs: int,
     scheduler: str,
 ) -> Prepared:
     """Write and seal the cases that the options name."""
     from zendsp.proof.programme import prepare, requests
 
-    return prepare(folder, requests(seed, quick, makers, sample), jobs, scheduler)
+    return prepare(folder, requests(seed, quick, makers, sample, given), jobs, scheduler)
 
 
 def judging(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zendsp.cli.common import parse_assignments
+from zendsp.cli.common import parse_assignments, parse_names
 
 if TYPE_CHECKING:
     from zendsp.recording import Recording
@@ -103,7 +103,7 @@ def command(
 
     values = parse_assignments(assignments)
     source = find_program(program)
-    wanted = [name.strip() for name in channels.split(",")] if channels else None
+    wanted = parse_names(channels) if channels else None
     start = _numbers(position)
     with stages(quiet=as_json) as tell:
         tell("simulating")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+from zendsp.cli.common import parse_names
 from zendsp.errors import LinkError
 
 
@@ -134,7 +135,7 @@ def command(
         theme=theme,
         begin=machine or "",
         frames=frames,
-        channels=[name.strip() for name in channels.split(",") if name.strip()],
+        channels=parse_names(channels),
     )
     # started with nohup, it would look for keys in a terminal that is gone, for ever
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -8,12 +8,19 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 
+import numpy as np
+
+from zendsp.physics.bodies import body_terms
 from zendsp.physics.codegen import compensation, model_code
+from zendsp.physics.codegen_model import inverse_dynamics
 from zendsp.physics.codegen_terms import compensable, kernel_terms, why_not
 from zendsp.physics.effects import library
-from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.joint import own_terms
+from zendsp.physics.model import TREES, Model, Quantity, Term
+from zendsp.physics.simulate_plant import tree_of
+from zendsp.reference import Reference
 
-APPROACH_S = 1.0
+BEARS = 0.2  # of the largest error that a body makes
 LAWS = range(4)  # of a coupling
 # Numbers that give an effect its shape, not its size: 1 is harmless for all of them, while 0 would
 # divide by zero.
@@ -24,7 +31,8 @@ BLOCKS = ("friction_block",)
 
 
 def slots(joints: int) -> tuple[Term, ...]:
-    """Every effect that a torque can cancel, on every joint, of size zero.
+    """Every effect that a torque can cancel, on every joint, of size zero; couplings where there
+    are two joints (between more, the mechanism makes them).
 
     Parameters
     ----------
@@ -44,7 +52,7 @@ def slots(joints: int) -> tuple[Term, ...]:
         for effect in library().values():
             zero = {p.name: Quantity(1.0 if p.size in SHAPES else 0.0) for p in effect.parameters}
             if effect.name == "coupling":
-                others = [other for other in range(1, joints + 1) if other != joint]
+                others = [other for other in (1, 2) if joints == 2 and other != joint]
                 made += [
                     Term(
                         "coupling",
@@ -97,7 +105,7 @@ def flags(joints: int) -> tuple[str, ...]:
 class Update:
     """What one synchronous update writes, and what it cannot cancel."""
 
-    values: Mapping[str, float]
+    values: Mapping[str, float | list[float]]
     left_out: tuple[str, ...]  # sentences
     # whose torque is compensated by terms that the given model had not (1-based)
     joints: tuple[int, ...]
@@ -106,8 +114,8 @@ class Update:
 def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Update:
     """Values of the program's parameters that turn the given model into the improved one.
 
-    Terms that both have, and the rigid body, get the numbers of the fit; terms that the fit
-    replaced get size zero; what was found goes into its slot of the compensation.
+    Terms that both have, and the rigid body with what it carries, get the numbers of the fit; terms
+    that the fit replaced get size zero; what was found goes into its slot of the compensation.
 
     Parameters
     ----------
@@ -120,14 +128,16 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
     -------
     Update
     """
-    values: dict[str, float] = {}
+    values: dict[str, float | list[float]] = {}
     left_out: list[str] = []
     joints: set[int] = set()
+    if given.kind in TREES:
+        values |= _bodies(improved)
     had = _labelled(given.terms, "model")
     room = _labelled(slots(given.joints), "comp")
     for label in had:
         values |= {f"{label}_{name}": 0.0 for name in SIZES if f"{label}_{name}" in variables}
-    for label, term in _labelled(kernel_terms(improved), "model").items():
+    for label, term in _labelled(own_terms(kernel_terms(improved)), "model").items():
         place = label if label in had else _slot(room, term)
         if place is None:
             left_out.append(
@@ -144,6 +154,48 @@ def plan_update(given: Model, improved: Model, variables: Collection[str]) -> Up
                 if name in variables:
                     values[name] = quantity.value
     return Update(values, tuple(left_out), tuple(sorted(joints)))
+
+
+def bearing(
+    given: Model, improved: Model, motion: Reference, stiffness: Sequence[float]
+) -> tuple[int, ...]:
+    """Joints (1-based) whose tracking error a body that was found makes: its torque over the gain
+    of the feedback, where that is a fifth of the largest or more.
+
+    Parameters
+    ----------
+    given, improved : Model
+    motion : Reference
+        That the joints follow.
+    stiffness : sequence of float
+        Gain of each joint's position, N m/rad.
+
+    Returns
+    -------
+    tuple of int
+        Empty where both have the same bodies.
+    """
+    if given.kind not in TREES or not body_terms(improved):
+        return ()
+    rows = slice(None, None, 10)
+    q, qd, qdd = motion.q[rows], motion.qd[rows], motion.qdd[rows]
+    carried = improved.with_terms(body_terms(improved))
+    bare = given.with_terms(body_terms(given))
+    torque = inverse_dynamics(carried, q, qd, qdd) - inverse_dynamics(bare, q, qd, qdd)
+    error = np.sqrt(np.mean(torque**2, axis=0)) / np.asarray(stiffness)
+    return tuple((np.flatnonzero(error >= BEARS * error.max()) + 1).tolist())
+
+
+def _bodies(model: Model) -> dict[str, float | list[float]]:
+    """The links with what they carry, by the names that the generated C gives their numbers."""
+    rows, gravity = tree_of(model)
+    return {
+        "model_mass": rows[:, 17].tolist(),
+        "model_com": rows[:, 18:21].ravel().tolist(),
+        "model_inertia": rows[:, 21:27].ravel().tolist(),
+        "model_rotor": rows[:, 27].tolist(),
+        "model_g": gravity.tolist(),
+    }
 
 
 def _labelled(terms: Sequence[Term], prefix: str) -> dict[str, Term]:

@@ -12,12 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis import Diagnosis, Finding
+from zendsp.physics.effects import get_effect
 from zendsp.physics.model import Model
 from zendsp.recording import Recording
+from zendsp.reference import Machine
 
 Array = npt.NDArray[np.float64]
 
 BOUNDARY_S = 0.5  # on both sides of the update: the filter and the loop settle
+HIDDEN = 0.02  # of its travel: a joint that differs by less agrees with its simulation
 SURE = 0.9  # confidence at which a wrong claim is no longer a doubt
 PART = 0.05  # of the mismatch: what a wrong claim may explain at most
 LEAST_FALL = 0.9  # of the error before: what counts as fallen
@@ -55,6 +58,10 @@ class Hidden:
     travel: tuple[float, ...]
     command: tuple[float, ...]
     effort: tuple[float, ...]
+
+    def hides(self, joint: int) -> bool:
+        """Whether a joint (1-based) agrees with its simulation in position."""
+        return self.position[joint - 1] < HIDDEN * self.travel[joint - 1]
 
     @property
     def joint(self) -> int:
@@ -128,10 +135,38 @@ def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:
     """Whether a finding, or one of those that the recordings cannot tell from it, is a concealed
     effect.
     """
+    if of_body(finding) and truth["effect"] in finding.indistinguishable:
+        return True  # the same on the next link
     return finding.joint == truth["joint"] and truth["effect"] in (
         finding.effect,
         *finding.indistinguishable,
     )
+
+
+def in_model_frame(effect: Mapping[str, Any], plan: Machine) -> Mapping[str, Any]:
+    """A concealed payload with its place in the frame of the model's link: the machine states it
+    behind the link's own twist (distal Denavit-Hartenberg). Other effects as they are.
+    """
+    if effect["effect"] != "payload" or plan.kind != "dh":
+        return effect
+    told = effect["parameters"]
+    link = plan.parameters["link"][effect["joint"] - 1]
+    twist = np.radians(link["alpha_deg"])
+    x, y, z = (float(told[key]["value"]) for key in ("x", "y", "z"))
+    place = (
+        link["a"] + x,
+        np.cos(twist) * y - np.sin(twist) * z,
+        link["d"] + np.sin(twist) * y + np.cos(twist) * z,
+    )
+    com = {
+        f"com_{k}": {"value": float(v), "unit": "m"} for k, v in zip("xyz", place, strict=True)
+    }
+    return {**effect, "parameters": {"mass": told["mass"], **com}}
+
+
+def of_body(finding: Finding) -> bool:
+    """Whether a finding is about a body, or about gravity: all joints bear it."""
+    return get_effect(finding.effect).site == "body"
 
 
 def matters(finding: Finding) -> bool:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from zendsp.physics.codegen_urdf import dh_urdf
 from zendsp.reference import Machine, Reference, make_circle, make_multisine, make_point_to_point
 
 TRAVEL_S = 0.8  # from the end of one motion to the beginning of the next
@@ -90,7 +92,7 @@ def arm_work(machine: Machine) -> Reference:
     return lap
 
 
-def arm_mechanism(machine: Machine) -> dict[str, Any]:
+def arm_mechanism(machine: Machine, folder: Path) -> dict[str, Any]:
     """The ``[mechanism]`` of the arm's nominal model."""
     numbers = machine.parameters
     parameters: dict[str, Any] = {key: {"value": numbers[key]} for key in ("p1", "p2", "p3")}
@@ -121,7 +123,7 @@ def pendulum_work(machine: Machine) -> Reference:
     return lap
 
 
-def pendulum_mechanism(machine: Machine) -> dict[str, Any]:
+def pendulum_mechanism(machine: Machine, folder: Path) -> dict[str, Any]:
     """The ``[mechanism]`` of the pendulum's nominal model."""
     numbers = machine.parameters
     return {
@@ -131,6 +133,48 @@ def pendulum_mechanism(machine: Machine) -> dict[str, Any]:
             "gravity": {"value": 9.81 * numbers["theta2"]},
         },
     }
+
+
+WAM_START = (0.0, -0.5, 0.0, 1.7, 0.0, 0.2, 0.0)  # rad: the elbow ahead, the hand low
+
+
+def _wam_multisine(machine: Machine, share: float, period: float, f_max: float) -> Reference:
+    amplitude = share * np.array([0.7, 0.5, 0.7, 0.6, 0.8, 0.7, 0.25])
+    return _multisine(machine, list(WAM_START), amplitude.tolist(), period, f_max, fade=1.0)
+
+
+def wam_train(machine: Machine) -> Reference:
+    """What the seven-joint arm is recorded on: one multisine of all its joints."""
+    return join(machine, [_wam_multisine(machine, 1.0, 8.0, 1.0)])
+
+
+def wam_heldout(machine: Machine) -> Reference:
+    """What the seven-joint arm is judged on: another multisine."""
+    return join(machine, [_wam_multisine(machine, 0.7, 6.0, 1.2)])
+
+
+def wam_work(machine: Machine) -> Reference:
+    """One lap of the seven-joint arm's work: shoulder, elbow and wrist lift and lower."""
+    dt = machine.sample_time
+    t = np.arange(round(12.0 / dt) + 1) * dt
+    rise = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
+    swing = np.sin(np.pi * t / 1.5) * rise**3 * (10.0 + rise * (6.0 * rise - 15.0))
+    turns = np.array([0.3, 0.35, 0.0, -0.4, 0.0, 0.4, 0.0])
+    lap = Reference(
+        np.array(WAM_START) + swing[:, None] * turns, dt, kind="lift", machine=machine.name
+    )
+    machine.check(lap)
+    return lap
+
+
+def wam_mechanism(machine: Machine, folder: Path) -> dict[str, Any]:
+    """The ``[mechanism]`` of the seven-joint arm's nominal model: a URDF, written into the folder.
+    """
+    file = folder / "wam7.urdf"
+    names = ("position_min", "position_max", "torque", "speed")
+    limits = {name: getattr(machine.limits, name).tolist() for name in names}
+    file.write_text(dh_urdf("wam7", machine.parameters["link"], limits), encoding="utf-8")
+    return {"kind": "urdf", "file": str(file.resolve())}
 
 
 # What a draw may choose: effects that show in this motion. Left out are those that the given model
@@ -152,6 +196,7 @@ ARM_POOL = (
     "torque_offset",
     "dead_zone",
 )
+WAM_POOL = ("payload",)
 PENDULUM_POOL = (
     "ripple",
     "position_friction",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zendsp.demo.evidence import Array, columns
+from zendsp.demo.evidence import Array, Tracking, columns, of_body
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,11 +47,7 @@ def draw(told: Told, path: Path) -> None:
         figure = Figure(figsize=(12.8, 8.2), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.25, 1.0), hspace=0.06)
         left = grid[0, 0].subgridspec(2, 1, hspace=0.03)
-        joint = (
-            told.diagnosis.findings[0].joint
-            if told.diagnosis.findings
-            else told.recorded.hidden.joint
-        )
+        joint = told.joint
         top = figure.add_subplot(left[0])
         _position(top, told, joint)
         _command(figure.add_subplot(left[1], sharex=top), told, joint)
@@ -102,8 +98,8 @@ def _position(axis: Axes, told: Told, joint: int) -> None:
     axis.set_ylabel(f"position ({_unit(told)})")
     size = 1e3 * told.recorded.hidden.position[joint - 1]
     axis.set_title(
-        f"The loop hides it: joint {joint} differs from its simulation by {size:.2g}"
-        f" m{_unit(told)}",
+        f"The loop {'hides' if told.recorded.hidden.hides(joint) else 'cannot hide'} it: joint"
+        f" {joint} differs from its simulation by {size:.3g} m{_unit(told)}",
         loc="left",
     )
     span = float(np.ptp(q)) or 1.0
@@ -133,6 +129,9 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     """
     from zendsp.diagnosis.report.figures import axis_of
 
+    if told.tracking is not None and any(of_body(f) for f in told.diagnosis.findings):
+        _joints(axis, told.tracking)
+        return
     finding = told.diagnosis.findings[0] if told.diagnosis.findings else None
     variable = axis_of(finding.effect) if finding else "velocity"
     units = {
@@ -161,6 +160,24 @@ def _missing(axis: Axes, told: Told, joint: int) -> None:
     axis.set_ylabel("missing torque (N m)")
     name = finding.effect.replace("_", " ") if finding else told.diagnosis.verdict
     axis.set_title(f"What the model lacks: {name}", loc="left")
+    axis.legend(loc="upper left", fontsize=8, frameon=False)
+
+
+def _joints(axis: Axes, tracking: Tracking) -> None:
+    """Tracking error of every joint, before and after: all of them bear a body."""
+    at = np.arange(1, len(tracking.before) + 1)
+    for values, shift, colour, name in (
+        (tracking.before, -0.2, MODEL, "before"),
+        (tracking.after, 0.2, FOUND, "with what was found"),
+    ):
+        axis.bar(at + shift, 1e3 * np.array(values), width=0.38, color=colour, label=name)
+    axis.set_yscale("log")
+    axis.set_ylim(top=8e3 * max(tracking.before))
+    axis.set_xticks(at)
+    axis.grid(False, axis="x")
+    axis.set_xlabel("joint")
+    axis.set_ylabel("tracking error (mrad RMS)")
+    axis.set_title("All joints bear what it carries", loc="left")
     axis.legend(loc="upper left", fontsize=8, frameon=False)
 
 

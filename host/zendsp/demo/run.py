@@ -44,7 +44,7 @@ def run_demo(
     out : Path
         Folder, made where it does not exist.
     machine : str
-        "imi_planar" or "pendulum".
+        "imi_planar", "pendulum" or "wam7".
     effect : str, optional
         The effect to conceal, or several with "/" to draw from. Default: the machine's pool.
     seed : int, optional

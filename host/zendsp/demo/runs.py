@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from zendsp.demo.controller import APPROACH_S, flags, sources
+from zendsp.demo.controller import flags, sources
 from zendsp.demo.stage import Stage, nominal_model
 from zendsp.errors import AcquisitionError, Refused
 from zendsp.link import Target
@@ -31,7 +30,10 @@ class Machine:
     key: str
 
     def run(
-        self, motion: Reference, note: str, update: tuple[float, Mapping[str, float]] | None = None
+        self,
+        motion: Reference,
+        note: str,
+        update: tuple[float, Mapping[str, float | list[float]]] | None = None,
     ) -> Recording:
         """Start the program afresh and record a motion.
 
@@ -63,7 +65,7 @@ class Machine:
         rate = target.info.rate_hz
         if update is not None:
             target.update(round(update[0] * rate), **update[1])
-        seconds = APPROACH_S + motion.duration + REST_S
+        seconds = self.stage.approach_s + motion.duration + REST_S
         try:
             recording = target.acquire(list(CHANNELS), seconds=seconds, start=True, note=note)
         except AcquisitionError:
@@ -81,7 +83,7 @@ class Machine:
 
     def settings(self) -> dict[str, Any]:
         """Parameters of the control program on this machine."""
-        return {"approach_time": APPROACH_S, **self.stage.gains}
+        return {"approach_time": self.stage.approach_s, **self.stage.gains}
 
     def simulate(self, motion: Reference) -> Recording:
         """The same program and motion against the model that the host believes, in closed loop."""
@@ -92,15 +94,17 @@ class Machine:
             reference=motion,
             parameters=self.settings(),
             channels=["q", "r", "tau", "e"],
-            position=np.zeros(n),
-            seconds=APPROACH_S + motion.duration + REST_S,
+            position=self.stage.plan.home,
+            seconds=self.stage.approach_s + motion.duration + REST_S,
             flags=flags(n),
         )
 
 
-def prepare_machine(target: Target, stage: Stage) -> tuple[Machine, float]:
-    """Ask the target for its encoders, write down the nominal model, and compile the control
-    program on the target.
+def prepare_machine(
+    target: Target, stage: Stage, folder: Path = Path()
+) -> tuple[Machine, float]:
+    """Ask the target for its encoders, write down the nominal model (its bodies into the folder,
+    where they have a file), and compile the control program on the target.
 
     Returns
     -------
@@ -110,6 +114,6 @@ def prepare_machine(target: Target, stage: Stage) -> tuple[Machine, float]:
     """
     target.download("template.c")  # a machine says what it is once a program is loaded
     counts = tuple(joint.counts_per_unit for joint in target.machine().joints)
-    model = nominal_model(stage, counts, 1.0 / target.info.rate_hz)
+    model = nominal_model(stage, counts, 1.0 / target.info.rate_hz, folder)
     built = target.compile(sources(model), flags(model.joints))
     return Machine(target, stage, model, built.key), built.seconds

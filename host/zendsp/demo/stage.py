@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,11 +34,12 @@ class Stage:
         Make the motion that is recorded for the diagnosis, the one it is judged on, and one lap of
         the work that is repeated.
     mechanism : callable
-        The ``[mechanism]`` of the nominal model from the machine's description.
+        The ``[mechanism]`` of the nominal model from the machine's description; what files it needs
+        it writes into the folder.
     pool : tuple of str
         Effects that a random draw may choose.
-    lap_s : float
-        Time of one lap of the work, s.
+    approach_s : float
+        From where the machine stands to the first row of a motion, s.
     """
 
     machine: str
@@ -45,8 +47,9 @@ class Stage:
     train: Callable[[Machine], Reference]
     heldout: Callable[[Machine], Reference]
     work: Callable[[Machine], Reference]
-    mechanism: Callable[[Machine], dict[str, Any]]
+    mechanism: Callable[[Machine, Path], dict[str, Any]]
     pool: tuple[str, ...]
+    approach_s: float = 1.0
 
     @property
     def plan(self) -> Machine:
@@ -54,7 +57,12 @@ class Stage:
         return load_machine(self.machine)
 
 
-def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time: float) -> Model:
+def nominal_model(
+    stage: Stage,
+    counts_per_unit: tuple[float, ...],
+    sample_time: float,
+    folder: Path = Path(),
+) -> Model:
     """The model that the host believes: rigid body, viscous and Coulomb friction, the sensor's
     resolution, one sample of delay.
 
@@ -65,6 +73,8 @@ def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time:
         Of the encoders, as the target states them, 1/rad.
     sample_time : float
         s.
+    folder : Path
+        For the description of the bodies, where the model has one.
 
     Returns
     -------
@@ -82,7 +92,7 @@ def nominal_model(stage: Stage, counts_per_unit: tuple[float, ...], sample_time:
         {
             "name": stage.machine,
             "sample_time": sample_time,
-            "mechanism": stage.mechanism(plan),
+            "mechanism": stage.mechanism(plan, folder),
             "effect": effects,
             "actuator": {
                 "gain": {"value": 1.0, "free": False},
@@ -120,6 +130,20 @@ STAGES = {
         work=motions.pendulum_work,
         mechanism=motions.pendulum_mechanism,
         pool=motions.PENDULUM_POOL,
+    ),
+    "wam7": Stage(
+        machine="wam7",
+        gains={
+            "Kp": [900.0, 1200.0, 300.0, 200.0, 25.0, 25.0, 6.0],
+            "Kd": [40.0, 50.0, 8.0, 6.0, 0.3, 0.3, 0.02],
+            "cutoff": 80.0,
+        },
+        train=motions.wam_train,
+        heldout=motions.wam_heldout,
+        work=motions.wam_work,
+        mechanism=motions.wam_mechanism,
+        pool=motions.WAM_POOL,
+        approach_s=3.0,  # from folded
     ),
 }
 

@@ -117,7 +117,8 @@ def _break_away(
     slow = _push(bench, word, joint, direction, position, STEP[joint], HOLD)
     torque = breakaway_torque(slow, joint)
     fast = _push(bench, f"{word}_fast", joint, direction, position, FAST[joint], FAST_HOLD)
-    wide, narrow = (bristle_stiffness(fast, joint, torque, part) for part in (0.7, 0.3))
+    pushed = _pushed(fast, joint, 31)
+    wide, narrow = (_stiffness(pushed, joint, torque, part) for part in (0.7, 0.3))
     return torque, wide, 0.5 * (wide - narrow)
 
 
@@ -200,9 +201,15 @@ def bristle_stiffness(rec: Recording, joint: int, level: float, part: float = 0.
     ``part`` of the breakaway torque. A slow push measures creep instead: what shakes the joint, the
     noise of its drive, lets a bristle slip.
     """
+    return _stiffness(_pushed(rec, joint, 31), joint, level, part)
+
+
+def _stiffness(
+    pushed: tuple[Array, Array, Array], joint: int, level: float, part: float
+) -> float:
     from scipy.optimize import least_squares
 
-    way, speed, friction = _pushed(rec, joint, 31)
+    way, speed, friction = pushed
     last = int(np.argmax(friction > part * level)) or len(way)
     way, speed, friction = way[:last], speed[:last], friction[:last]
 

@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 GOAL = math.pi
 AFTER = 1.5  # s, to see whether it stays
 RUNS = ("open loop", "closed loop", "feedback level")
-CHANNELS = ("play_time", "q", "qd", "tau", "r")
+CHANNELS = ("play_time", "q", "qd", "tau", "r", "adc")
 
 
 def swing(lab: Lab, duration: float = 0.8, torque: float = 0.5, brake: float = 0.08) -> Result:
@@ -115,35 +115,36 @@ def _measure(result: Result, name: str, rec: Recording, reference: Reference) ->
 
 
 def _draw(recs: dict[str, Recording], with_friction: Reference, without: Reference) -> Any:
-    figure, axes = make_figure(2, 1, height=2.7, sharex=True)
-    colours = dict(zip(RUNS, (BLUE, GREEN, RED), strict=True))
-    axes[0, 0].plot(
-        with_friction.t,
-        with_friction.q[:, 0],
-        color="black",
-        linestyle="--",
-        linewidth=1.0,
-        label="plan with friction",
-    )
-    axes[0, 0].plot(
-        without.t,
-        without.q[:, 0],
-        color=GREY,
-        linestyle="--",
-        linewidth=1.0,
-        label="plan without friction",
-    )
-    axes[0, 0].axhline(GOAL, color=GREY, linewidth=0.6)
-    for name, rec in recs.items():
+    """Position and speed, torque and measured current; the plans dashed."""
+    figure, axes = make_figure(2, 2, width=11.0, height=2.7, sharex=True)
+    (position, speed), (torque, current) = axes
+    for plan, colour, name in (
+        (with_friction, "black", "plan with friction"),
+        (without, GREY, "plan without friction"),
+    ):
+        lines: dict[str, Any] = {"color": colour, "linestyle": "--", "linewidth": 1.0}
+        position.plot(plan.t, plan.q[:, 0], label=name, **lines)
+        speed.plot(plan.t, plan.qd[:, 0], **lines)
+        if plan.tau is not None:
+            torque.plot(plan.t, plan.tau[:, 0], **lines)
+    position.axhline(GOAL, color=GREY, linewidth=0.6)
+    words = {
+        "open loop": "open loop",
+        "closed loop": "closed loop, kp = 1.2, kv = 0.005",
+        "feedback level": "friction compensated at the feedback level",
+    }
+    for (name, rec), colour in zip(recs.items(), (BLUE, GREEN, RED), strict=True):
         rows = _rows(rec, with_friction)
         t = rec.t[rows] - rec.t[rows.start]
-        words = {
-            "open loop": "open loop",
-            "closed loop": "closed loop, kp = 1.2, kv = 0.005",
-            "feedback level": "friction compensated at the feedback level",
-        }[name]
-        axes[0, 0].plot(t, rec["q"][rows], color=colours[name], linewidth=1.4, label=words)
-        axes[1, 0].plot(t, rec["tau"][rows], color=colours[name], linewidth=1.0)
-    label(axes[0, 0], "", "position (rad)", legend=True)
-    label(axes[1, 0], "t (s)", "torque (N m)")
+        position.plot(t, rec["q"][rows], color=colour, linewidth=1.4, label=words[name])
+        for axis, values in (
+            (speed, rec["qd"]),
+            (torque, rec["tau"]),
+            (current, rec["adc"][:, 0]),
+        ):
+            axis.plot(t, values[rows], color=colour, linewidth=1.0)
+    label(position, "", "position (rad)", legend=True)
+    label(speed, "", "speed (rad/s)")
+    label(torque, "t (s)", "torque (N m)")
+    label(current, "t (s)", "measured current (A)")
     return figure

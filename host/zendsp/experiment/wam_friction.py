@@ -45,9 +45,10 @@ def friction(
     lab: Lab,
     speeds: tuple[float, ...] = SPEEDS,
     joints: tuple[int, ...] = tuple(range(1, JOINTS + 1)),
+    narrow: bool = True,
 ) -> Result:
     """Coulomb and viscous friction of every joint and direction, with confidence intervals, beside
-    the paper's table.
+    the paper's table; ``narrow``: what slow speeds alone would say, too.
     """
     result = Result("wam-friction", "Friction maps of the WAM", MACHINE)
     maps: dict[int, Sliding] = {}
@@ -55,15 +56,15 @@ def friction(
     with lab.bench(MACHINE, result.name) as bench:
         for joint in joints:
             maps[joint] = _map(bench, joint, speeds, TRAVEL, f"joint{joint}")
-        narrow = {
+        slow = {
             joint: _map(bench, joint, NARROW, 0.15, f"joint{joint}_narrow")
             for joint in NARROW_JOINTS
-            if joint in joints
+            if narrow and joint in joints
         }
         result.recordings, result.target = bench.recordings, bench.where
         for joint, sliding in maps.items():
             curves[joint] = _fit_joint(result, joint, sliding)
-        for joint, sliding in narrow.items():
+        for joint, sliding in slow.items():
             _fit_narrow(result, joint, sliding.points(sliding.torque))
         result.figure = save(_draw(curves, result), bench.folder / "friction_maps.png")
     return result

@@ -61,7 +61,7 @@ static void declare(const zendsp_declaration *d) {
     v->maximum = d->maximum;
     v->kind = d->kind;
     v->type = d->type;
-    v->columns = 1;
+    v->columns = d->columns > 1 ? d->columns : 1; /* of a matrix */
     if (d->kind == ZENDSP_TABLE) {
         v->length = d->rows;
         v->columns = d->columns;

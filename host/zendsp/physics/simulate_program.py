@@ -45,7 +45,7 @@ class Build:
 
 @dataclass(frozen=True)
 class Variable:
-    """What a program declares: kind 1 parameter, 2 signal, 3 table."""
+    """What a program declares: kind 1 parameter, 2 signal, 3 table; ``length`` of a table: rows."""
 
     name: str
     unit: str
@@ -310,7 +310,8 @@ class _Session:
             if v.kind == _PARAMETER:
                 pointer = self._pointer(name)
                 values = [pointer[k] for k in range(v.length)]
-                out[name] = values[0] if v.length == 1 else values
+                rows = [values[k : k + v.columns] for k in range(0, v.length, v.columns)]
+                out[name] = values[0] if v.length == 1 else rows if v.columns > 1 else values
         return out
 
     def _load_table(self, name: str, rows: Array) -> None:
@@ -400,7 +401,7 @@ class _Session:
         units: dict[str, str] = {}
         places: list[tuple[Any, int]] = []
         for name in names:
-            base, element = _split(name)
+            base, element = self._split(name)
             if base in self.variables and self.variables[base].kind != _TABLE:
                 v = self.variables[base]
                 kind = self.entries[base].type
@@ -425,7 +426,17 @@ class _Session:
             columns[name], units[name] = len(picked), unit
         return columns, units, places
 
-
-def _split(name: str) -> tuple[str, int | None]:
-    match = re.fullmatch(r"(.+)\[(\d+)\]", name)
-    return (match[1], int(match[2])) if match else (name, None)
+    def _split(self, name: str) -> tuple[str, int | None]:
+        """A variable and its element: ``q[1]``, or of a matrix ``K[1,2]``."""
+        match = re.fullmatch(r"(.+)\[(\d+)(?:, ?(\d+))?\]", name)
+        if match is None:
+            return name, None
+        base, first = match[1], int(match[2])
+        if match[3] is None:
+            return base, first
+        v = self.variables.get(base)
+        inside = v is not None and int(match[3]) < v.columns
+        if v is None or not inside:
+            shape = f"{v.length // v.columns} rows of {v.columns}" if v else "no columns"
+            raise AcquisitionError(f"no channel {name!r}: {base} has {shape}")
+        return base, first * v.columns + int(match[3])

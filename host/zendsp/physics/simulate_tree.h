@@ -83,7 +83,7 @@ static inline void tree_place(int n, const double *tree, const double *q, tree_p
 /* tau = M qdd + C qd + g; qdd = NULL stands for zero. gravity: m/s^2 in the base frame. */
 static inline void tree_torque(int n, const double *tree, const tree_pose *pose, const double *gravity, const double *qd,
                                const double *qdd, double *tau) {
-    double w[TREE_MAX][3], al[TREE_MAX][3], acc[TREE_MAX][3], F[TREE_MAX][3], N[TREE_MAX][3];
+    double w[TREE_MAX][3], al[TREE_MAX][3], acc[TREE_MAX][3], force[TREE_MAX][3], moment[TREE_MAX][3];
     const double still[3] = {0.0, 0.0, 0.0}, lift[3] = {-gravity[0], -gravity[1], -gravity[2]};
     for (int k = 0; k < n; k++) {
         const double *link = tree + k * TREE_ROW, *a = link + TREE_AXIS, *R = pose->R[k], *p = pose->p[k];
@@ -116,26 +116,26 @@ static inline void tree_torque(int n, const double *tree, const tree_pose *pose,
         tree_cross(w[k], t1, t2);
         tree_cross(al[k], c, t1);
         for (int i = 0; i < 3; i++)
-            F[k][i] = m * (acc[k][i] + t1[i] + t2[i]);
+            force[k][i] = m * (acc[k][i] + t1[i] + t2[i]);
         tree_sym(link + TREE_I, w[k], x);
         tree_cross(w[k], x, t1);
         tree_sym(link + TREE_I, al[k], x);
-        tree_cross(c, F[k], t2);
+        tree_cross(c, force[k], t2);
         for (int i = 0; i < 3; i++)
-            N[k][i] = x[i] + t1[i] + t2[i]; /* about the joint's origin */
+            moment[k][i] = x[i] + t1[i] + t2[i]; /* about the joint's origin */
     }
     for (int k = n - 1; k >= 0; k--) {
         const double *link = tree + k * TREE_ROW;
         const int parent = (int)link[TREE_PARENT];
-        tau[k] = tree_dot(link + TREE_AXIS, link[TREE_PRISMATIC] != 0.0 ? F[k] : N[k]) + link[TREE_ROTOR] * (qdd ? qdd[k] : 0.0);
+        tau[k] = tree_dot(link + TREE_AXIS, link[TREE_PRISMATIC] != 0.0 ? force[k] : moment[k]) + link[TREE_ROTOR] * (qdd ? qdd[k] : 0.0);
         if (parent >= 0) {
             double f[3], m[3], lever[3];
-            tree_out(pose->R[k], F[k], f);
-            tree_out(pose->R[k], N[k], m);
+            tree_out(pose->R[k], force[k], f);
+            tree_out(pose->R[k], moment[k], m);
             tree_cross(pose->p[k], f, lever);
             for (int i = 0; i < 3; i++) {
-                F[parent][i] += f[i];
-                N[parent][i] += m[i] + lever[i];
+                force[parent][i] += f[i];
+                moment[parent][i] += m[i] + lever[i];
             }
         }
     }

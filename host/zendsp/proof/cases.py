@@ -142,7 +142,7 @@ def write_case(order: Order) -> str:
     untouched = save(hidden, f"{name}_untouched", "npz", case.untouched, columns)
     truth = {
         **case.truth, "case": name, "seed": order.request.seed, "untouched": digest(untouched),
-        "reality": order.request.reality,
+        "reality": order.request.reality, "given": order.request.given,
     }  # fmt: skip
     write_truth(hidden, name, truth)
     return f"{name} {order.request.machine} {order.request.kind}"

@@ -39,6 +39,9 @@ class Judgement:
     size: float
     detectable: bool
     reality: str = "own"
+    seed: int = 0  # of the draw: a case that is given in two forms has it twice
+    given: str = ""  # "mjcf": the form of the given model where it is not the usual one
+    first: str = ""  # the first finding: name, and its body or joint
     mechanism: bool | None = None  # the first finding's mechanism acts, on that joint or body
     law: bool | None = None  # and the law that it names is right
     strict: bool | None = None  # single effect: the very name first, on the right joint
@@ -264,6 +267,9 @@ def judge(truth: Mapping[str, Any], answer: Answer) -> Judgement:
         "effects": tuple(e["effect"] for e in effects),
         "size": truth["size"],
         "reality": truth.get("reality", "own"),
+        "seed": truth.get("seed", 0),
+        "given": truth.get("given", ""),
+        "first": f"{first.effect} of {first.body or first.joint}" if first else "",
         "detectable": all(e.get("oracle", {}).get("detectable", True) for e in effects),
         "seconds": answer.seconds,
         "cpu": answer.cpu,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 from zendsp.proof.judge import Judgement
-from zendsp.proof.scoreboard import by_reality, failures, headline, reliability, table_of
+from zendsp.proof.scoreboard import by_given, by_reality, failures, headline, reliability, table_of
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -92,6 +92,9 @@ def proof_page(
     lines += ["## By machine and kind of concealment", ""]
     rows = table_of(ours, lambda j: f"{j.machine}, {j.kind}", sizes)
     lines += markdown_table(["machine, kind", *(f"x{s:g}" for s in sizes)], rows)
+    if forms := by_given(ours):
+        lines += ["## Given as URDF and as MJCF", ""]
+        lines += markdown_table(["", "cases", "mechanism first", "law first"], forms)
     lines += ["## Stated confidence against hit rate", ""]
     for name, group in parts(ours).items():
         rows = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,11 +73,16 @@ def own(first_seed: int, turn: int, quick: bool) -> list[Request]:
 
 
 def requests(
-    seed: int, quick: bool, realities: Sequence[str] = ("own",), sample: int = 0
+    seed: int,
+    quick: bool,
+    realities: Sequence[str] = ("own",),
+    sample: int = 0,
+    given: str = "urdf",
 ) -> list[Request]:
     """Every case of a run; `seed` moves all of them.
 
-    With `sample`, so many of them drawn by the seed: as many of each reality.
+    With `sample`, so many of them drawn by the seed: as many of each reality. With `given` "mjcf",
+    those of MuJoCo's arms that conceal a body are asked a second time, their model given as MJCF.
     """
     first = FIRST_SEED + 100_000 * seed
     groups = []
@@ -95,7 +100,10 @@ def requests(
             [group[i] for i in sorted(rng.sample(range(len(group)), min(share, len(group))))]
             for group, share in zip(groups, shares, strict=True)
         ]
-    return [request for group in groups for request in group]
+    asked = [request for group in groups for request in group]
+    if given == "mjcf":
+        asked += [replace(r, given="mjcf") for r in asked if mujoco.of_bodies(r)]
+    return asked
 
 
 @dataclass(frozen=True)

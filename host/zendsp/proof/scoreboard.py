@@ -179,6 +179,31 @@ def by_reality(judged: Sequence[Judgement]) -> dict[str, list[Judgement]]:
     }
 
 
+def by_given(judged: Sequence[Judgement]) -> list[tuple[str, str, str, str]]:
+    """Rows (form, cases, mechanism first, law first) of cases whose model was given as URDF and as
+    MJCF; the last says how often both had the same first name. Empty where none was.
+    """
+    twins = {(j.reality, j.seed): j for j in judged if j.given == "mjcf"}
+    pairs = [
+        (j, twins[j.reality, j.seed])
+        for j in judged
+        if not j.given and (j.reality, j.seed) in twins
+    ]
+    if not pairs:
+        return []
+    rows = [
+        (
+            f"given as {form}",
+            str(len(pairs)),
+            shown(*rate(pair[k].mechanism for pair in pairs)),
+            shown(*rate(pair[k].law for pair in pairs)),
+        )
+        for k, form in enumerate(("urdf", "mjcf"))
+    ]
+    same = shown(*rate(a.first == b.first for a, b in pairs))
+    return [*rows, ("the same first name in both", str(len(pairs)), same, "")]
+
+
 def mean(values: Sequence[float]) -> float:
     return sum(values) / len(values) if values else math.nan
 
@@ -277,6 +302,8 @@ def text(judged: Sequence[Judgement], title: str) -> str:
     lines.append("  by machine and kind")
     for name, *cells in table_of(judged, lambda j: f"{j.machine} {j.kind}", sizes):
         lines.append(f"    {name:<22}" + "".join(f"{c:>8}" for c in cells))
+    for form, cases, first, law in by_given(judged):
+        lines.append(f"  {form:<30}{cases:>5}   {first:<22}{law}".rstrip())
     for name, group in columns.items():
         lines += ["", f"  stated confidence      findings   mean stated   right   {name}".rstrip()]
         for low, high, count, stated, hit in reliability(group):

@@ -128,6 +128,12 @@ QUICK: tuple[tuple[str, str, str, float], ...] = (
 )
 
 
+def of_bodies(request: Request) -> bool:
+    """Whether a request conceals a body of an arm."""
+    names = request.effect.split("+")
+    return request.machine in ("mj_arm6", "mj_arm7") and any(n in BODIES for n in names)
+
+
 def requests(first_seed: int, quick: bool = False) -> list[Request]:
     """Every case of the programme; with `quick`, a dozen."""
     if quick:

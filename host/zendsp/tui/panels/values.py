@@ -59,7 +59,7 @@ def show_limits(variable: Variable) -> str:
 
 def differs(a: Any, b: Any) -> bool:
     """Return whether two values are not the same."""
-    return not np.array_equal(np.asarray(a), np.asarray(b), equal_nan=False)
+    return not np.array_equal(np.ravel(a), np.ravel(b), equal_nan=False)
 
 
 def _scalar(variable: Variable, text: str) -> Any:

@@ -108,6 +108,12 @@ class VariablesPanel(Vertical):
             self.border_subtitle = subtitle
 
 
+def sizes(v: Variable) -> str:
+    """Elements of an array; rows and columns of a matrix."""
+    matrix = v.columns > 1 and v.kind != "table"
+    return f"{v.length // v.columns},{v.columns}" if matrix else str(v.length)
+
+
 def _cells(
     v: Variable, made_of: tuple[object, ...], colours: Sequence[str], accent: str
 ) -> tuple[Cell, ...]:
@@ -118,7 +124,7 @@ def _cells(
     first = Style(color=colours[curves[0]], bold=True) if curves else staged
     return (
         (("▐" if curves else " ") + mark, first),
-        (v.name if v.length == 1 else f"{v.name}[{v.length}]", strong),
+        (v.name if v.length == 1 else f"{v.name}[{sizes(v)}]", strong),
         (text, staged if mark == "→" else strong),
         (v.unit, dim),
         (show_limits(v), dim),

@@ -31,7 +31,7 @@ _TYPES: dict[int, tuple[str, np.dtype[Any]]] = {
     4: ("bool", np.dtype("?")),
 }
 _KINDS = {1: "parameter", 2: "signal", 3: "table", 4: "builtin", 5: "setting"}
-_ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>\d+)\]$")
+_ELEMENT = re.compile(r"^(?P<name>.+?)\[(?P<index>\d+)(?:, ?(?P<column>\d+))?\]$")
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,20 @@ class Entry:
 
     @property
     def rows(self) -> int:
-        """Capacity of a table."""
+        """Capacity of a table; rows of a matrix."""
         return self.info.length // self.info.columns
+
+    @property
+    def matrix(self) -> bool:
+        """Whether its values have rows and columns, and it is no table."""
+        return self.info.columns > 1 and self.info.kind != "table"
+
+    @property
+    def words(self) -> str:
+        """How many elements it has."""
+        if self.matrix:
+            return f"{self.rows} rows of {self.info.columns}"
+        return f"{self.info.length} elements"
 
 
 @dataclass(frozen=True)
@@ -86,7 +98,9 @@ def value_of(entry: Entry, scalar: bool, raw: memoryview | bytes | bytearray, of
     if scalar:
         number: Value = SCALARS[entry.info.type].unpack_from(raw, offset)[0]
         return number
-    return np.frombuffer(raw, dtype=entry.dtype, count=entry.info.length, offset=offset).copy()
+    info = entry.info
+    array = np.frombuffer(raw, dtype=entry.dtype, count=info.length, offset=offset).copy()
+    return array.reshape(-1, info.columns) if entry.matrix else array
 
 
 class Dictionary:
@@ -118,10 +132,12 @@ class Dictionary:
         else:
             array = initial[raw.snapshot : raw.snapshot + raw.size].view(dtype)
             start = array.copy() if raw.length > 1 else array[0].item()
+            if raw.columns > 1:
+                start = array.reshape(-1, raw.columns).copy()
         info = VariableInfo(
             name=text_of(raw.name),
             type=type_name,
-            length=raw.length * raw.columns,
+            length=raw.length * (raw.columns if kind == "table" else 1),
             kind=kind,
             unit=text_of(raw.unit),
             minimum=raw.minimum,
@@ -138,7 +154,8 @@ class Dictionary:
         return tuple(entry.info for entry in self.entries.values() if entry.info.kind in kinds)
 
     def place(self, name: str) -> Place:
-        """Find a variable (``"Kp"``) or an element (``"q[0]"``).
+        """Find a variable (``"Kp"``) or an element (``"q[0]"``; of a matrix ``"K[1,2]"``, or one
+        index that counts row after row).
 
         Parameters
         ----------
@@ -160,12 +177,17 @@ class Dictionary:
         entry = self.entries.get(match["name"]) if match else None
         if match is None or entry is None:
             raise VariableError(f"{name}: no such variable; {self._nearest(name)}")
-        index = int(match["index"])
-        if entry.info.kind == "table" or index >= entry.info.length:
+        index, column = int(match["index"]), match["column"]
+        known = index < entry.info.length
+        if column is not None:
+            columns = entry.info.columns
+            known = entry.matrix and index < entry.rows and int(column) < columns
+            index = index * columns + int(column)
+        if entry.info.kind == "table" or not known:
             what = (
                 "is a table, which is read and written whole"
                 if entry.info.kind == "table"
-                else f"has {entry.info.length} elements"
+                else f"has {entry.words}"
             )
             raise VariableError(f"{name}: {entry.info.name} {what}")
         self._places[name] = Place(entry, index, index * entry.dtype.itemsize)

@@ -71,7 +71,8 @@ def _check_fit(name: str, place: Place, array: FloatArray) -> None:
     if why == lib.FIT:
         return
     info, number = place.entry.info, array.ravel()[wrong[0]]
-    where = f" (element {wrong[0]})" if array.size > 1 else ""
+    at = f"{wrong[0] // info.columns},{wrong[0] % info.columns}" if place.entry.matrix else wrong[0]
+    where = f" (element {at})" if array.size > 1 else ""
     unit = f" {info.unit}" if info.unit else ""
     words = {
         lib.FIT_NOT_FINITE: f"{number} is not a finite number{where}; nothing was written",
@@ -110,10 +111,14 @@ def _short(value: object) -> str:
 
 
 def _as_elements(name: str, place: Place, array: npt.NDArray[Any]) -> FloatArray:
-    wanted = 1 if place.element is not None else place.entry.info.length
-    if array.size != wanted or array.ndim > 1:
+    entry = place.entry
+    wanted = 1 if place.element is not None else entry.info.length
+    shape = (entry.rows, entry.info.columns)
+    whole = entry.matrix and place.element is None
+    if array.size != wanted or (array.ndim > 1 and not (whole and array.shape == shape)):
         given = f"an array of shape {array.shape}" if array.ndim else "one number"
         needs = f"{wanted} numbers" if wanted > 1 else "one number"
+        needs = f"shape {shape} or {needs}" if whole else needs
         raise VariableError(f"{name}: needs {needs}, got {given}")
     return np.ascontiguousarray(array.reshape(wanted))
 
