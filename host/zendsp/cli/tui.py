@@ -17,6 +17,7 @@ from zendsp.errors import LinkError
 @click.argument("target", required=False, default="")
 @click.option(
     "--local",
+    "--machine",
     "machine",
     metavar="MACHINE",
     help="Start a simulated machine here, for example imi_planar.",
