@@ -2,8 +2,9 @@
 numbers.
 
 The first line of a recording is a comment for people. What belongs to the numbers, the
-circumstances, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,`` ``;`` and tab are told from the header; ``;`` with decimal commas is
-understood. Gzip by suffix ``.gz``.
+circumstances, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
+``;`` and tab are told from the header; ``;`` with decimal commas is understood. Gzip by suffix
+``.gz``.
 """
 
 from __future__ import annotations
