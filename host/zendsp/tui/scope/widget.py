@@ -66,6 +66,7 @@ class Scope(Widget, can_focus=True):
         self._ranges: dict[str, tuple[float, float]] = {}
         self._strips: list[Strip] = []
         self._seen = -1
+        self._drawn: tuple[Floats, Floats] = (np.zeros(0), np.zeros((0, 0)))  # of the picture
         self._last_trigger: float | None = None
         self._pens: dict[int, Style] = {}
         self._live = live
@@ -207,11 +208,12 @@ class Scope(Widget, can_focus=True):
         self.picture = compose(
             t, y, self.channels, self.settings, view, self._ranges, (columns, rows), self.limits
         )
+        self._drawn = (t, y)
         self._ranges = {lane.key: (lane.bottom, lane.top) for lane in self.picture.lanes}
         self._values = y[-1] if len(y) else np.zeros(0)
         strips = [self._text(row, width) for row in self._legend_rows(width)]
         if self.settings.view != "time" and self.channels:
-            strips += self._plane(t, y, (width, rows + 1))
+            strips += self._plane((width, rows + 1))
         else:
             strips += self._plot_strips(self.picture, width, rows)
             strips.append(self._time_axis(self.picture, width))
@@ -221,9 +223,9 @@ class Scope(Widget, can_focus=True):
             strips.append(self._text([(self.statistics(t, y), pen)], width))
         self._strips = strips
 
-    def _plane(self, t: Floats, y: Floats, size: tuple[int, int]) -> list[Strip]:
+    def _plane(self, size: tuple[int, int]) -> list[Strip]:
         """The curves over the selected one, or over frequency."""
-        seen = self.seen(t, y)
+        seen = self.seen()
         if self.settings.view == "xy":
             curves, axes = over_selected(self.channels, self.settings.selected, seen[1])
         else:
@@ -231,12 +233,11 @@ class Scope(Widget, can_focus=True):
         colours = trace_colours(self.app.current_theme)
         return plot_lines(curves, axes, size, colours, self._pens[EMPTY])
 
-    def seen(self, t: Floats | None = None, y: Floats | None = None) -> tuple[Floats, Floats]:
-        """Return the rows within the picture, or between the cursors where they are shown: times,
-        shape (n,), and values, shape (n, channels).
+    def seen(self) -> tuple[Floats, Floats]:
+        """Return the rows of the picture that was drawn last, or those between the cursors where
+        they are shown: times, shape (n,), and values, shape (n, channels).
         """
-        if t is None or y is None:
-            t, y = self._data()
+        t, y = self._drawn
         s, picture = self.settings, self.picture
         if picture is None:
             return t[:0], y[:0]
