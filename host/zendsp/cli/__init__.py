@@ -47,6 +47,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "zendsp.cli.salvage:command",
         "Save what a target had recorded before it was killed.",
     ),
+    "sweep": ("zendsp.cli.sweep:command", "Try values of parameters and measure each."),
+    "bode": ("zendsp.cli.bode:command", "Measure a frequency response of the machine."),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
     "reveal": (
         "zendsp.cli.reveal:command",
