@@ -133,6 +133,8 @@ def test_while_the_loop_keeps_real_time_the_program_goes_on() -> None:
             target, f_min=4.0, f_max=40.0, lines=8, periods=2, amplitude=0.004, rehearsed=False
         )
         assert target.status().state == "running" and found.coherence[0] > 0.95
+        held = target.acquire(["r1"], 0.3)["r1"]
+        assert np.ptp(held) == 0.0, "nothing moves on, and nothing jumps"
         assert abs(found.magnitude_db[0]) < 6.0, "friction takes its part of so small a motion"
 
 

@@ -37,6 +37,10 @@ def play(
 ) -> tuple[Recording, int]:
     """Play a period some times and record it.
 
+    At the end the machine holds the last row, where it stood before. The program keeps use_table,
+    row_rate and approach_time as they were played: another value would move the reference along
+    the table.
+
     Parameters
     ----------
     target : Target
@@ -61,9 +65,11 @@ def play(
     first : int
         Its row at which the first period begins.
     """
+    status = target.status()
+    if status.trip is not None:
+        raise Refused(f"{status.trip.text}: acknowledge it first")
     tables, row_rate = _tables(target, make, joint, quantity, seconds, times)
     wanted = {"use_table": True, "row_rate": row_rate, "approach_time": APPROACH_S}
-    before = {name: target[name] for name in wanted}
     length = APPROACH_S + seconds * times + FADE * seconds
     real = target.info.clock == "real"
     if rehearsed and real:
@@ -75,8 +81,6 @@ def play(
         recording, begin = _while_it_runs(target, tables, wanted, channels, length, progress)
     else:
         recording, begin = _from_the_start(target, tables, wanted, channels, length, progress)
-    if target.status().trip is None:  # at rest now, on the last row: nothing jumps
-        target.write(**{n: v for n, v in before.items() if n != "use_table"})
     if running and not real:
         target.start()
     trip = target.status().trip
