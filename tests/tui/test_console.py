@@ -14,7 +14,8 @@ from textual.widgets import Input, OptionList, TextArea
 from zendsp.errors import Refused
 from zendsp.link import ParameterSet, Target, connect
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.dialogs import Choose, Form, Message
+from zendsp.tui.dialogs import Choose, Form, Message, Sliders
+from zendsp.tui.dialogs.sliders import NAME, Slider
 from zendsp.tui.panels.source import SourceView
 from zendsp.tui.runs import list_runs
 from zendsp.tui.scope import Scale
@@ -247,6 +248,54 @@ async def test_parameter_sets_save_diff_and_stage(
         await pilot.press("enter")
         await pilot.pause()
         assert _console(lab).staged == {"Kp1": 2000.0, "Kd1": 120.0}
+        ParameterSet({"Kp1": 700.0}).save(folder / "sets" / "stiff.json")
+        await pilot.press("w", "down", "space", "down", "space", "enter")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        lines = str(lab.screen.query_one(".words").render()).splitlines()
+        assert lines[0].split() == ["target", "stiff", "calm"]
+        assert next(li for li in lines if "Kp1" in li).split() == ["Kp1", "900", "700", "2000"]
+        await pilot.press("escape")
+
+
+@pytest.mark.covers("console.sliders")
+async def test_sliders_move_parameters_by_key_and_mouse(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(140, 40)) as pilot:
+        await built(lab, pilot)
+        await until(pilot, lambda: "Kd1" in lab.session.snapshot.values, "values")
+        await _mark(lab, pilot, "Kd1")
+        await pilot.press("k")
+        await pilot.pause()
+        dialog = lab.screen
+        assert isinstance(dialog, Sliders)
+        slider = dialog.query(Slider).first()
+        assert slider.variable.name == "Kd1" and slider.has_focus, "the marked one first"
+        assert all(s.variable.name != "use_table" for s in dialog.query(Slider))
+        await pilot.press("right", "shift+right", "ctrl+left")
+        # 0 … 1000: 120 + 5 + 50 − 0.5
+        await until(pilot, lambda: target["Kd1"] == 174.5, "written")
+        await pilot.click(slider, offset=(NAME + slider.bar - 1, 0))
+        await until(pilot, lambda: target["Kd1"] == 1000.0, "the right end, by mouse")
+        await pilot.press("right")
+        assert slider.value == 1000.0, "and not beyond"
+        await pilot.press("z")
+        await until(pilot, lambda: target["Kd1"] == 120.0, "all back in one sample")
+        await pilot.press("down", "right")
+        assert lab.focused is not slider
+        other = lab.focused
+        assert isinstance(other, Slider)
+        name = other.variable.name
+        await pilot.press("escape")
+        await until(pilot, lambda: target[name] != other.variable.initial, "the last move counts")
+        await until(
+            pilot,
+            lambda: lab.session.snapshot.values[name] != other.variable.initial,
+            "seen here too",
+        )
+        await pilot.press("z")
+        await until(pilot, lambda: target[name] == other.variable.initial, "undone")
 
 
 @pytest.mark.covers("console.open_source", "console.source")

@@ -215,7 +215,20 @@ def _table() -> tuple[Action, ...]:
             "Reset all",
             "Stage the initial values of all parameters.",
         ),
-        A("console", "sets", "w", "Sets", "Save, compare and load parameter sets."),
+        A(
+            "console",
+            "sets",
+            "w",
+            "Sets",
+            "Save, compare and load parameter sets; several side by side.",
+        ),
+        A(
+            "console",
+            "sliders",
+            "k",
+            "Sliders",
+            "Move parameters between their limits while the curves run: the marked one first.",
+        ),
         # -- console: the scope
         # ------------------------------------------------------------------------------------------
         A(
