@@ -153,7 +153,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         )
     },
 }
-FOREVER = ("watch",)  # subcommands that run until Ctrl-C
+FOREVER = ("watch", "bridge")  # subcommands that run until Ctrl-C
 SERVERS = ("zendsp target", "-m zendsp_target")
 LIMIT_S = 100.0  # of one command
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from zendsp.tui.scope.formula import Computed, Formula, FormulaError, sources
 from zendsp.tui.scope.layouts import Layout, load_layout, save_layout
 from zendsp.tui.scope.picture import arrange, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
-from zendsp.tui.scope.spectrum import density
+from zendsp.tui.scope.spectrum import density, ready
 
 UNITS = {"r1": "rad", "q1": "rad", "q[0]": "rad", "u": "N m"}
 DT = 1e-3
@@ -189,6 +190,10 @@ async def test_every_view_fills_any_size(view: str, size: tuple[int, int]) -> No
         rows = np.stack((np.cos(t / 50.0), np.sin(t / 50.0)), axis=1)
         scope.history.append(t, rows, DT)
         scope.set(replace(scope.settings, view=view))
+        deadline = time.monotonic() + 60.0
+        while view == "spectrum" and not ready() and time.monotonic() < deadline:
+            await pilot.pause(0.05)
+        scope.redraw()
         await pilot.pause()
         text = "\n".join(strip.text for strip in app.screen._compositor.render_strips())
         assert any("⠀" < c <= "⣿" for c in text), "something is drawn"

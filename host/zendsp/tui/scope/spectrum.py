@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 LEAST = 32  # rows below which there is no spectrum worth the name
 PIECES = 4  # of the picture to average over; each overlaps the next by half
+
+
+_loading: list[threading.Thread] = []
+
+
+def ready() -> bool:
+    """Whether a spectrum can be made at once; if not, what it needs is being loaded meanwhile.
+
+    SciPy takes half a second to load, on a busy machine many: the screen must not stand still.
+    """
+    if not _loading:
+        _loading.append(threading.Thread(target=_load, name="spectrum", daemon=True))
+        _loading[0].start()
+    return not _loading[0].is_alive()
+
+
+def _load() -> None:
+    import scipy.signal  # noqa: F401
 
 
 def density(t: Floats, y: Floats) -> tuple[Floats, Floats]:

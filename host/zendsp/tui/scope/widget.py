@@ -20,17 +20,18 @@ from textual.widget import Widget
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
 from zendsp.tui.scope.measure import measure
-from zendsp.tui.scope.path import plot_lines
+from zendsp.tui.scope.path import Axes, plot_lines
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.settings import MOST_CHANNELS, VIEWS, WINDOWS, Channel, ScopeSettings
-from zendsp.tui.scope.spectrum import density
+from zendsp.tui.scope.spectrum import density, ready
 from zendsp.tui.scope.ticks import duration, label, number, short, ticks
 from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
 GUTTER = 9  # columns of the y axis
+LOADING_S = 0.2  # between looks whether the spectrum is ready
 FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
 
 
@@ -228,6 +229,9 @@ class Scope(Widget, can_focus=True):
         seen = self.seen()
         if self.settings.view == "xy":
             curves, axes = over_selected(self.channels, self.settings.selected, seen[1])
+        elif not ready():
+            curves, axes = [], Axes(("f [Hz]", ""), equal=False, title="one moment …")
+            self.set_timer(LOADING_S, self.redraw)
         else:
             curves, axes = over_frequency(self.channels, *density(*seen))
         colours = trace_colours(self.app.current_theme)
