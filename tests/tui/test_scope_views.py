@@ -243,6 +243,9 @@ def test_an_edited_layout_that_is_impossible_is_refused(
     path.write_text(json.dumps(body))
     with pytest.raises(ZendspError, match=key):
         load_layout(path)
+    bad = Layout((Channel("x", "", "q1 if u else r1"),), ScopeSettings())
+    with pytest.raises(ZendspError, match="has no place here"):
+        load_layout(save_layout(bad, tmp_path / "b.json"))
     path.write_text(path.read_text()[:50])
     with pytest.raises(ZendspError, match="is not a layout"):
         load_layout(path)

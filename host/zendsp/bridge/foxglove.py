@@ -101,7 +101,11 @@ class Bridge:
             )
         except RuntimeError as error:
             raise LinkError(f"port {port} of {HOST} cannot be taken ({error}): --port") from error
-        self._watch()
+        try:
+            self._watch()
+        except BaseException:
+            self._server.stop()
+            raise
         self._poller = background("bridge", self._poll)
 
     @property

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from zendsp.errors import ZendspError
-from zendsp.tui.scope.formula import FormulaError, sources
+from zendsp.tui.scope.formula import Formula
 from zendsp.tui.scope.settings import (
     LANES,
     MOST_CHANNELS,
@@ -69,10 +69,9 @@ def load_layout(path: Path) -> Layout:
 
 def _check(channels: tuple[Channel, ...], s: ScopeSettings) -> None:
     """Refuse what the scope could not draw; a file may have been edited."""
-    try:
-        sources(channels)
-    except FormulaError as error:
-        raise ValueError(str(error)) from None
+    for channel in channels:
+        if channel.formula:
+            Formula.read(f"{channel.name} = {channel.formula}")
     last = max(len(channels) - 1, 0)
     possible = {
         "channels": len(channels) <= MOST_CHANNELS,
