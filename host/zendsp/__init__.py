@@ -21,6 +21,8 @@ _LAZY = {
     "Recording": "zendsp.recording",
     "read_table": "zendsp.recording",
     "diagnose": "zendsp.diagnosis",
+    "frequency_response": "zendsp.experiment",
+    "sweep": "zendsp.experiment",
     "simulate": "zendsp.physics",
     "simulate_loop": "zendsp.physics",
     "MatDSPconnect": "zendsp.matdsp",
@@ -38,6 +40,8 @@ _LAZY = {
 }
 
 if TYPE_CHECKING:
+    from zendsp.experiment import frequency_response as frequency_response
+    from zendsp.experiment import sweep as sweep
     from zendsp.link import ParameterSet as ParameterSet
     from zendsp.link import Target as Target
     from zendsp.link import Trigger as Trigger

@@ -19,11 +19,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from zendsp.errors import AcquisitionError, LinkError
+from zendsp.errors import AcquisitionError, CompileFailed, LinkError
 from zendsp.link import Target, Trigger, connect
 from zendsp.recording import Recording
 from zendsp_isr.sources import Source
 from zendsp_protocol import messages as m
+
+
+def _program(source: Source) -> Source:
+    """The source itself; a target in its place is refused with what to write."""
+    if isinstance(source, Target):
+        raise CompileFailed(
+            "a target stands where the C file belongs: MatDSPconnect(target) chooses it once, then"
+            " MatDSPcompile(file)"
+        )
+    return source
 
 
 class _Desk:
@@ -90,7 +100,8 @@ def MatDSPcompile(source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
     CompileFailed
         With file, line and column of each message.
     """
-    return _desk.get().compile(source, flags)
+    program = _program(source)
+    return _desk.get().compile(program, flags)
 
 
 def MatDSPdownload(source: Source, flags: Sequence[str] = ()) -> m.CompileResult:
@@ -109,7 +120,8 @@ def MatDSPdownload(source: Source, flags: Sequence[str] = ()) -> m.CompileResult
     CompileFailed
         With file, line and column of each message; what was loaded before stays.
     """
-    return _desk.get().download(source, flags)
+    program = _program(source)
+    return _desk.get().download(program, flags)
 
 
 def MatDSPstart() -> None:

@@ -118,6 +118,29 @@ def test_pandas_reads_our_csv_with_its_own_reader(recording: Recording, tmp_path
     assert len(frame) == 200
 
 
+def test_a_csv_begins_with_a_line_for_people(recording: Recording, tmp_path: Path) -> None:
+    path = recording.save(tmp_path / "run.csv")
+    first, header, *_, last = path.read_text().splitlines()
+    assert first.startswith("# A recording of zendsp") and len(first) <= 120, first
+    assert "200 rows" in first and header.startswith("t [s],")
+    assert last.startswith("# zendsp {")
+
+
+def test_a_csv_of_before_is_still_read(recording: Recording, tmp_path: Path) -> None:
+    path = recording.save(tmp_path / "run.csv")
+    _, *rows, last = path.read_text().splitlines()
+    path.write_text("\n".join([last, *rows, ""]))
+    again = Recording.load(path)
+    assert np.array_equal(again.data, recording.data) and again.log == recording.log
+
+
+def test_a_csv_that_is_cut_short_is_refused(recording: Recording, tmp_path: Path) -> None:
+    path = recording.save(tmp_path / "run.csv")
+    path.write_text("\n".join(path.read_text().splitlines()[:100]) + "\n")
+    with pytest.raises(RecordingError, match="cut short"):
+        Recording.load(path)
+
+
 def test_pandas_and_xarray_carry_values_and_units(recording: Recording) -> None:
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")

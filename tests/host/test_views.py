@@ -81,6 +81,14 @@ def test_a_target_shows_its_state_and_completes_its_variables(target: Target) ->
     assert "overruns, missed" in status._repr_html_()
 
 
+def test_a_target_without_a_program_is_shown_too(target: Target) -> None:
+    target.request("unload")
+    try:
+        assert "<table>" in target._repr_html_() and target._ipython_key_completions_() == []
+    finally:
+        target.download("pd.c")
+
+
 def test_a_live_view_takes_names_as_they_come_and_draws(target: Target) -> None:
     target.start()
     with target.live("q", "tau", history=1.0) as view:

@@ -153,7 +153,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         )
     },
 }
-FOREVER = ("watch",)  # subcommands that run until Ctrl-C
+FOREVER = {"watch": 3, "bridge": 1}  # subcommands that run until Ctrl-C: lines that they say first
 SERVERS = ("zendsp target", "-m zendsp_target")
 LIMIT_S = 250.0  # of one command, beside all else that CI computes
 
@@ -437,7 +437,7 @@ class Reader:
     def _watch(self, meant: str) -> str:
         process = self._user.start("bash", "-c", f"exec {meant}")
         assert process.stdout is not None
-        seen = [process.stdout.readline() for _ in range(3)]
+        seen = [process.stdout.readline() for _ in range(FOREVER[meant.split()[1]])]
         process.send_signal(signal.SIGINT)
         status = process.wait(PATIENCE_S)
         return "" if all(seen) and status == 130 else f"exit status {status} after {seen}"

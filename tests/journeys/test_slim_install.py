@@ -33,7 +33,7 @@ rec = zendsp.simulate(program, f"{machine}.toml", reference="motion.mat",
                       channels=["measured", "plant_torque"])
 names = {"measured": "q", "plant_torque": "tau"}
 rec.save("raw.csv")
-lines = Path("raw.csv").read_text().splitlines()[1:]
+lines = [li for li in Path("raw.csv").read_text().splitlines() if li[0] != "#"]
 for old, new in names.items():
     lines[0] = lines[0].replace(old, new)
 Path("run.csv").write_text("\\n".join(lines))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -26,7 +27,7 @@ from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
-from zendsp.tui.statusbar import StatusBar, mean_and_max
+from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.trial import Trial
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -87,6 +88,14 @@ async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) ->
         lines = below.help_text().plain.splitlines()
         assert max(map(len, lines)) <= words.size.width, "nothing wraps to the left margin"
         assert any(line.startswith(24 * " ") for line in lines)
+
+
+async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.pause(0.3)
+        line = app.screen.query_one(Tabs).render().plain
+        assert re.search(r"rec \d\d:\d\d:\d\d *$", line[:67]), line
+        assert "F5 Diagnose" in line
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

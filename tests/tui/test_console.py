@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from textual.widgets import Input, OptionList, TextArea
 from zendsp.errors import Refused
 from zendsp.link import ParameterSet, Target, connect
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.dialogs import Choose, Form, Message
+from zendsp.tui.dialogs import Choose, Form, Message, Sliders
+from zendsp.tui.dialogs.sliders import NAME, Slider
 from zendsp.tui.panels.source import SourceView
 from zendsp.tui.runs import list_runs
+from zendsp.tui.scope import Scale
 from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
@@ -245,6 +248,54 @@ async def test_parameter_sets_save_diff_and_stage(
         await pilot.press("enter")
         await pilot.pause()
         assert _console(lab).staged == {"Kp1": 2000.0, "Kd1": 120.0}
+        ParameterSet({"Kp1": 700.0}).save(folder / "sets" / "stiff.json")
+        await pilot.press("w", "down", "space", "down", "space", "enter")
+        await pilot.pause()
+        assert isinstance(lab.screen, Message)
+        lines = str(lab.screen.query_one(".words").render()).splitlines()
+        assert lines[0].split() == ["target", "stiff", "calm"]
+        assert next(li for li in lines if "Kp1" in li).split() == ["Kp1", "900", "700", "2000"]
+        await pilot.press("escape")
+
+
+@pytest.mark.covers("console.sliders")
+async def test_sliders_move_parameters_by_key_and_mouse(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(140, 40)) as pilot:
+        await built(lab, pilot)
+        await until(pilot, lambda: "Kd1" in lab.session.snapshot.values, "values")
+        await _mark(lab, pilot, "Kd1")
+        await pilot.press("k")
+        await pilot.pause()
+        dialog = lab.screen
+        assert isinstance(dialog, Sliders)
+        slider = dialog.query(Slider).first()
+        assert slider.variable.name == "Kd1" and slider.has_focus, "the marked one first"
+        assert all(s.variable.name != "use_table" for s in dialog.query(Slider))
+        await pilot.press("right", "shift+right", "ctrl+left")
+        # 0 … 1000: 120 + 5 + 50 − 0.5
+        await until(pilot, lambda: target["Kd1"] == 174.5, "written")
+        await pilot.click(slider, offset=(NAME + slider.bar - 1, 0))
+        await until(pilot, lambda: target["Kd1"] == 1000.0, "the right end, by mouse")
+        await pilot.press("right")
+        assert slider.value == 1000.0, "and not beyond"
+        await pilot.press("z")
+        await until(pilot, lambda: target["Kd1"] == 120.0, "all back in one sample")
+        await pilot.press("down", "right")
+        assert lab.focused is not slider
+        other = lab.focused
+        assert isinstance(other, Slider)
+        name = other.variable.name
+        await pilot.press("escape")
+        await until(pilot, lambda: target[name] != other.variable.initial, "the last move counts")
+        await until(
+            pilot,
+            lambda: lab.session.snapshot.values[name] != other.variable.initial,
+            "seen here too",
+        )
+        await pilot.press("z")
+        await until(pilot, lambda: target[name] == other.variable.initial, "undone")
 
 
 @pytest.mark.covers("console.open_source", "console.source")
@@ -355,7 +406,9 @@ async def test_every_key_of_the_scope(
         await pilot.press("a")
         assert not scope.settings.auto
         await pilot.press("a", "l")
-        assert scope.settings.auto and not scope.settings.lanes
+        assert scope.settings.auto and scope.settings.lanes == "curve"
+        await pilot.press("l")
+        assert scope.settings.lanes == "over"
         await pilot.press("y")
         assert scope.settings.selected == 1
         await pilot.press("x")
@@ -365,6 +418,68 @@ async def test_every_key_of_the_scope(
         assert scope.settings.cursor_a > a and scope.settings.cursor_b < b
         await pilot.press("E")
         assert console.has_class("-events")
+
+
+@pytest.mark.covers(
+    "console.view", "console.formula", "console.scale", "console.export", "console.layouts"
+)
+async def test_a_computed_curve_its_scale_its_files_and_its_layout(
+    lab: ZendspApp,
+    target: Target,
+    built: Step,
+    until: Until,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "config"))
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await built(lab, pilot)
+        target.start()
+        console = _console(lab)
+        scope = console.scope
+        console.plot_names(["r1", "q1", "e1"])
+        await pilot.press("F")
+        await pilot.pause()
+        await _type(pilot, "err = r1 - nobody")
+        assert isinstance(lab.screen, Form), "refused where it was typed"
+        await _type(pilot, "err = r1 - q1")
+        assert [c.name for c in scope.channels] == ["r1", "q1", "e1", "err"]
+        assert scope.channels[3].unit == "rad" and console.curve_names() == ["r1", "q1", "e1"]
+        await until(pilot, lambda: scope.history.count > 500, "live, with the computed curve")
+        _, y = scope.history.newest(500)
+        assert np.array_equal(y[:, 3], y[:, 0] - y[:, 1]) and np.ptp(y[:, 3]) > 0.0
+        scope.set(replace(scope.settings, selected=3))
+        await pilot.press("L")
+        await pilot.pause()
+        lab.screen.query_one("#f-low", Input).value = "-0.5"
+        await pilot.press("tab", "tab", "enter")
+        await pilot.pause()
+        assert scope.settings.scales == {"err": Scale(0, -0.5, None)}
+        await pilot.press("W")
+        await pilot.pause()
+        await pilot.press("enter")
+        await pilot.pause()
+        await _type(pilot, "my tuning")
+        assert (folder / "config/zendsp/layouts/my_tuning.json").is_file()
+        saved = (scope.channels, scope.settings)
+        for view in ("xy", "spectrum"):
+            await pilot.press("V")
+            assert scope.settings.view == view
+            await pilot.press("X")
+            await pilot.pause()
+            await _type(pilot, f"{view}.csv")
+            await until(pilot, lambda view=view: (folder / f"{view}.csv").is_file(), "written")
+        await pilot.press("F")
+        await pilot.pause()
+        await _type(pilot, "")
+        assert [c.name for c in scope.channels] == ["r1", "q1", "e1"], "an empty line takes away"
+        await pilot.press("W")
+        await pilot.pause()
+        await pilot.press("down", "enter")
+        await until(pilot, lambda: (scope.channels, scope.settings) == saved, "as it was saved")
+        await pilot.click(scope, offset=(2, 3))
+        await pilot.pause()
+        assert isinstance(lab.screen, Form), "a click on the axis asks for its scale"
 
 
 @pytest.mark.covers("console.record", "console.simulate", "console.diagnose")

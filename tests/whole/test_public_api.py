@@ -21,6 +21,7 @@ ROOMS = (
     "zendsp.diagnosis",
     "zendsp.experiment",
     "zendsp.demo",
+    "zendsp.bridge",
 )
 # what a role must not be called, and what it is called instead
 OTHER_NAMES = {

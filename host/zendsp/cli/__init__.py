@@ -48,6 +48,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "zendsp.cli.salvage:command",
         "Save what a target had recorded before it was killed.",
     ),
+    "sweep": ("zendsp.cli.sweep:command", "Try values of parameters and measure each."),
+    "bode": ("zendsp.cli.bode:command", "Measure a frequency response of the machine."),
     "stats": ("zendsp.cli.stats:command", "Show the timing of the loop."),
     "reveal": (
         "zendsp.cli.reveal:command",
@@ -79,6 +81,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "zendsp.cli.diagnose:command",
         "Find the physics that a model left out of real recordings.",
     ),
+    "bridge": ("zendsp.cli.bridge:command", "Show a target in Foxglove or PlotJuggler."),
     "shell": ("zendsp.cli.shell:command", "Type commands over one link; Tab completes."),
     "completion": ("zendsp.cli.completion:command", "Let bash, zsh or fish complete commands."),
     "keys": ("zendsp.cli.keys:command", "Make a lab's certificates, and say who may do what."),

@@ -27,6 +27,7 @@ from zendsp.errors import LinkError
 )
 @click.option(
     "--local",
+    "--machine",
     "machine",
     metavar="MACHINE",
     help="Start a simulated machine here, for example imi_planar.",

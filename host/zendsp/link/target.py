@@ -272,7 +272,9 @@ class Target:
 
     def _ipython_key_completions_(self) -> list[str]:
         """Names for ``target["<Tab>`` at a prompt."""
-        return [*self.variables(), *self.builtins()] if self.alive else []
+        if not self.alive or self.status().state == "empty":
+            return []
+        return [*self.variables(), *self.builtins()]
 
     def _repr_html_(self) -> str:
         """What a notebook shows: how the target does, and the program's variables now."""
@@ -280,8 +282,10 @@ class Target:
             return sentence(repr(self))
         status = self.status()
         shown = sentence(repr(self)) + status._repr_html_()
+        if status.state in ("empty", "crashed"):
+            return shown
         infos = [v for v in self.variables().values() if v.kind != "table"]
-        if not infos or status.state in ("empty", "crashed"):
+        if not infos:
             return shown
         values = self.read([v.name for v in infos]).values
         rows = [(v.name, _short(values[v.name]), v.unit, v.description) for v in infos]

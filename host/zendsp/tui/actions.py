@@ -215,7 +215,20 @@ def _table() -> tuple[Action, ...]:
             "Reset all",
             "Stage the initial values of all parameters.",
         ),
-        A("console", "sets", "w", "Sets", "Save, compare and load parameter sets."),
+        A(
+            "console",
+            "sets",
+            "w",
+            "Sets",
+            "Save, compare and load parameter sets; several side by side.",
+        ),
+        A(
+            "console",
+            "sliders",
+            "k",
+            "Sliders",
+            "Move parameters between their limits while the curves run: the marked one first.",
+        ),
         # -- console: the scope
         # ------------------------------------------------------------------------------------------
         A(
@@ -250,7 +263,44 @@ def _table() -> tuple[Action, ...]:
             "lanes",
             "l",
             "Lanes",
-            "One lane for each unit, or all curves over one another.",
+            "One lane for each unit, one for each curve, or all over one another.",
+        ),
+        A(
+            "console",
+            "view",
+            "V",
+            "View",
+            "Curves over time, over the selected one (XY), or their spectrum (unit/√Hz) of what"
+            " is seen.",
+        ),
+        A(
+            "console",
+            "formula",
+            "F",
+            "Formula",
+            "A curve that is computed: e = r1 - q1, d(q1) per second, lp(u, 20) filtered at"
+            " 20 Hz; an empty line takes it away.",
+        ),
+        A(
+            "console",
+            "scale",
+            "L",
+            "Scale",
+            "Give the selected curve a lane, and ends of its axis (also: click on the axis).",
+        ),
+        A(
+            "console",
+            "export",
+            "X",
+            "Export",
+            "Write what is seen: CSV, MAT and other files of rows, or PNG, SVG, PDF.",
+        ),
+        A(
+            "console",
+            "layouts",
+            "W",
+            "Layouts",
+            "Save or open an arrangement of the scope: curves, formulas, scales, trigger.",
         ),
         A(
             "console",

@@ -16,6 +16,7 @@ from textual.pilot import Pilot
 from zendsp.reference import make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import open_port, start_machine
+from zendsp.tui.scope.spectrum import ready
 from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp.tui.svg import portable
 
@@ -81,7 +82,13 @@ async def _console(folder: Path, work: Path, size: tuple[int, int], name: str) -
         if size[0] > 100:
             await _keys(pilot, "x", "t", "5", "0", "0", "enter", "u")
             made.append(_write(app, folder / "console-update.svg"))
-            await _keys(pilot, "escape", "f9")
+            await _keys(pilot, "escape", "x", "k")
+            made.append(_write(app, folder / "console-sliders.svg"))
+            await _keys(pilot, "escape", "V", "V")
+            await _until(pilot, ready)
+            await pilot.pause(0.5)
+            made.append(_write(app, folder / "console-spectrum.svg"))
+            await _keys(pilot, "V", "f9")
             await _until(pilot, lambda: app.session.snapshot.drive == "stopped")
             await pilot.pause(0.5)
             made.append(_write(app, folder / "console-stop.svg"))

@@ -21,6 +21,7 @@ from zendsp.link.background import background
 from zendsp.tui.events import EventLog
 from zendsp.tui.port import Port
 from zendsp.tui.scope import Channel, History
+from zendsp.tui.scope.formula import Computed
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.stopper import EMERGENCY, STOPPERS, Field, Stopper
 
@@ -349,7 +350,11 @@ class Session:
             return
         history = self.history
         try:
-            self._live = port.live([c.name for c in self.channels], history.append)
+            if any(c.formula for c in self.channels):
+                computed = Computed(self.channels, history.append)
+                self._live = port.live(computed.sources, computed)
+            else:
+                self._live = port.live([c.name for c in self.channels], history.append)
         except LinkError:
             raise
         except ZendspError as error:

@@ -69,7 +69,10 @@ class Tabs(Widget):
     def render(self) -> Text:
         colours = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
-        text.append(" zendsp ", Style(bold=True, color=colours["accent"]))
+        tabs = sum(len(f" F0 {name} ") for name in SCREENS)
+        # on 80 columns the time is worth more than the name
+        room = self.size.width - tabs - self.right.cell_len > len(" zendsp ")
+        text.append(" zendsp " if room else "", Style(bold=True, color=colours["accent"]))
         self._spans = []
         for k, name in enumerate(SCREENS):
             begin = text.cell_len
@@ -152,7 +155,7 @@ class StatusBar(Widget):
         right = Text(no_wrap=True)
         light = Style(color=c["error"], bold=True) if snapshot.recording else Style(dim=True)
         right.append("● REC " if snapshot.recording else "○ rec ", light)
-        right.append(f" {clock} ", Style(dim=True))
+        right.append(f"{clock} ", Style(dim=True))
         self._tabs.right = right
         self._tabs.refresh()
         where = self.where(snapshot)

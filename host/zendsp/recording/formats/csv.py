@@ -1,9 +1,10 @@
 """CSV and TSV: a header of names (``q1`` or ``q1 [rad]``), perhaps a row of units, then rows of
 numbers.
 
-Recordings carry their circumstances in one comment line before the header; readers that know ``#``
-skip it. Separators ``,`` ``;`` and tab are told from the header; ``;`` with decimal commas is
-understood. Gzip by suffix ``.gz``.
+The first line of a recording is a comment for people. What belongs to the numbers, the
+circumstances, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
+``;`` and tab are told from the header; ``;`` with decimal commas is understood. Gzip by suffix
+``.gz``.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from zendsp.recording.recording import Recording
 
 MARK = "# zendsp "
+TITLE = "# A recording of zendsp"
 
 
 def write(recording: Recording, circumstances: str, path: Path) -> None:
@@ -36,20 +38,36 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
         f"{n} [{u}]" if u else n for n, u in zip(["t", *recording.columns], units, strict=True)
     ]
     with path.open("w", newline="") as file:
-        file.write(f"{MARK}{circumstances}\n")
+        file.write(f"{_title(recording)}\n")
         csv.writer(file, lineterminator="\n").writerow(header)
         np.savetxt(file, np.column_stack([recording.t, recording.data]), fmt="%s", delimiter=",")
+        file.write(f"{MARK}{circumstances}\n")
+
+
+def _title(recording: Recording) -> str:
+    """One line that says what the file is, and where the rest stands."""
+    made = f" of {recording.target}" if recording.target else ""
+    rows = len(recording.t)
+    apart = float(np.median(np.diff(recording.t))) if rows > 1 else 0.0
+    what = f"{rows} rows, {apart:g} s apart"
+    return f"{TITLE}{made}: {what}. Parameters and source: last line."
 
 
 def read(path: Path) -> Raw:
     """Read any CSV whose first line that is not a comment names the columns."""
-    text = _text(path)
-    circumstances, body, first_line = "", text, 1
+    body, circumstances = _apart(_text(path))
+    first_line, ours = 1, False
     while body.startswith("#"):
         line, _, body = body.partition("\n")
         first_line += 1
-        if line.startswith(MARK):
+        ours = ours or line.startswith(TITLE)
+        if line.startswith(MARK):  # where it stood before it stood last
             circumstances = line[len(MARK) :]
+    if ours and not circumstances:
+        raise RecordingError(
+            f"{path}: is cut short: it lacks its last line, which holds the parameters and a"
+            " checksum. Take another copy, or delete the first line to read what is left"
+        )
     header_line, _, rows = body.partition("\n")
     if not header_line.strip():
         raise RecordingError(
@@ -62,6 +80,14 @@ def read(path: Path) -> Raw:
         rows, first_line = rows.partition("\n")[2], first_line + 1
     columns = _numbers(path, rows, names, delimiter, first_line + 1)
     return Raw(columns, units, {}, circumstances)
+
+
+def _apart(text: str) -> tuple[str, str]:
+    """The lines before the last, and the circumstances, where the last line holds them."""
+    at = text.rfind(f"\n{MARK}")
+    if at < 0 or "\n" in text[at + 1 :].rstrip("\n"):
+        return text, ""
+    return text[: at + 1], text[at + 1 + len(MARK) :].rstrip("\n")
 
 
 def _text(path: Path) -> str:

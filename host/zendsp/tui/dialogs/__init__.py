@@ -4,6 +4,7 @@ anything.
 
 from zendsp.tui.dialogs.choose import Choose, Option
 from zendsp.tui.dialogs.form import Field, Form, not_empty
+from zendsp.tui.dialogs.sliders import Sliders, slides
 from zendsp.tui.dialogs.text import Message
 
-__all__ = ["Choose", "Field", "Form", "Message", "Option", "not_empty"]
+__all__ = ["Choose", "Field", "Form", "Message", "Option", "Sliders", "not_empty", "slides"]

@@ -2,7 +2,7 @@
 
 from zendsp.tui.scope.history import History
 from zendsp.tui.scope.raster import encode, envelope, fill
-from zendsp.tui.scope.settings import Channel, ScopeSettings
+from zendsp.tui.scope.settings import Channel, Scale, ScopeSettings
 from zendsp.tui.scope.widget import Scope
 
-__all__ = ["Channel", "History", "Scope", "ScopeSettings", "encode", "envelope", "fill"]
+__all__ = ["Channel", "History", "Scale", "Scope", "ScopeSettings", "encode", "envelope", "fill"]

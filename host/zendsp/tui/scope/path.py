@@ -5,7 +5,7 @@ velocity.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from textual import events
 from textual.strip import Strip
 from textual.widget import Widget
 
-from zendsp.tui.colours import trace_colours
+from zendsp.tui.colours import TraceColours, trace_colours
 from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, braille, encode
 from zendsp.tui.scope.ticks import label, ticks
 
@@ -75,6 +75,112 @@ class Axes:
     title: str = ""
     frame: tuple[float, float, float, float] | None = None  # x0, x1, y0, y1; else all that there is
     log: bool = False  # y are powers of ten
+    log_x: bool = False  # x are powers of ten
+
+
+
+def plot_lines(
+    curves: Sequence[Curve], axes: Axes, size: tuple[int, int], pens: TraceColours, back: Style
+) -> list[Strip]:
+    """Draw curves in the plane with a legend above and both axes.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+    axes : Axes
+    size : (width, height)
+        Of everything, in characters.
+    pens : TraceColours
+    back : Style
+        Of the background.
+
+    Returns
+    -------
+    list of Strip
+        From top to bottom, ``height`` of them.
+    """
+    full, tall = size
+    width, height = max(full - GUTTER, 2), max(tall - 2, 1)
+    x0, x1, y0, y1 = _frame(curves, axes, width, height)
+    faint = back + Style(color=pens.grid)
+    codes = np.zeros((height, width), dtype=np.uint8)
+    owner = np.full((height, width), -1)
+    for curve in _in_order(curves):
+        dots = np.zeros((height * DOTS_Y, width * DOTS_X), dtype=bool)
+        x = (curve.xy[:, 0] - x0) / (x1 - x0) * (width * DOTS_X - 1)
+        y = (y1 - curve.xy[:, 1]) / (y1 - y0) * (height * DOTS_Y - 1)
+        DRAWN[curve.style](dots, x, y)
+        cells = encode(dots)
+        codes |= cells
+        owner[cells > 0] = curve.trace
+
+    def pen(trace: int) -> Style:
+        return faint if trace < 0 else back + Style(color=pens.traces[trace])
+
+    lines = [Strip(_legend(curves, axes, pen, faint, back)).adjust_cell_length(full, back)]
+    values = ticks(y0, y1, max(height // 4, 4))
+    y_ticks = {int((y1 - v) / (y1 - y0) * height): v for v in values}
+    step = abs(values[1] - values[0]) if len(values) > 1 else 1.0
+    for r in range(height):
+        text = _label(y_ticks[r], step, axes.log) if r in y_ticks else ""
+        row = braille(codes[r])
+        borders = [0, *(np.flatnonzero(owner[r][1:] != owner[r][:-1]) + 1).tolist(), width]
+        parts = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", faint)]
+        parts += [Segment(row[a:b], pen(int(owner[r][a]))) for a, b in itertools.pairwise(borders)]
+        lines.append(Strip(parts, full))
+    below = Segment(_x_axis(axes, (x0, x1), width, full), faint)
+    lines.append(Strip([below]).adjust_cell_length(full, back))
+    return lines
+
+
+def _legend(
+    curves: Sequence[Curve], axes: Axes, pen: Callable[[int], Style], faint: Style, back: Style
+) -> list[Segment]:
+    parts = [Segment(f" {axes.names[1]}".ljust(GUTTER), faint)]
+    if axes.title:
+        parts.append(Segment(f" {axes.title} ", back + Style(bold=True)))
+    parts += [Segment(f" ▐ {c.name} ", pen(c.trace)) for c in curves if c.name]
+    return parts
+
+
+def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> str:
+    x0, x1 = ends
+    values = ticks(x0, x1, max(width // 12, 4))
+    step = abs(values[1] - values[0]) if len(values) > 1 else 1.0
+    line = [" "] * max(full - len(axes.names[0]) - 1, 0)
+    for v in values:
+        text = _label(v, step, axes.log_x)
+        at = GUTTER + int((v - x0) / (x1 - x0) * width) - len(text) // 2
+        if at >= GUTTER - 2 and at + len(text) <= len(line):
+            line[at : at + len(text)] = list(text)
+    return "".join(line) + axes.names[0]
+
+
+def _frame(
+    curves: Sequence[Curve], axes: Axes, width: int, height: int
+) -> tuple[float, float, float, float]:
+    """Return x0, x1, y0, y1 that hold every curve."""
+    if axes.frame is not None:
+        return axes.frame
+    low, high = extent(curves)
+    middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0 * 1.08, 1e-12)
+    # a braille dot is square in most fonts: two by four in a cell of one by two
+    if axes.equal:
+        scale = max(half[0] / (width * DOTS_X), half[1] / (height * DOTS_Y))
+        half = np.array([scale * width * DOTS_X, scale * height * DOTS_Y])
+    return middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1]
+
+
+def _in_order(curves: Sequence[Curve]) -> list[Curve]:
+    """From the faint ones up; a line over the marks, the marks over the dots."""
+    level = {"dots": 0, "marks": 1, "line": 2}
+    return sorted(curves, key=lambda c: (c.trace >= 0, level[c.style], c.trace))
+
+
+def _label(value: float, step: float, log: bool) -> str:
+    if not log:
+        return label(value, step)
+    return f"{10.0**value:.1e}".replace("e-0", "e-").replace("e+0", "e").replace(".0", "")
 
 
 class PathPlot(Widget):
@@ -107,87 +213,11 @@ class PathPlot(Widget):
             self, lambda _: self.show(self._curves, self._axes)
         )
 
-    def _frame(self, width: int, height: int) -> tuple[float, float, float, float]:
-        """Return x0, x1, y0, y1 that hold every curve."""
-        if self._axes.frame is not None:
-            return self._axes.frame
-        low, high = extent(self._curves)
-        middle, half = (low + high) / 2.0, np.maximum((high - low) / 2.0 * 1.08, 1e-12)
-        # a braille dot is square in most fonts: two by four in a cell of one by two
-        if self._axes.equal:
-            scale = max(half[0] / (width * DOTS_X), half[1] / (height * DOTS_Y))
-            half = np.array([scale * width * DOTS_X, scale * height * DOTS_Y])
-        return middle[0] - half[0], middle[0] + half[0], middle[1] - half[1], middle[1] + half[1]
-
     def _draw(self) -> None:
-        width, height = max(self.size.width - GUTTER, 2), max(self.size.height - 2, 1)
-        x0, x1, y0, y1 = self._frame(width, height)
-        colours = trace_colours(self.app.current_theme)
         back = Style(bgcolor=self.background_colors[1].rich_color)
-        faint = back + Style(color=colours.grid)
-        codes = np.zeros((height, width), dtype=np.uint8)
-        owner = np.full((height, width), -1)
-        for curve in self._in_order():
-            dots = np.zeros((height * DOTS_Y, width * DOTS_X), dtype=bool)
-            x = (curve.xy[:, 0] - x0) / (x1 - x0) * (width * DOTS_X - 1)
-            y = (y1 - curve.xy[:, 1]) / (y1 - y0) * (height * DOTS_Y - 1)
-            DRAWN[curve.style](dots, x, y)
-            cells = encode(dots)
-            codes |= cells
-            owner[cells > 0] = curve.trace
-        y_ticks = {
-            int((y1 - v) / (y1 - y0) * height): v for v in ticks(y0, y1, max(height // 4, 4))
-        }
-        x_ticks = ticks(x0, x1, max(width // 12, 4))
-        names = self._axes.names
-        legend = [Segment(f" {names[1]}".ljust(GUTTER), faint)]
-        if self._axes.title:
-            legend.append(Segment(f" {self._axes.title} ", back + Style(bold=True)))
-        for c in self._curves:
-            if c.name:
-                legend.append(
-                    Segment(
-                        f" ▐ {c.name} ",
-                        faint if c.trace < 0 else back + Style(color=colours.traces[c.trace]),
-                    )
-                )
-        lines = [Strip(legend).adjust_cell_length(self.size.width, back)]
-        step = abs(x_ticks[1] - x_ticks[0]) if len(x_ticks) > 1 else 1.0
-        values = list(y_ticks.values())
-        step_y = abs(values[1] - values[0]) if len(values) > 1 else 1.0
-        for r in range(height):
-            text = self._y_label(y_ticks[r], step_y) if r in y_ticks else ""
-            row = braille(codes[r])
-            borders = [0, *(np.flatnonzero(owner[r][1:] != owner[r][:-1]) + 1).tolist(), width]
-            parts = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", faint)]
-            for a, b in itertools.pairwise(borders):
-                k = int(owner[r][a])
-                parts.append(
-                    Segment(row[a:b], faint if k < 0 else back + Style(color=colours.traces[k]))
-                )
-            lines.append(Strip(parts, self.size.width))
-        axis = [" "] * (self.size.width - len(names[0]) - 1)
-        for v in x_ticks:
-            text = label(v, step)
-            at = GUTTER + int((v - x0) / (x1 - x0) * width) - len(text) // 2
-            if at >= GUTTER - 2 and at + len(text) <= len(axis):
-                axis[at : at + len(text)] = list(text)
-        lines.append(
-            Strip([Segment("".join(axis) + names[0], faint)]).adjust_cell_length(
-                self.size.width, back
-            )
-        )
-        self._lines = lines
-
-    def _in_order(self) -> list[Curve]:
-        """From the faint ones up; a line over the marks, the marks over the dots."""
-        level = {"dots": 0, "marks": 1, "line": 2}
-        return sorted(self._curves, key=lambda c: (c.trace >= 0, level[c.style], c.trace))
-
-    def _y_label(self, value: float, step: float) -> str:
-        if not self._axes.log:
-            return label(value, step)
-        return f"{10.0**value:.1e}".replace("e-0", "e-").replace("e+0", "e").replace(".0", "")
+        colours = trace_colours(self.app.current_theme)
+        size = (self.size.width, self.size.height)
+        self._lines = plot_lines(self._curves, self._axes, size, colours, back)
 
     def render_line(self, y: int) -> Strip:
         if not self._lines and self.size.width > GUTTER + 8 and self.size.height > 2:

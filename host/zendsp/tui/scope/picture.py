@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, encode, envelope, fill
-from zendsp.tui.scope.settings import Channel, ScopeSettings
+from zendsp.tui.scope.settings import Channel, Scale, ScopeSettings
 from zendsp.tui.scope.ticks import ticks
 
 Floats = npt.NDArray[np.float64]
@@ -20,9 +20,10 @@ LOWEST_LANE = 4  # character rows below which lanes are drawn over one another
 
 @dataclass(frozen=True)
 class Lane:
-    """A stretch of rows with one unit and one y axis."""
+    """A stretch of rows with one y axis."""
 
-    unit: str
+    key: str  # tells one lane from another: a unit, or the curve or number that has its own
+    unit: str  # "" where its curves have several
     channels: tuple[int, ...]
     row: int  # first character row
     rows: int
@@ -48,22 +49,49 @@ class Picture:
 
 
 def arrange(channels: Sequence[Channel], settings: ScopeSettings, height: int) -> list[Lane]:
-    """Give each unit a lane of its own where there is room, else the whole height."""
-    units: dict[str, list[int]] = {}
+    """Give each unit, or each curve, a lane of its own where there is room, else the whole height.
+    """
+    groups: dict[str, list[int]] = {}
     for k, channel in enumerate(channels):
-        units.setdefault(channel.unit, []).append(k)
-    if not units:
+        groups.setdefault(_lane_of(channel, settings), []).append(k)
+    if not groups:
         return []
-    each = height // len(units)
-    if not settings.lanes or each < LOWEST_LANE:
-        return [Lane(unit, tuple(members), 0, height) for unit, members in units.items()]
-    spare = height - each * len(units)
+    parts = [(key, _common_unit(channels, found), tuple(found)) for key, found in groups.items()]
+    each = height // len(parts)
+    if settings.lanes == "over" or each < LOWEST_LANE:
+        return [Lane(key, unit, members, 0, height) for key, unit, members in parts]
+    spare = height - each * len(parts)
     lanes, row = [], 0
-    for k, (unit, members) in enumerate(units.items()):
+    for k, (key, unit, members) in enumerate(parts):
         rows = each + (1 if k < spare else 0)
-        lanes.append(Lane(unit, tuple(members), row, rows))
+        lanes.append(Lane(key, unit, members, row, rows))
         row += rows
     return lanes
+
+
+def _lane_of(channel: Channel, settings: ScopeSettings) -> str:
+    scale = settings.scales.get(channel.name, Scale())
+    if scale.lane:
+        return f"lane {scale.lane}"
+    own = settings.lanes == "curve" or scale.low is not None or scale.high is not None
+    return f"curve {channel.name}" if own else channel.unit
+
+
+def _common_unit(channels: Sequence[Channel], members: Sequence[int]) -> str:
+    units = {channels[k].unit for k in members}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _asked(
+    found: tuple[float, float], lane: Lane, channels: Sequence[Channel], settings: ScopeSettings
+) -> tuple[float, float]:
+    """The range of a lane, with the ends that the user has set."""
+    scales = [settings.scales.get(channels[k].name, Scale()) for k in lane.channels]
+    low = next((s.low for s in scales if s.low is not None), found[0])
+    high = next((s.high for s in scales if s.high is not None), found[1])
+    if high > low:
+        return low, high
+    return (low, low + 1.0) if high == found[1] else (high - 1.0, high)
 
 
 def fit_range(low: Floats, high: Floats, held: tuple[float, float] | None) -> tuple[float, float]:
@@ -105,7 +133,7 @@ def compose(
     settings : ScopeSettings
     view : (start, end, zero)
         Borders of the picture and the time that labels count from, s.
-    ranges : mapping of unit to (bottom, top)
+    ranges : mapping of lane to (bottom, top)
         The y ranges drawn last; with ``settings.auto`` they are adapted, otherwise kept.
     size : (width, height)
         Of the plot area, in characters.
@@ -119,9 +147,10 @@ def compose(
     lanes = []
     for lane in arrange(channels, settings, height):
         members = list(lane.channels)
-        held = ranges.get(lane.unit)
+        held = ranges.get(lane.key)
         if settings.auto or held is None:
             held = fit_range(low[:, members], high[:, members], held)
+        held = _asked(held, lane, channels, settings)
         lanes.append(replace(lane, bottom=held[0], top=held[1]))
 
     overlaid = len(lanes) > 1 and lanes[0].row == lanes[1].row

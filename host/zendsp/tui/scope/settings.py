@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 WINDOWS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 MOST_CHANNELS = 8
+VIEWS = ("time", "xy", "spectrum")
+LANES = ("unit", "curve", "over")
 
 
 @dataclass(frozen=True)
 class Channel:
     """One curve."""
 
-    name: str  # a variable, an array element "q[0]", or a built-in signal
+    name: str  # a variable, an array element "q[0]", a built-in signal, or of a formula
     unit: str = ""
+    formula: str = ""  # what it is computed by; "" for a signal of the target
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Where one curve is drawn, apart from the others."""
+
+    lane: int = 0  # curves of one number share a lane; 0: as the others
+    low: float | None = None  # at the bottom, in the curve's unit; None: what is seen
+    high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -22,7 +35,9 @@ class ScopeSettings:
 
     mode: str = "roll"  # "roll" | "trigger"
     window: float = 5.0  # s across the picture
-    lanes: bool = True  # one lane for each unit, else all curves over one another
+    view: str = "time"  # one of VIEWS: over time; over the selected curve; over frequency
+    lanes: str = "unit"  # one of LANES: a lane for each unit, for each curve; all over one another
+    scales: Mapping[str, Scale] = field(default_factory=dict)  # by name of the curve
     auto: bool = True  # y range follows what is seen
     source: int = 0  # channel index of the trigger
     level: float = 0.0  # in the unit of the source

@@ -20,14 +20,18 @@ from textual.widget import Widget
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
 from zendsp.tui.scope.measure import measure
+from zendsp.tui.scope.path import Axes, plot_lines
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
+from zendsp.tui.scope.plane import over_frequency, over_selected
 from zendsp.tui.scope.raster import braille
-from zendsp.tui.scope.settings import MOST_CHANNELS, WINDOWS, Channel, ScopeSettings
+from zendsp.tui.scope.settings import MOST_CHANNELS, VIEWS, WINDOWS, Channel, ScopeSettings
+from zendsp.tui.scope.spectrum import density, ready
 from zendsp.tui.scope.ticks import duration, label, number, short, ticks
 from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
 GUTTER = 9  # columns of the y axis
+LOADING_S = 0.2  # between looks whether the spectrum is ready
 FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
 
 
@@ -43,6 +47,9 @@ class Scope(Widget, can_focus=True):
 
     class Changed(Message):
         """The settings changed by mouse or key."""
+
+    class ScaleWanted(Message):
+        """The axis of the selected curve was clicked."""
 
     def __init__(self, *, id: str | None = None, live: bool = True) -> None:
         super().__init__(id=id)
@@ -60,6 +67,7 @@ class Scope(Widget, can_focus=True):
         self._ranges: dict[str, tuple[float, float]] = {}
         self._strips: list[Strip] = []
         self._seen = -1
+        self._drawn: tuple[Floats, Floats] = (np.zeros(0), np.zeros((0, 0)))  # of the picture
         self._last_trigger: float | None = None
         self._pens: dict[int, Style] = {}
         self._live = live
@@ -201,16 +209,53 @@ class Scope(Widget, can_focus=True):
         self.picture = compose(
             t, y, self.channels, self.settings, view, self._ranges, (columns, rows), self.limits
         )
-        self._ranges = {lane.unit: (lane.bottom, lane.top) for lane in self.picture.lanes}
+        self._drawn = (t, y)
+        self._ranges = {lane.key: (lane.bottom, lane.top) for lane in self.picture.lanes}
         self._values = y[-1] if len(y) else np.zeros(0)
         strips = [self._text(row, width) for row in self._legend_rows(width)]
-        strips += self._plot_strips(self.picture, width, rows)
-        strips.append(self._time_axis(self.picture, width))
+        if self.settings.view != "time" and self.channels:
+            strips += self._plane((width, rows + 1))
+        else:
+            strips += self._plot_strips(self.picture, width, rows)
+            strips.append(self._time_axis(self.picture, width))
         if readout:
             pen = self._pens[CURSOR]
             strips.append(self._text([(self.readout(t, y), pen)], width))
             strips.append(self._text([(self.statistics(t, y), pen)], width))
         self._strips = strips
+
+    def _plane(self, size: tuple[int, int]) -> list[Strip]:
+        """The curves over the selected one, or over frequency."""
+        seen = self.seen()
+        if self.settings.view == "xy":
+            curves, axes = over_selected(self.channels, self.settings.selected, seen[1])
+        elif not ready():
+            curves, axes = [], Axes(("f [Hz]", ""), equal=False, title="one moment …")
+            self.set_timer(LOADING_S, self.redraw)
+        else:
+            curves, axes = over_frequency(self.channels, *density(*seen))
+        colours = trace_colours(self.app.current_theme)
+        return plot_lines(curves, axes, size, colours, self._pens[EMPTY])
+
+    def seen(self) -> tuple[Floats, Floats]:
+        """Return the rows of the picture that was drawn last, or those between the cursors where
+        they are shown: times, shape (n,), and values, shape (n, channels).
+        """
+        t, y = self._drawn
+        s, picture = self.settings, self.picture
+        if picture is None:
+            return t[:0], y[:0]
+        begin, end = picture.start, picture.end
+        if s.cursors:
+            a, b = sorted((s.cursor_a, s.cursor_b))
+            begin, end = begin + a * (end - begin), begin + b * (end - begin)
+        inside = (t >= begin) & (t <= end)
+        return t[inside], y[inside]
+
+    def next_view(self) -> None:
+        """Show the curves over time, over the selected one, or over frequency, by turns."""
+        turn = VIEWS[(VIEWS.index(self.settings.view) + 1) % len(VIEWS)]
+        self.set(replace(self.settings, view=turn))
 
     def _plot_strips(self, picture: Picture, width: int, rows: int) -> list[Strip]:
         axis = self._y_labels(picture, rows)
@@ -286,6 +331,8 @@ class Scope(Widget, can_focus=True):
                 else "SINGLE" if self.single else "ROLL" if s.mode == "roll" else "TRIG"
             )
         )
+        if s.view != "time":
+            state = f"{state} {s.view.upper()}".strip()
         mode = f" {state} {duration(s.window)}{'' if s.auto else ' fixed'} "
         mode_style = self._pens[CURSOR] + Style(reverse=True) if self.paused else self._pens[CURSOR]
         rows: list[list[tuple[str, Style]]] = [[]]
@@ -382,7 +429,12 @@ class Scope(Widget, can_focus=True):
         """Left sets cursor A, right (or shift) cursor B; a click on the first row selects the next
         curve.
         """
-        if self.picture is None or event.x < GUTTER:
+        if self.picture is None:
+            return
+        if event.x < GUTTER and event.y > 0:
+            self._ask_scale(event.y)
+            return
+        if event.x < GUTTER:
             return
         share = (event.x - GUTTER + 0.5) / max(self.size.width - GUTTER, 1)
         share = float(np.clip(share, 0.0, 1.0))
@@ -394,6 +446,15 @@ class Scope(Widget, can_focus=True):
             self.set(replace(self.settings, cursors=True, cursor_b=share, active="b"))
         else:
             self.set(replace(self.settings, cursors=True, cursor_a=share, active="a"))
+
+    def _ask_scale(self, y: int) -> None:
+        """A click on an axis is about the lane beside it."""
+        row = y - len(self._legend_rows(self.size.width))
+        for lane in self.picture.lanes if self.picture is not None else ():
+            inside = lane.row <= row < lane.row + lane.rows
+            if inside and self.settings.selected not in lane.channels:
+                self.set(replace(self.settings, selected=lane.channels[0]))
+        self.post_message(self.ScaleWanted())
 
     def on_mouse_scroll_up(self, event: events.MouseScrollUp) -> None:
         event.stop()

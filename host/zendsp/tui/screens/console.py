@@ -13,16 +13,17 @@ from zendsp.tui.panels.drive import DrivePanel
 from zendsp.tui.panels.events import EventsPanel
 from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.scope import Scope
+from zendsp.tui.scope.formula import sources
 from zendsp.tui.screens.analysis import AnalysisActions
 from zendsp.tui.screens.console_program import ProgramActions
-from zendsp.tui.screens.console_scope import ScopeActions
 from zendsp.tui.screens.console_variables import VariableActions
+from zendsp.tui.screens.console_view import ViewActions
 from zendsp.tui.snapshot import Snapshot
 
 FIRST_CURVES = ("q", "tau", "e", "u", "aout")  # shown first if the program has them
 
 
-class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActions):
+class ConsoleScreen(ViewActions, VariableActions, ProgramActions, AnalysisActions):
     """Scope and events on the left, drives and variables on the right; on a small terminal one
     above the other.
     """
@@ -76,7 +77,12 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
         were none.
         """
         names = [name for name, _, _ in self.element_names()]
-        keep = [name for name in plotted or self.lab.channels if name in names]
+        computed = {c.name: sources([c]) for c in self.computed()}
+        keep = [
+            name
+            for name in plotted or self.lab.channels
+            if set(names).issuperset(computed.get(name, [name]))
+        ]
         if not keep:
             usual = [
                 n
@@ -88,7 +94,7 @@ class ConsoleScreen(ScopeActions, VariableActions, ProgramActions, AnalysisActio
         self.plot_names(keep)
 
     def curve_names(self) -> list[str]:
-        return [c.name for c in self.scope.channels]
+        return sources(self.scope.channels)
 
     def action_plot(self) -> None:
         """Show the marked variable, or remove it."""

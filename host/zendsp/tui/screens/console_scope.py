@@ -10,7 +10,8 @@ from textual import events
 
 from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.scope import Channel, Scope
-from zendsp.tui.scope.settings import MOST_CHANNELS
+from zendsp.tui.scope.formula import sources
+from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
 
 
@@ -56,8 +57,15 @@ class ScopeActions(LabScreen):
     def plot_names(self, names: Sequence[str]) -> None:
         """Show these curves, at most eight; those that the program lacks are left out."""
         units = {name: unit for name, unit, _ in self.element_names()}
-        channels = [Channel(name, units[name]) for name in names if name in units][:MOST_CHANNELS]
-        self.scope.show_channels(channels, self.lab.session.watch(channels))
+        computed = {c.name: c for c in self.scope.channels if c.formula}
+        self.plot_channels([computed.get(n) or Channel(n, units.get(n, "")) for n in names])
+
+    def plot_channels(self, channels: Sequence[Channel]) -> list[str]:
+        """Show these curves; returns those that the program lacks, which are left out."""
+        known = {name for name, _, _ in self.element_names()}
+        shown = [c for c in channels if known.issuperset(sources([c]))][:MOST_CHANNELS]
+        self.scope.show_channels(shown, self.lab.session.watch(shown))
+        return [c.name for c in channels if c not in shown]
 
     def action_channels(self) -> None:
         """Choose curves."""
@@ -67,6 +75,7 @@ class ScopeActions(LabScreen):
         if not options:
             self.say("no signals yet: build a program first (b)", "warning")
             return
+        options += [Option(c.name, c.name, f"= {c.formula}") for c in self.computed()]
         marked = [c.name for c in self.scope.channels]
         dialog = Choose(
             "Curves of the scope", options, several=True, marked=marked, most=MOST_CHANNELS
@@ -74,6 +83,10 @@ class ScopeActions(LabScreen):
         self.app.push_screen(
             dialog, lambda keys: self.plot_names(keys) if keys is not None else None
         )
+
+    def computed(self) -> list[Channel]:
+        """Return the curves that are computed."""
+        return [c for c in self.scope.channels if c.formula]
 
     def toggle_plot(self, name: str) -> None:
         """Add a variable (all its elements) to the scope, or take it away."""
@@ -148,8 +161,9 @@ class ScopeActions(LabScreen):
         self.scope.autoscale()
 
     def action_lanes(self) -> None:
-        """Lanes or overlay."""
-        self.scope.set(replace(self.scope.settings, lanes=not self.scope.settings.lanes))
+        """A lane for each unit, for each curve, or none."""
+        s = self.scope.settings
+        self.scope.set(replace(s, lanes=LANES[(LANES.index(s.lanes) + 1) % len(LANES)]))
 
     def action_cursors(self) -> None:
         """Show or hide the cursors."""

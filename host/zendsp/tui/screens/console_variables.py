@@ -14,7 +14,16 @@ from textual import on
 
 from zendsp.errors import ZendspError
 from zendsp.link import ParameterSet
-from zendsp.tui.dialogs import Choose, Field, Form, Message, Option, not_empty
+from zendsp.tui.dialogs import (
+    Choose,
+    Field,
+    Form,
+    Message,
+    Option,
+    Sliders,
+    not_empty,
+    slides,
+)
 from zendsp.tui.panels.table import LiveTable
 from zendsp.tui.panels.values import differs, reader, show_exact, show_limits, show_value
 from zendsp.tui.panels.variables import VariablesPanel
@@ -207,6 +216,28 @@ class VariableActions(LabScreen):
         else:
             self.say("nothing to undo")
 
+    # -- sliders
+    # ----------------------------------------------------------------------------------------------
+
+    def action_sliders(self) -> None:
+        """Move parameters by sliders."""
+        s = self.lab.session.snapshot
+        found = [v for v in s.variables if slides(v) and v.name in s.values]
+        if not found:
+            self.say("no parameter has a slider: it needs two finite limits", "warning")
+            return
+        found.sort(key=lambda v: v.name != self.variables.marked)  # the marked one first
+        def write(values: dict[str, Any], together: bool) -> None:
+            verb = "update" if together else "write"
+            self.ask(f"sliders {verb}", lambda port: getattr(port, verb)(values))
+
+        def closed(_: None) -> None:
+            if dialog.before:
+                self._remember(dialog.before)
+
+        dialog = Sliders(found, lambda: self.lab.session.snapshot.values, write)
+        self.app.push_screen(dialog, closed)
+
     # -- parameter sets
     # ----------------------------------------------------------------------------------------------
 
@@ -223,12 +254,16 @@ class VariableActions(LabScreen):
         ]
 
         def chosen(keys: list[str] | None) -> None:
+            sets = [Path(key) for key in keys or () if key]
             if keys == [""]:
                 self._name_set()
-            elif keys:
-                self._compare_set(Path(keys[0]))
+            elif len(sets) > 1:
+                self._side_by_side(sets)
+            elif sets:
+                self._compare_set(sets[0])
 
-        self.app.push_screen(Choose("Parameter sets", options), chosen)
+        text = "One: what differs from the target, to be staged. Several: side by side."
+        self.app.push_screen(Choose("Parameter sets", options, several=True, text=text), chosen)
 
     def _name_set(self) -> None:
         form = Form(
@@ -250,6 +285,33 @@ class VariableActions(LabScreen):
             self.say(f"parameter set not saved: {error}", "error")
             return
         self.say(f"{len(values)} values saved in {path}", "good")
+
+    def _side_by_side(self, paths: list[Path]) -> None:
+        """Show where some sets and the target differ from one another."""
+        try:
+            stored = {path.stem: ParameterSet.load(path).values for path in paths}
+        except ZendspError as error:
+            self.say(str(error), "error")
+            return
+        parameters = {v.name for v in self.lab.session.snapshot.variables if v.kind == "parameter"}
+        now = {n: x for n, x in self.lab.session.snapshot.values.items() if n in parameters}
+        columns = {"target": now, **stored} if now else stored
+        first, *others = columns.values()
+        names = dict.fromkeys(name for values in columns.values() for name in values)
+        rows = [
+            name
+            for name in names
+            if any(name not in c or differs(first.get(name), c[name]) for c in others)
+        ]
+        wide = max(map(len, rows), default=0)
+        text = Text(f"{'':<{wide}}" + "".join(f"  {name[:14]:>14}" for name in columns) + "\n")
+        for name in rows:
+            cells = [show_value(c.get(name), 2)[:14] for c in columns.values()]
+            text.append(f"{name:<{wide}}", "bold")
+            text.append("".join(f"  {cell:>14}" for cell in cells) + "\n")
+        if not rows:
+            text = Text("no difference")
+        self.app.push_screen(Message(f"{len(rows)} of {len(names)} differ", text))
 
     def _compare_set(self, path: Path) -> None:
         try:

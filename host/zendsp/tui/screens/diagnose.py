@@ -373,8 +373,13 @@ class DiagnoseScreen(LoopActions):
     def _paint(self, seconds: float) -> None:
         c = self.app.theme_variables
         text = Text("model  ", "dim", no_wrap=True, overflow="ellipsis")
-        text.append(self.model or "none: m chooses one", Style(dim=False, bold=True))
-        self.query_one("#given-model", Static).update(text)
+        path = Path(self.model)
+        text.append(path.name or "none: m chooses one", Style(dim=False, bold=True))
+        if path.name and path.parent != Path("."):
+            text.append(f"  in {path.parent}", Style(dim=True))
+        given = self.query_one("#given-model", Static)
+        given.update(text)
+        given.tooltip = self.model or None
         self.query_one("#do-start", Button).disabled = self.busy
         self.query_one("#do-cancel", Button).disabled = not self.busy
         for name in ("report", "compensate", "next", "save", "compare"):

@@ -1,0 +1,77 @@
+"""``zendsp bode``: the frequency response of a running machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from zendsp.cli.common import emit, open_target, progress, table, target_options
+from zendsp.cli.completing import variables
+
+
+@click.command("bode")
+@click.option("-j", "--joint", type=int, default=1, show_default=True, help="From 1.")
+@click.option("--f-min", type=float, default=0.5, show_default=True, help="Hz.")
+@click.option("--f-max", type=float, default=30.0, show_default=True, help="Hz.")
+@click.option("--lines", type=int, default=30, show_default=True, help="Frequencies at the most.")
+@click.option(
+    "-a",
+    "--amplitude",
+    type=float,
+    default=0.02,
+    show_default=True,
+    help="Peak of what swings: rad (m), with --torque N m (N).",
+)
+@click.option("--torque", is_flag=True, help="Swing the torque beside a held position.")
+@click.option("--input", default="", shell_complete=variables, help="Default: r, or tau.")
+@click.option("--output", default="", shell_complete=variables, help="Default: q.")
+@click.option("--periods", type=int, default=6, show_default=True, help="That are used.")
+@click.option("--no-rehearsal", is_flag=True, help="Do not try it on a simulated twin first.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the rows (CSV).")
+@click.option("--plot", type=click.Path(path_type=Path), help="Draw it there (PNG, SVG, PDF).")
+@target_options
+def command(
+    joint: int,
+    f_min: float,
+    f_max: float,
+    lines: int,
+    amplitude: float,
+    torque: bool,
+    input: str,
+    output: str,
+    periods: int,
+    no_rehearsal: bool,
+    out: Path | None,
+    plot: Path | None,
+    target: str,
+    connect: str | None,
+    as_json: bool,
+) -> None:
+    """Swing one joint by many sines at once and show output over input: dB, deg, coherence.
+
+    Moves the machine. The loaded program must play tables, as pd.c and joint_pd.c do; the sines
+    come from its table, on the target's own clock.
+
+    Example:  zendsp bode --joint 1 --f-max 20 --plot bode.png
+    """
+    from zendsp.experiment.frequency import frequency_response, shown_lines
+
+    for path, kinds in ((out, (".csv",)), (plot, (".png", ".svg", ".pdf"))):
+        if path is not None and path.suffix.lower() not in kinds:
+            raise click.BadParameter(f"{path}: ends in {' or '.join(kinds)}")
+    quantity: Literal["position", "torque"] = "torque" if torque else "position"
+    seconds = (periods + 1) / f_min if f_min > 0.0 else 0.0
+    with open_target(target, connect) as t, progress("measuring", seconds, as_json) as tell:
+        found = frequency_response(
+            t, joint=joint, f_min=f_min, f_max=f_max, lines=lines, amplitude=amplitude,
+            quantity=quantity, input=input, output=output, periods=periods,
+            rehearsed=not no_rehearsal, progress=tell,
+        )  # fmt: skip
+    if out is not None:
+        found.save(out)
+    if plot is not None:
+        found.plot(plot)
+    header = ["f [Hz]", "dB", "deg", "± dB", "± deg", "coherence"]
+    emit(found.rows(), as_json, f"{table(shown_lines(found.rows()), header)}\n{found.summary()}")

@@ -1,0 +1,51 @@
+"""``zendsp bridge``: a target in the viewers that people have."""
+
+from __future__ import annotations
+
+import threading
+
+import click
+
+from zendsp.cli.common import emit, open_target, target_options
+from zendsp.cli.completing import variables
+
+
+@click.group("bridge")
+def command() -> None:
+    """Show a running target in other viewers.
+
+    Example:  zendsp bridge foxglove -t imi
+    """
+
+
+@command.command("foxglove")
+@click.argument("channels", nargs=-1, shell_complete=variables)
+@click.option("--port", type=int, default=8765, show_default=True, help="On the loopback.")
+@click.option("--rate", type=float, default=100.0, show_default=True, help="Rows a second.")
+@click.option("--write", is_flag=True, help="Viewers may write parameters.")
+@target_options
+def foxglove(
+    channels: tuple[str, ...],
+    port: int,
+    rate: float,
+    write: bool,
+    target: str,
+    connect: str | None,
+    as_json: bool,
+) -> None:
+    """Serve signals, parameters and events to Foxglove and PlotJuggler, until Ctrl-C.
+
+    CHANNELS are signals; without them, all of the program. The server listens on 127.0.0.1 only:
+    from another computer use ssh -L. Any web page in a browser of this computer can reach it, so
+    parameters are read only without --write.
+
+    Example:  zendsp bridge foxglove q tau -t imi
+    """
+    from zendsp.bridge import foxglove as serve
+
+    with open_target(target, connect) as t, serve(
+        t, channels, port=port, rate=rate, writable=write
+    ) as bridge:
+        words = f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket)"
+        emit({"url": bridge.url, "target": t.name}, as_json, words)
+        threading.Event().wait()  # until Ctrl-C

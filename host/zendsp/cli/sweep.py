@@ -1,0 +1,69 @@
+"""``zendsp sweep``: the same measurement for many sets of parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from zendsp.cli.common import emit, open_target, progress, table, target_options
+
+
+@click.command("sweep")
+@click.argument("values", nargs=-1, required=True, metavar="NAME=VALUES...")
+@click.option("-c", "--channel", "channels", multiple=True, required=True, help="What is measured.")
+@click.option("-s", "--seconds", type=float, required=True, help="Length of each measurement.")
+@click.option("--settle", type=float, default=0.5, show_default=True, help="Seconds left out.")
+@click.option(
+    "-m",
+    "--measure",
+    "measures",
+    multiple=True,
+    default=("rms", "max"),
+    show_default=True,
+    help="rms, max, mean, std or p2p; again for more.",
+)
+@click.option("--together", is_flag=True, help="Not all combinations: first values, second ones …")
+@click.option("--keep", type=click.Path(path_type=Path), help="Folder for every recording.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the table (CSV).")
+@target_options
+def command(
+    values: tuple[str, ...],
+    channels: tuple[str, ...],
+    seconds: float,
+    settle: float,
+    measures: tuple[str, ...],
+    together: bool,
+    keep: Path | None,
+    out: Path | None,
+    target: str,
+    connect: str | None,
+    as_json: bool,
+) -> None:
+    """Try VALUES of parameters on the running program and measure each combination.
+
+    VALUES are 100,200,400 or FIRST:LAST:COUNT. Each set takes effect in one sample; at the end the
+    parameters are put back. Exit status 1 where a limit tripped or the program crashed.
+
+    Example:  zendsp sweep Kp1=500:2500:5 Kd1=60,120 -c e1 -s 2
+    """
+    from zendsp.experiment.sweep import sweep, values_of
+
+    tried = {}
+    for pair in values:
+        name, equals, text = pair.partition("=")
+        if not equals:
+            raise click.BadParameter(f"{pair!r}: expected NAME=VALUES")
+        tried[name] = values_of(text)
+    if out is not None and out.suffix.lower() != ".csv":
+        raise click.BadParameter(f"{out}: a sweep is written as .csv", param_hint="--out")
+    with open_target(target, connect) as t, progress("sweep", 2.0, as_json) as tell:
+        found = sweep(t, tried, channels, seconds=seconds, settle=settle, measures=measures,
+                      together=together, keep=keep, progress=tell)  # fmt: skip
+    if out is not None:
+        found.save(out)
+    header = [*found.parameters, *found.results, "ended"]
+    shown = table(found.cells(), header)
+    emit([dict(row) for row in found.rows], as_json, f"{shown}\n{repr(found)[1:-1]}")
+    if any(row["ended"] for row in found.rows):
+        raise click.exceptions.Exit(1)

@@ -1,0 +1,194 @@
+"""Swings one joint about where it stands, from the tables of the loaded program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import AcquisitionError, Refused
+from zendsp.link import Target, rehearse
+from zendsp.link.variables import plain
+from zendsp.recording import Recording
+from zendsp_protocol.states import ProgramState
+
+Floats = npt.NDArray[np.float64]
+APPROACH_S = 0.5  # from where the machine stands into the first row
+FADE = 0.5  # of a period: in within the first, out after the last
+LEAD_S = 0.5  # from the request to the sample in which everything switches over
+SLOWEST = 2e6  # bytes a second that a link carries at the least
+SLACK_S = 1.0  # of the ring on the real clock, before the switch-over and after the end
+
+
+def play(
+    target: Target,
+    make: Callable[[Floats], Floats],
+    *,
+    joint: int,
+    quantity: str,
+    seconds: float,
+    times: int,
+    channels: list[str],
+    rehearsed: bool,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Recording, int]:
+    """Play a period some times and record it.
+
+    At the end the machine holds the last row, where it stood before. The program keeps use_table,
+    row_rate and approach_time as they were played: another value would move the reference along
+    the table.
+
+    Parameters
+    ----------
+    target : Target
+    make : callable
+        Values of a period at times, s; periodic.
+    joint : int
+        From 1.
+    quantity : {"position", "torque"}
+    seconds : float
+        Length of the period, a multiple of the sample time.
+    times : int
+        How often.
+    channels : list of str
+    rehearsed : bool
+        Try it on a simulated twin first, where the clock is real.
+    progress : callable, optional
+
+    Returns
+    -------
+    recording : Recording
+        Every sample.
+    first : int
+        Its row at which the first period begins.
+    """
+    status = target.status()
+    if status.trip is not None:
+        raise Refused(f"{status.trip.text}: acknowledge it first")
+    tables, row_rate = _tables(target, make, joint, quantity, seconds, times)
+    wanted = {"use_table": True, "row_rate": row_rate, "approach_time": APPROACH_S}
+    length = APPROACH_S + seconds * times + FADE * seconds
+    real = target.info.clock == "real"
+    if rehearsed and real:
+        found = rehearse(target, tables, wanted, length)
+        if found.simulated and not found.good:
+            raise Refused(f"not played, the twin was stopped: {found.text}; take less amplitude")
+    running = target.status().state == ProgramState.RUNNING
+    if real and running:
+        recording, begin = _while_it_runs(target, tables, wanted, channels, length, progress)
+    else:
+        recording, begin = _from_the_start(target, tables, wanted, channels, length, progress)
+    if running and not real:
+        target.start()
+    trip = target.status().trip
+    if trip is not None:
+        raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
+    rate = target.info.rate_hz
+    return recording, begin + round(APPROACH_S * rate) - recording.start_tick
+
+
+def _tables(
+    target: Target,
+    make: Callable[[Floats], Floats],
+    joint: int,
+    quantity: str,
+    seconds: float,
+    times: int,
+) -> tuple[dict[str, Floats], int]:
+    """The rows of every table, in the order in which they are sent, and how many there are a
+    second.
+    """
+    infos = target.variables()
+    needed = ["ref", "use_table", "row_rate", "approach_time"]
+    needed += ["ref_tau"] if quantity == "torque" else []
+    lacking = [name for name in needed if name not in infos]
+    if lacking:
+        raise Refused(
+            f"the loaded program lacks {', '.join(lacking)}: load one that plays tables, for"
+            " example joint_pd.c (docs/references.md, 'How a program plays it')"
+        )
+    if "playing" in infos and target["playing"]:
+        raise Refused("a reference is being played: wait for its end")
+    here = np.atleast_1d(np.asarray(_position(target, infos), dtype=np.float64))
+    if not 1 <= joint <= len(here):
+        raise Refused(f"joint {joint}: the machine has {len(here)}, counted from 1")
+    rate = target.info.rate_hz
+    room = infos["ref"].length // len(here)
+    step = int(np.ceil((seconds * (times + FADE) * rate + 1) / room))  # samples a row
+    while round(seconds * rate) % step or round(rate) % step:
+        step += 1
+        if step > rate:
+            raise AcquisitionError(
+                f"{times} periods of {seconds:g} s do not fit into the {room} rows of the table"
+                " ref: raise f_min, or take fewer periods"
+            )
+    period = round(seconds * rate) // step
+    t = np.arange(int(period * (times + FADE)) + 1) / period  # periods
+    rows = len(t)
+    swing = _fade(t, times) * make(t * seconds)
+    motion, torque = np.tile(here, (rows, 1)), np.zeros((rows, len(here)))
+    (motion if quantity == "position" else torque)[:, joint - 1] += swing
+    tables = {"ref_tau": torque} if "ref_tau" in infos else {}
+    return {**tables, "ref": motion}, round(rate / step)
+
+
+def _fade(t: Floats, times: int) -> Floats:
+    """From 0 to 1 within the first periods, and back to 0 after the last; smooth."""
+    share = np.clip(np.minimum(t, times + FADE - t) / FADE, 0.0, 1.0)
+    return np.asarray(share**3 * (10.0 + share * (6.0 * share - 15.0)))
+
+
+def _position(target: Target, infos: dict[str, Any]) -> Any:
+    """Where the machine is to stand: by the program, or by the encoders before it has run."""
+    status = target.status()
+    if status.tick > 0 and "q" in infos:
+        return target["q"]
+    counts = np.ravel(np.asarray(plain(status.io.get("enc", ()))))
+    joints = target.machine().joints
+    return [(c - j.zero_counts) / j.counts_per_unit for c, j in zip(counts, joints, strict=False)]
+
+
+def _from_the_start(
+    target: Target,
+    tables: dict[str, Floats],
+    values: dict[str, Any],
+    channels: list[str],
+    length: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[Recording, int]:
+    """Start the program together with the recording: the first row is the first sample."""
+    if target.status().state == ProgramState.RUNNING:
+        target.pause()
+    for name, rows in tables.items():
+        target.upload(name, rows)
+    target.write(**values)
+    recording = target.acquire(channels, length, start=True, progress=progress)
+    return recording, recording.start_tick
+
+
+def _while_it_runs(
+    target: Target,
+    tables: dict[str, Floats],
+    values: dict[str, Any],
+    channels: list[str],
+    length: float,
+    progress: Callable[[float], None] | None,
+) -> tuple[Recording, int]:
+    """Switch the table over while the recorder runs, and keep the rows from there on."""
+    rate = target.info.rate_hz
+    size = sum(rows.nbytes for rows in tables.values())
+    begin = target.status().tick + round((LEAD_S + size / SLOWEST) * rate)
+    target.update(at_tick=begin, **values)  # all in one sample, so that nothing jumps
+    for name, rows in tables.items():
+        begin = max(begin, target.upload(name, rows, at_tick=begin))
+    target.acquire_configure(channels, length + SLACK_S, continuous=True)
+    target.acquire_start()
+    end = begin + round((length + 0.1) * rate)
+    while (status := target.status()).tick < end and status.state == ProgramState.RUNNING:
+        if progress is not None:
+            progress(max(0.0, min(1.0, 1.0 - (end - status.tick) / (length * rate))))
+        time.sleep(0.02)  # until the target's clock has come so far
+    return target.acquire_finish(), begin

@@ -1,0 +1,289 @@
+"""Sweeps: the same seconds of the running program for each of many sets of parameters."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.errors import AcquisitionError, RecordingError, VariableError, ZendspError
+from zendsp.link import Target
+from zendsp.recording import Recording
+from zendsp_protocol.views import html_table, sentence
+
+Floats = npt.NDArray[np.float64]
+MEASURES: dict[str, Callable[[Floats], float]] = {
+    "rms": lambda y: float(np.sqrt(np.mean(y * y))),
+    "max": lambda y: float(np.max(np.abs(y))),
+    "mean": lambda y: float(np.mean(y)),
+    "std": lambda y: float(np.std(y)),
+    "p2p": lambda y: float(np.ptp(y)),
+}
+MOST = 10_000  # runs
+
+
+@dataclass(frozen=True, repr=False)
+class Sweep:
+    """What :func:`sweep` measured.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+    results : tuple of str
+        Names of what was measured, for example ``"rms e1"``.
+    rows : tuple of dict
+        One a run: its values, its results, and ``"ended"``: why the program stopped, "" where it
+        ran.
+    """
+
+    parameters: tuple[str, ...]
+    results: tuple[str, ...]
+    rows: tuple[Mapping[str, Any], ...]
+
+    def best(self, result: str = "") -> Mapping[str, Any]:
+        """Return the run with the smallest result.
+
+        Parameters
+        ----------
+        result : str
+            Default: the first.
+
+        Raises
+        ------
+        AcquisitionError
+            No such result, or no run came to its end.
+        """
+        name = result or self.results[0]
+        if name not in self.results:
+            raise AcquisitionError(f"no result {name!r}; there are {', '.join(self.results)}")
+        whole = [row for row in self.rows if not row["ended"]]
+        if not whole:
+            raise AcquisitionError("no run came to its end")
+        return min(whole, key=lambda row: abs(float(row[name])))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as CSV.
+
+        Raises
+        ------
+        RecordingError
+            The name ends otherwise, or the file cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() != ".csv":
+            raise RecordingError(f"{path}: a sweep is written as .csv")
+        header = [*self.parameters, *self.results, "ended"]
+        try:
+            with path.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, header, lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(self.rows)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
+        return path
+
+    def cells(self) -> list[list[str]]:
+        """Return the rows as text."""
+        names = (*self.parameters, *self.results)
+        return [
+            [*(_short(row.get(n, "")) for n in names), str(row["ended"])] for row in self.rows
+        ]
+
+    def __repr__(self) -> str:
+        try:
+            best = self.best()
+        except AcquisitionError as error:
+            return f"<Sweep of {len(self.rows)} runs: {error}>"
+        at = ", ".join(f"{n} = {_short(best[n])}" for n in self.parameters)
+        return (
+            f"<Sweep of {len(self.rows)} runs: {self.results[0]} is least,"
+            f" {_short(best[self.results[0]])}, at {at}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the best run, and all of them."""
+        header = (*self.parameters, *self.results, "ended")
+        return sentence(repr(self)[1:-1]) + html_table(header, self.cells())
+
+
+def sweep(
+    target: Target,
+    values: Mapping[str, Sequence[Any]],
+    channels: Sequence[str],
+    *,
+    seconds: float,
+    settle: float = 0.5,
+    measures: Sequence[str] = ("rms", "max"),
+    together: bool = False,
+    keep: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Sweep:
+    """Try sets of parameters on the running program, one after the other, and measure each.
+
+    Each set takes effect in one sample; what follows within ``settle`` seconds of the target's time
+    is not measured. At the end, and after Ctrl-C or an error, the parameters are put back as they
+    were, in one sample. Where a limit trips or the program crashes, the sweep ends; the row says
+    why.
+
+    Parameters
+    ----------
+    target : Target
+        With a program that runs.
+    values : mapping of str to sequence
+        Values to try, by parameter; all combinations, the last parameter fastest.
+    channels : sequence of str
+        What is measured.
+    seconds : float
+        Length of each measurement, s.
+    settle : float
+        s.
+    measures : sequence of str
+        Of each channel: ``rms``, ``max`` (largest magnitude), ``mean``, ``std``, ``p2p``.
+    together : bool
+        The first values of all parameters, then the second ones …, in place of all combinations.
+    keep : path, optional
+        Folder in which every recording is kept as ``001.mat``, ….
+    progress : callable, optional
+        Called with the fraction done.
+
+    Returns
+    -------
+    Sweep
+
+    Raises
+    ------
+    VariableError
+        A value that the program refuses: unknown, read only, beyond its limits. All are checked
+        before the first run.
+    AcquisitionError
+        Nothing to try, an unknown measure, or no such channel.
+    """
+    runs = _runs(values, together)
+    wrong = [name for name in measures if name not in MEASURES]
+    if wrong or not measures:
+        raise AcquisitionError(
+            f"no measure {', '.join(map(repr, wrong))}; there are {', '.join(MEASURES)}"
+        )
+    for run in runs:
+        target.request("check", values=dict(run))
+    folder = Path(keep) if keep is not None else None
+    before = {name: target[name] for name in values}
+    rows: list[Mapping[str, Any]] = []
+    try:
+        for number, run in enumerate(runs, 1):
+            recording, ended = _one(target, run, channels, seconds, settle)
+            results = _measured(recording, channels, measures, settle, ended)
+            rows.append({**run, **results, "ended": ended})
+            if folder is not None and recording is not None:
+                recording.save(folder / f"{number:03}.mat")
+            if progress is not None:
+                progress(number / len(runs))
+            if ended:
+                break
+    finally:
+        if target.alive:
+            target.variables.update_alone(before)
+    names = [f"{m} {c}" for c in _columns(rows, channels, measures) for m in measures]
+    return Sweep(tuple(values), tuple(names), tuple(rows))
+
+
+def _runs(values: Mapping[str, Sequence[Any]], together: bool) -> list[dict[str, Any]]:
+    lengths = {len(v) for v in values.values()}
+    if not values or 0 in lengths:
+        raise AcquisitionError("nothing to try: name parameters, and at least one value for each")
+    if together and len(lengths) > 1:
+        raise AcquisitionError(
+            "together: as many values for each parameter; there are"
+            f" {', '.join(f'{len(v)} of {n}' for n, v in values.items())}"
+        )
+    pick = zip(*values.values(), strict=True) if together else itertools.product(*values.values())
+    runs = [dict(zip(values, found, strict=True)) for found in pick]
+    if len(runs) > MOST:
+        raise AcquisitionError(f"{len(runs)} runs; at most {MOST}: try fewer values")
+    return runs
+
+
+def _one(
+    target: Target,
+    run: Mapping[str, Any],
+    channels: Sequence[str],
+    seconds: float,
+    settle: float,
+) -> tuple[Recording | None, str]:
+    """One run: its recording, and why it ended early."""
+    target.variables.update_alone(run)
+    try:
+        recording = target.acquire(channels, settle + seconds)
+    except ZendspError:  # not running any more, or not for long enough
+        if ended := _trouble(target):
+            return None, ended
+        raise
+    return recording, _trouble(target)
+
+
+def _trouble(target: Target) -> str:
+    """Why the program no longer runs by itself; "" where nothing stopped it."""
+    status = target.status()
+    return status.crash or (status.trip.text or status.trip.reason if status.trip else "")
+
+
+def _measured(
+    recording: Recording | None,
+    channels: Sequence[str],
+    measures: Sequence[str],
+    settle: float,
+    ended: str,
+) -> dict[str, float]:
+    if recording is None or ended:
+        return {}
+    after = recording.t >= recording.t[0] + settle - 1e-9
+    matrix = recording.data[after]
+    return {
+        f"{m} {column}": MEASURES[m](matrix[:, k])
+        for k, column in enumerate(recording.columns)
+        for m in measures
+    }
+
+
+def _columns(
+    rows: Sequence[Mapping[str, Any]], channels: Sequence[str], measures: Sequence[str]
+) -> list[str]:
+    """The columns that were measured; arrays have several."""
+    for row in rows:
+        found = [name.partition(" ")[2] for name in row if name.startswith(f"{measures[0]} ")]
+        if found:
+            return found
+    return list(channels)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def values_of(text: str) -> list[float]:
+    """Read values as typed: ``100,200,400``, or ``100:500:5`` for five from 100 to 500.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    VariableError
+        Anything else.
+    """
+    try:
+        parts = text.split(":")
+        if len(parts) == 3 and 2 <= int(parts[2]) <= MOST:
+            return [float(v) for v in np.linspace(float(parts[0]), float(parts[1]), int(parts[2]))]
+        if len(parts) == 1:
+            return [float(part) for part in text.split(",")]
+    except ValueError:
+        pass
+    raise VariableError(f"{text!r}: write 100,200,400 or FIRST:LAST:COUNT, for example 100:500:5")

@@ -1,0 +1,228 @@
+"""Parameters as sliders between their declared limits: each move is written at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from rich.style import Style
+from rich.text import Text
+from textual import events
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Vertical, VerticalScroll
+from textual.message import Message
+from textual.widget import Widget
+from textual.widgets import Static
+
+from zendsp.tui.dialogs.base import Dialog
+from zendsp.tui.panels.values import show_value
+from zendsp.tui.snapshot import Variable
+
+STEP, COARSE, FINE = 1 / 200, 1 / 20, 1 / 2000  # of the range
+SEND_S = 0.1  # between writes while a slider moves
+NAME, VALUE = 14, 22  # columns
+
+
+@dataclass(frozen=True)
+class Range:
+    """The ends of a slider."""
+
+    low: float
+    high: float
+    whole: bool
+
+    def at(self, share: float) -> float:
+        """The value at a share of the way; whole where the parameter is."""
+        value = self.low + min(max(share, 0.0), 1.0) * (self.high - self.low)
+        return float(round(value)) if self.whole else float(f"{value:.6g}")
+
+    def share(self, value: float) -> float:
+        """Where a value lies, 0 … 1."""
+        return min(max((value - self.low) / (self.high - self.low), 0.0), 1.0)
+
+
+def slides(v: Variable) -> bool:
+    """Whether a parameter can have a slider: one number between finite limits."""
+    ends = (v.minimum, v.maximum)
+    number = v.type in ("double", "float", "int32") and v.kind == "parameter" and v.length == 1
+    return number and all(map(math.isfinite, ends)) and v.maximum > v.minimum
+
+
+class Slider(Widget, can_focus=True):
+    """One parameter: name, bar, value. Arrows move it, the mouse sets and drags it."""
+
+    DEFAULT_CSS = """
+    Slider { height: 1; width: 100%; }
+    Slider:focus { background: $boost; text-style: bold; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left", f"move({-STEP})", "less"),
+        Binding("right", f"move({STEP})", "more"),
+        Binding("shift+left,pagedown", f"move({-COARSE})", "much less"),
+        Binding("shift+right,pageup", f"move({COARSE})", "much more"),
+        Binding("ctrl+left", f"move({-FINE})", "a little less"),
+        Binding("ctrl+right", f"move({FINE})", "a little more"),
+    ]
+
+    class Moved(Message):
+        """Another value was chosen."""
+
+        def __init__(self, name: str, value: float | int) -> None:
+            super().__init__()
+            self.name, self.value = name, value
+
+    def __init__(self, variable: Variable, value: Any) -> None:
+        super().__init__()
+        self.variable = variable
+        self.range = Range(variable.minimum, variable.maximum, variable.type == "int32")
+        self.value = float(value)
+
+    def take(self, value: Any) -> None:
+        """Show what the target has."""
+        if float(value) != self.value:
+            self.value = float(value)
+            self.refresh()
+
+    def _set(self, value: float) -> None:
+        if value != self.value:
+            self.value = value
+            self.refresh()
+            given = int(value) if self.range.whole else value
+            self.post_message(self.Moved(self.variable.name, given))
+
+    def action_move(self, share: float) -> None:
+        """Move by a share of the range; a whole number by one at the least."""
+        r = self.range
+        step = share * (r.high - r.low)
+        if r.whole:
+            step = math.copysign(max(1.0, abs(round(step))), step)
+        self._set(r.at(r.share(self.value + step)))
+
+    @property
+    def bar(self) -> int:
+        """Columns of the bar."""
+        return max(self.size.width - NAME - VALUE - 2, 4)
+
+    def _by_mouse(self, x: int) -> None:
+        self._set(self.range.at((x - NAME) / max(self.bar - 1, 1)))
+
+    def on_mouse_down(self, event: events.MouseDown) -> None:
+        if event.x >= NAME:
+            self.capture_mouse()
+            self._by_mouse(event.x)
+
+    def on_mouse_move(self, event: events.MouseMove) -> None:
+        if self.app.mouse_captured is self:
+            self._by_mouse(event.x)
+
+    def on_mouse_up(self, _: events.MouseUp) -> None:
+        self.release_mouse()
+
+    def on_mouse_scroll_up(self, event: events.MouseScrollUp) -> None:
+        event.stop()
+        self.action_move(STEP)
+
+    def on_mouse_scroll_down(self, event: events.MouseScrollDown) -> None:
+        event.stop()
+        self.action_move(-STEP)
+
+    def render(self) -> Text:
+        colours = self.app.theme_variables
+        at = round(self.range.share(self.value) * (self.bar - 1))
+        first = round(self.range.share(float(self.variable.initial)) * (self.bar - 1))
+        text = Text(self.variable.name[: NAME - 1].ljust(NAME), no_wrap=True, overflow="crop")
+        for k in range(self.bar):
+            if k == at:
+                text.append("█", Style(color=colours["accent"]))
+            elif k == first:
+                text.append("┼", Style(color=colours["foreground"]))
+            else:
+                text.append("━" if k < at else "─", Style(color=colours["border"]))
+        text.append(f" {show_value(self.value)} {self.variable.unit}")
+        return text
+
+
+class Sliders(Dialog[None]):
+    """Sliders of some parameters, at the edge, so that the curves stay in sight.
+
+    Parameters
+    ----------
+    variables : sequence of Variable
+    values : callable
+        Returns the newest values of the target by name.
+    write : callable
+        ``write(values)`` hands values on; called at most ten times a second.
+    """
+
+    DEFAULT_CSS = """
+    Sliders { align: right bottom; background: transparent; }
+    Sliders > .box { max-height: 60%; margin: 3 1 1 0; }
+    Sliders VerticalScroll { height: auto; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("up", "app.focus_previous", "up"),
+        Binding("down", "app.focus_next", "down"),
+        Binding("z", "undo", "back"),
+        Binding("enter", "cancel", "close"),
+    ]
+
+    def __init__(
+        self,
+        variables: Sequence[Variable],
+        values: Callable[[], Mapping[str, Any]],
+        write: Callable[[dict[str, Any], bool], None],
+    ) -> None:
+        super().__init__()
+        self._variables, self._values, self._write = tuple(variables), values, write
+        now = values()
+        self._before = {v.name: now.get(v.name, v.initial) for v in variables}
+        self._moved: dict[str, Any] = {}  # not handed on yet
+        self.before: dict[str, Any] = {}  # of what was moved and is not back again
+        self._quiet = 0  # ticks since something was handed on
+
+    def compose(self) -> ComposeResult:
+        with Vertical(classes="box") as box:
+            box.border_title = "Sliders"
+            with VerticalScroll(can_focus=False):
+                for v in self._variables:
+                    yield Slider(v, self._before[v.name])
+            keys = "← → 0.5 %, shift 5 %, ctrl 0.05 %; ┼ initial; z as before; esc closes"
+            yield Static(keys, classes="hint", markup=False)
+
+    def on_mount(self) -> None:
+        self.query(Slider).first().focus()
+        self.set_interval(SEND_S, self._tick)
+
+    def on_slider_moved(self, event: Slider.Moved) -> None:
+        self._moved[event.name] = event.value
+        self.before[event.name] = self._before[event.name]
+
+    def _tick(self) -> None:
+        """Hand on what has moved; where nothing moves, show what the target has."""
+        if self._moved:
+            moved, self._moved, self._quiet = self._moved, {}, 0
+            self._write(moved, False)
+            return
+        self._quiet += 1
+        if self._quiet < 5:  # the target's word is on its way
+            return
+        now = self._values()
+        for slider in self.query(Slider):
+            if slider.variable.name in now:
+                slider.take(now[slider.variable.name])
+
+    def action_undo(self) -> None:
+        """Put all back as they were when this opened, in one sample."""
+        self._moved, self.before, self._quiet = {}, {}, 0
+        for slider in self.query(Slider):
+            slider.take(self._before[slider.variable.name])
+        self._write(dict(self._before), True)
+
+    def action_cancel(self) -> None:
+        """Close; what was moved last is handed on."""
+        if self._moved:
+            self._write(self._moved, False)
+        self.dismiss(None)

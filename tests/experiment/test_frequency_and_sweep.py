@@ -1,0 +1,197 @@
+"""Frequency responses and sweeps: estimators on known systems, and both on a real target."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zendsp
+from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
+from zendsp.experiment.frequency import choose_lines, estimate, make_period
+from zendsp.experiment.sweep import values_of
+from zendsp.link import Target, local
+
+RATE = 1000.0
+
+
+def test_the_estimator_finds_a_known_filter_with_its_uncertainty() -> None:
+    rng = np.random.default_rng(3)
+    samples, periods, noise = 2000, 8, 0.02
+    lines = choose_lines(samples, 60.0, 25, RATE)
+    t = np.arange(samples * (periods + 1)) / RATE
+    u = make_period(lines, 1.0, 0, RATE / samples, t)
+    pole = np.exp(-2 * np.pi * 8.0 / RATE)
+    y = np.zeros_like(u)
+    for k in range(1, len(u)):
+        y[k] = pole * y[k - 1] + (1.0 - pole) * u[k - 1]
+    y += rng.normal(0.0, noise, len(y))
+    gain, std, coherence = estimate(u[samples:], y[samples:], periods, lines)
+    z = np.exp(2j * np.pi * lines / samples)
+    off = np.abs(gain - (1.0 - pole) / (z - pole)) / std
+    assert np.mean(off < 1.5) > 0.7 and off.max() < 6.0, "its standard deviation is what it is off"
+    assert (coherence > 0.8).all() and coherence[0] > 0.99
+
+
+def test_in_a_closed_loop_noise_does_not_bend_the_response() -> None:
+    """The ratio of cross spectra would tend to −1/controller where the noise is large."""
+    rng = np.random.default_rng(5)
+    samples, periods, plant, control = 1000, 40, 0.3, 2.0
+    lines = choose_lines(samples, 40.0, 10, RATE)
+    r = make_period(lines, 1.0, 0, 1.0, np.arange(samples * periods) / RATE)
+    v = rng.normal(0.0, 0.5, len(r))
+    y = np.zeros_like(r)
+    u = np.zeros_like(r)
+    for k in range(1, len(r)):
+        u[k] = control * (r[k] - y[k - 1])
+        y[k] = 0.5 * y[k - 1] + plant * u[k] + v[k]
+    gain, std, _ = estimate(u, y, periods, lines)
+    z = np.exp(2j * np.pi * lines / samples)
+    assert (np.abs(gain - plant / (1.0 - 0.5 / z)) < 5.0 * std).all()
+
+
+def test_the_lines_of_a_band_are_even_in_log_f_and_a_band_that_cannot_be_is_refused() -> None:
+    lines = choose_lines(2000, 60.0, 25, RATE)
+    assert lines[0] == 1 and lines[-1] == 60 and len(set(lines)) == len(lines) <= 25
+    with pytest.raises(AcquisitionError, match="at most 400 Hz"):
+        choose_lines(1000, 450.0, 30, RATE)
+    with pytest.raises(AcquisitionError, match="f_min below f_max"):
+        choose_lines(1000, 0.5, 30, RATE)
+
+
+def test_values_as_typed() -> None:
+    assert values_of("1,2.5") == [1.0, 2.5] and values_of("0:1:3") == [0.0, 0.5, 1.0]
+    for text in ("", "1:2", "a", "1:2:0", "1:2:x"):
+        with pytest.raises(VariableError, match="FIRST:LAST:COUNT"):
+            values_of(text)
+
+
+@pytest.fixture(scope="module")
+def fast() -> Iterator[Target]:
+    with local("imi_planar", clock="fast", options=["--ideal"]) as target:
+        yield target
+
+
+def test_the_closed_loop_is_one_at_low_and_falls_at_high_frequencies(
+    fast: Target, tmp_path: Path
+) -> None:
+    fast.download("pd.c")
+    found = zendsp.frequency_response(
+        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.05, periods=3
+    )
+    assert (found.input, found.output, found.unit) == ("r1", "q[0]", "1")
+    assert abs(found.magnitude_db[0]) < 0.5 and abs(found.phase_deg[0]) < 10.0
+    assert 5.0 < found.bandwidth() < 60.0 and found.phase_deg[-1] < -45.0
+    assert (found.coherence > 0.99).all()
+    # the machine itself, by two ways: closed loop T and controller C say what it must be
+    machine = zendsp.frequency_response(
+        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.05, periods=3, input="tau[0]"
+    )
+    again = zendsp.frequency_response(
+        fast, f_min=1.0, f_max=60.0, lines=20, amplitude=0.05, periods=3, input="r1",
+        output="tau1",
+    )  # fmt: skip
+    assert np.allclose(machine.gain, found.gain / again.gain, rtol=0.02), "G = (q/r) / (tau/r)"
+    assert machine.unit == "rad / (N m)" and machine.phase_deg[3] < -150.0, "two integrators"
+    assert found.save(tmp_path / "b.csv").read_text().startswith("f,magnitude_db,phase_deg")
+    assert found.plot(tmp_path / "b.png") and (tmp_path / "b.png").stat().st_size > 5000
+    assert "−3 dB at" in repr(found) and "<svg" in found._repr_html_()
+    with pytest.raises(RecordingError, match=r"\.csv"):
+        found.save(tmp_path / "b.txt")
+
+
+def test_a_program_without_tables_is_refused_with_what_to_do(fast: Target) -> None:
+    fast.download({"p.c": '#include "isr.h"\nvoid UserInit(void){}\nvoid UserISR_INT2(void){}\n'
+                          "void UserBackground(void){}\n"})  # fmt: skip
+    with pytest.raises((AcquisitionError, Refused), match=r"no signal|plays tables"):
+        zendsp.frequency_response(fast)
+    fast.download("pd.c")
+    with pytest.raises(Refused, match="ref_tau"):
+        zendsp.frequency_response(fast, quantity="torque", input="tau[0]")
+    with pytest.raises(Refused, match="joint 3: the machine has 2"):
+        zendsp.frequency_response(fast, joint=3, input="r1", output="q1")
+
+
+def test_a_torque_beside_a_held_position_shows_the_machine(fast: Target) -> None:
+    fast.download("joint_pd.c")
+    found = zendsp.frequency_response(
+        fast, joint=2, quantity="torque", amplitude=5.0, f_min=2.0, f_max=40.0, lines=10, periods=3
+    )
+    assert (found.input, found.output) == ("tau[1]", "q[1]")
+    slope = np.polyfit(np.log10(found.f[-3:]), found.magnitude_db[-3:], 1)[0]
+    # friction holds the joint at low frequencies; the other joint, softly held, moves with it
+    assert -50.0 < slope < -35.0, "above, an inertia: 40 dB a decade"
+
+
+def test_while_the_loop_keeps_real_time_the_program_goes_on() -> None:
+    with local("imi_planar", options=["--ideal"]) as target:
+        target.download("pd.c")
+        target.start()
+        found = zendsp.frequency_response(
+            target, f_min=4.0, f_max=40.0, lines=8, periods=2, amplitude=0.004, rehearsed=False
+        )
+        assert target.status().state == "running" and found.coherence[0] > 0.95
+        held = target.acquire(["r1"], 0.3)["r1"]
+        assert np.ptp(held) == 0.0, "nothing moves on, and nothing jumps"
+        assert abs(found.magnitude_db[0]) < 6.0, "friction takes its part of so small a motion"
+
+
+def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(
+    fast: Target, tmp_path: Path
+) -> None:
+    fast.download("pd.c")
+    fast.start()
+    before = fast.parameters().values
+    found = zendsp.sweep(
+        fast, {"Kp1": [500.0, 2000.0], "Kd1": [60.0, 120.0]}, ["e1"], seconds=1.0, settle=0.5,
+        keep=tmp_path / "kept",
+    )  # fmt: skip
+    assert [(r["Kp1"], r["Kd1"]) for r in found.rows] == [
+        (500.0, 60.0), (500.0, 120.0), (2000.0, 60.0), (2000.0, 120.0)
+    ]  # fmt: skip
+    assert found.results == ("rms e1", "max e1") and found.best()["Kp1"] == 2000.0
+    assert fast.parameters().values == before
+    kept = zendsp.Recording.load(tmp_path / "kept" / "003.mat")
+    assert kept.parameters["Kp1"] == 2000.0 and len(kept) == 1500
+    assert found.rows[2]["rms e1"] == pytest.approx(np.sqrt(np.mean(kept["e1"][500:] ** 2)))
+    assert found.save(tmp_path / "s.csv").read_text().startswith("Kp1,Kd1,rms e1,max e1,ended\n")
+    assert "4 runs: rms e1 is least" in repr(found) and "<table>" in found._repr_html_()
+    with pytest.raises(AcquisitionError, match="no result 'x'"):
+        found.best("x")
+
+
+def test_every_value_is_checked_before_the_first_run(fast: Target) -> None:
+    fast.download("pd.c")
+    fast.start()
+    with pytest.raises(VariableError, match="Kp1"):
+        zendsp.sweep(fast, {"Kp1": [600.0, 1e9]}, ["e1"], seconds=0.1)
+    assert fast["Kp1"] == 2000.0 and 600.0 not in [c.new for c in fast.log()]
+    with pytest.raises(AcquisitionError, match="2 of Kp1, 1 of Kd1"):
+        zendsp.sweep(fast, {"Kp1": [1, 2], "Kd1": [1]}, ["e1"], seconds=0.1, together=True)
+    with pytest.raises(AcquisitionError, match="no measure 'median'"):
+        zendsp.sweep(fast, {"Kp1": [1]}, ["e1"], seconds=0.1, measures=["median"])
+
+
+def test_a_run_that_trips_ends_the_sweep_and_says_why(fast: Target) -> None:
+    fast.download("pd.c")
+    fast.start()
+    try:
+        # a step of 1.3 rad asks for 2600 N m
+        found = zendsp.sweep(fast, {"center1": [0.2, 1.5, 0.2]}, ["e1"], seconds=1.0, settle=0.0)
+        assert len(found.rows) == 2 and "exceeds the limit" in found.rows[1]["ended"]
+        assert found.best()["center1"] == 0.2 and fast["center1"] == 0.2
+    finally:
+        fast.acknowledge()
+
+
+def test_values_may_go_together(fast: Target) -> None:
+    fast.download("pd.c")
+    fast.start()
+    found = zendsp.sweep(
+        fast, {"Kp1": [500.0, 1500.0], "Kd1": [60.0, 90.0]}, ["q"], seconds=0.2, settle=0.0,
+        measures=["p2p"], together=True,
+    )  # fmt: skip
+    assert [(r["Kp1"], r["Kd1"]) for r in found.rows] == [(500.0, 60.0), (1500.0, 90.0)]
+    assert found.results == ("p2p q[0]", "p2p q[1]")

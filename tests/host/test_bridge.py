@@ -1,0 +1,134 @@
+"""A viewer that speaks the Foxglove protocol sees signals, parameters and events of a target."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import struct
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("foxglove")
+connect = pytest.importorskip("websockets.sync.client").connect
+
+from zendsp.bridge import Bridge, foxglove  # noqa: E402
+from zendsp.errors import LinkError  # noqa: E402
+from zendsp.link import Target, local  # noqa: E402
+
+PATIENCE_S = 30.0
+
+
+@pytest.fixture(scope="module")
+def target() -> Iterator[Target]:
+    with local("imi_planar", clock="fast", options=["--speed", "5"]) as made:
+        made.download("pd.c")
+        made.start()
+        yield made
+
+
+class Viewer:
+    """As much of a viewer as is needed."""
+
+    def __init__(self, bridge: Bridge) -> None:
+        self._connection = connect(bridge.url, subprotocols=["foxglove.sdk.v1"])
+        self.topics: dict[str, dict[str, Any]] = {}
+
+    def __enter__(self) -> Viewer:
+        self.socket = self._connection.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._connection.__exit__(*error)
+
+    def until(self, wanted: Callable[[Any], bool]) -> Any:
+        """The first message that is wanted: JSON, or the body of a row."""
+        while True:
+            data = self.socket.recv(timeout=PATIENCE_S)
+            message = json.loads(data) if isinstance(data, str) else _row(data)
+            for channel in message.get("channels", ()):
+                self.topics[channel["topic"]] = channel
+            if wanted(message):
+                return message
+
+    def ask(self, op: str, **values: Any) -> None:
+        self.socket.send(json.dumps({"op": op, **values}))
+
+    def subscribe(self, topic: str) -> None:
+        if topic not in self.topics:
+            self.until(lambda _: topic in self.topics)
+        channel = self.topics[topic]["id"]
+        self.ask("subscribe", subscriptions=[{"id": channel, "channelId": channel}])
+
+
+def _row(data: bytes) -> dict[str, Any]:
+    opcode, _, stamp = struct.unpack_from("<BIQ", data)
+    return {"row": json.loads(data[13:]), "stamp": stamp} if opcode == 1 else {}
+
+
+def test_every_signal_arrives_with_its_time_and_its_schema(target: Target) -> None:
+    with foxglove(target, port=0) as bridge, Viewer(bridge) as viewer:
+        viewer.subscribe("/signals")
+        schema = json.loads(viewer.topics["/signals"]["schema"])
+        assert schema["properties"]["q1"] == {"type": ["number", "null"], "description": "rad"}
+        rows = [viewer.until(lambda message: "row" in message) for _ in range(50)]
+        times = [message["row"]["t"] for message in rows]
+        assert all(b > a for a, b in itertools.pairwise(times))
+        assert all(b["stamp"] > a["stamp"] for a, b in itertools.pairwise(rows))
+        body = rows[-1]["row"]
+        assert body["q"] == [body["q1"], body["q2"]] and body["e1"] == body["r1"] - body["q1"]
+
+
+def test_parameters_are_read_and_not_written_unless_asked_for(target: Target) -> None:
+    with foxglove(target, ["q1"], port=0) as bridge, Viewer(bridge) as viewer:
+        viewer.ask("getParameters", parameterNames=[], id="all")
+        found = viewer.until(lambda message: message.get("id") == "all")["parameters"]
+        assert {"name": "Kp1", "value": 2000.0, "type": "float64"} in found
+        viewer.ask("setParameters", parameters=[{"name": "Kp1", "value": 700.0}], id="set")
+        assert viewer.until(lambda m: m.get("op") == "status")["message"].endswith("--write")
+        assert target["Kp1"] == 2000.0
+
+
+def test_a_viewer_that_may_writes_and_a_refusal_says_why(target: Target) -> None:
+    with foxglove(target, ["q1"], port=0, writable=True) as bridge, Viewer(bridge) as viewer:
+        try:
+            viewer.ask("setParameters", parameters=[{"name": "Kp1", "value": 700}], id="a")
+            answer = viewer.until(lambda message: message.get("id") == "a")["parameters"]
+            assert answer[0]["value"] == 700.0 and target["Kp1"] == 700.0
+            viewer.ask("setParameters", parameters=[{"name": "Kp1", "value": 1e9}], id="b")
+            said = viewer.until(lambda message: message.get("op") == "status")["message"]
+            assert "Kp1" in said and "20000" in said
+            assert target["Kp1"] == 700.0
+            viewer.ask("subscribeParameterUpdates", parameterNames=["Kp1"])
+            target["Kp1"] = 800.0  # by somebody else
+            viewer.until(
+                lambda m: any(
+                    p == {"name": "Kp1", "value": 800.0, "type": "float64"}
+                    for p in m.get("parameters", ())
+                )
+            )
+        finally:
+            target["Kp1"] = 2000.0
+
+
+def test_a_trip_is_an_event(target: Target) -> None:
+    with foxglove(target, ["q1"], port=0) as bridge, Viewer(bridge) as viewer:
+        viewer.subscribe("/events")
+        try:
+            target.stop()
+            viewer.until(lambda m: "trip at sample" in m.get("row", {}).get("message", ""))
+        finally:
+            target.acknowledge()
+            target.start()
+
+
+def test_a_port_that_is_taken_is_refused_and_the_server_is_on_the_loopback(target: Target) -> None:
+    with foxglove(target, ["q1"], port=0) as bridge:
+        assert bridge.url.startswith("ws://127.0.0.1:")
+        port = int(bridge.url.rpartition(":")[2])
+        with pytest.raises(LinkError, match=f"port {port}"), contextlib.closing(
+            foxglove(target, ["q1"], port=port)
+        ):
+            raise AssertionError("two servers on one port")
