@@ -19,7 +19,7 @@ import numpy as np
 from zendsp.errors import LinkError, ZendspError
 from zendsp.extras import need
 from zendsp.link import Target
-from zendsp.link.link import background
+from zendsp.link.background import background
 from zendsp.link.live import LiveBlock, LiveView
 from zendsp_protocol import messages as m
 from zendsp_protocol.states import ProgramState
