@@ -425,8 +425,8 @@ def _named(
 
 
 def _believed(decision: Decision) -> Decision:
-    """The decision with those laws stated that are more likely right than wrong; of what is first,
-    the mechanism stays where functions of its variables can be told, the rest refines the fit.
+    """The decision without the laws that are too likely wrong; of what is first, the mechanism
+    stays where functions of its variables can be told, the rest refines the fit.
     """
     keep, more = [], list(decision.refinements)
     for claim in decision.claims:
