@@ -53,19 +53,20 @@ NOT_RUN: dict[tuple[str, str], str] = {
     (
         "docs/code_overview.md",
         (
-            "protocol/zendsp_protocol/   the wire contract: keys, messages, verbs, codec, errors. "
-            "No I/O, no Zenoh session."
+            "protocol/zendsp_protocol/  the wire contract: keys, messages, verbs, codec, errors."
+            " No I/O."
         ),
     ): DRAWING,
     (
         "docs/code_overview.md",
         (
-            "host process                target: monitor process (Python)        "
-            "runner process (native, no interpreter)"
+            "host process                target: monitor process (Python)       "
+            "runner process (native)"
         ),
     ): DRAWING,
     ("docs/code_overview.md", "python -m tests.mutations"): CLONE,
     ("docs/diagnosis.md", "pip install 'zendsp[fleet]'"): NETWORK,
+    ("docs/diagnosis.md", "python benchmarks/confidence.py CASES"): CLONE,
     (
         "docs/experiments.md",
         "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
@@ -86,6 +87,10 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "static void axis_keep_alive(void *h) { ((axis *)h)->registers[WATCHDOG] = 1; }",
     ): SYNTAX,
     ("docs/measurements/endurance.md", "python benchmarks/endurance.py --minutes 3"): CLONE,
+    (
+        "docs/measurements/endurance.md",
+        "python benchmarks/endurance.py --only signals --rounds 100",
+    ): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
     ("docs/measurements/structure.md", "python docs/measure_structure.py e89b9aa"): CLONE,
     ("docs/models.md", "[mechanism]"): SYNTAX,
@@ -107,6 +112,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
         ),
     ): DRAWING,
     ("docs/security.md", "pip install 'zendsp[keys]'"): NETWORK,
+    ("docs/tour.md", "pip install 'zendsp[foxglove]'"): NETWORK,
     ("docs/tour.md", "zendsp tui --web"): BROWSER,
     (
         "docs/tour.md",

@@ -24,6 +24,7 @@ LONG = {
     "host/zendsp/diagnosis/decide/naming.py:_finding": "the fields of a finding",
     "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
     "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
+    "host/zendsp/cli/acquire.py:command": "the steps of a recording, each way that it may end",
 }
 PUBLIC = "a user's function: keywords with defaults, each explained"
 PLANNED = "the fields of its form, one keyword each"
@@ -36,6 +37,10 @@ TOLD = {
     "host/zendsp/physics/fit.py:fit": PUBLIC,
     "host/zendsp/link/acquire.py:acquire": PUBLIC,
     "host/zendsp/diagnosis/fleet.py:diagnose_each": PUBLIC,
+    "host/zendsp/experiment/frequency.py:frequency_response": PUBLIC,
+    "host/zendsp/experiment/sweep.py:sweep": PUBLIC,
+    "host/zendsp/experiment/excite.py:play": "what a multisine is played with",
+    "host/zendsp/cli/prove.py:making": "the options of `zendsp prove --make`",
     "host/zendsp/experiment/lab.py:record": "what a recording may be asked for, keywords",
     "host/zendsp/tui/app.py:__init__": "the options of `zendsp tui`",
     "host/zendsp/cli/tui.py:_serve": "the options of `zendsp tui --web`, handed on",

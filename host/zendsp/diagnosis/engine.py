@@ -23,7 +23,8 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts, Signals, with_same_columns
 from zendsp.diagnosis.data.split import halves, split
 from zendsp.diagnosis.decide.assemble import Assembled, assemble, calibrated_machine
-from zendsp.diagnosis.decide.decide import Decision, decide
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.decide import decide
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, decide_bodies, rejected_bodies, settled
 from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed

@@ -12,7 +12,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.assemble import Assembled
-from zendsp.diagnosis.decide.decide import Decision
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.result import Estimate, Finding

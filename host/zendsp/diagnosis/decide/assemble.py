@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from zendsp.diagnosis.decide.decide import Decision
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.convergence import with_step_error

@@ -9,12 +9,10 @@ of the lacking torque it is. Its reliability was judged on makers left out of th
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from zendsp.diagnosis.decide.decide import Claim, Decision
+from zendsp.diagnosis.decide.claims import Claim, Decision
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.3, 2.05, 2.05, -1.05, -2.05)

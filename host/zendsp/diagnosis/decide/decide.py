@@ -11,20 +11,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import STATED, confidence
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
     FEW,
     STRUCTURED,
-    Bursts,
     Size,
     Structure,
     bursts,
@@ -71,64 +71,6 @@ RIVAL = 0.5  # of that again: where another mechanism's variables predict so muc
 A_PART = 0.5
 CURVE = 3  # so many laws of one mechanism at one joint draw a curve
 HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest
-
-
-@dataclass(frozen=True)
-class Piece:
-    """A mechanism at one joint as it stands in the model, and what taking it away costs on
-    untouched recordings.
-    """
-
-    mechanism: str
-    terms: tuple[Term, ...]
-    without: Scored
-    size: float  # RMS torque that nothing else gives, as a part of the RMS torque
-    evidence: Evidence
-    log_e: float  # logarithm of the e-value
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Names of its laws."""
-        return tuple(t.effect for t in self.terms)
-
-
-@dataclass(frozen=True)
-class Claim:
-    """One law of one mechanism: claimed, or a refinement. ``effect`` is "unknown" where no law
-    describes the mechanism.
-    """
-
-    effect: str
-    mechanism: str
-    term: Term
-    size: float
-    evidence: Evidence
-    log_e: float
-    laws: dict[str, float]
-    same: tuple[str, ...]
-    replaces: tuple[str, ...]
-    # rivals: effect, why not, log-likelihood against the law's
-    lost: tuple[tuple[str, str, float], ...]
-    left: Structure | None = None  # what the law leaves in its own variables
-
-
-@dataclass(frozen=True)
-class Decision:
-    """What one joint came to: "complete", "missing", "unexplained" or "disturbance"."""
-
-    joint: int
-    kind: str
-    claims: tuple[Claim, ...]
-    refinements: tuple[Claim, ...]
-    base: Scored
-    final: Scored
-    before: Size
-    after: Size
-    state: Structure  # what any function of state predicts of what is left
-    scale: float  # RMS torque of the recordings to test on, N m or N
-    bursts: Bursts | None = None
-    # hypotheses that were tried where nothing is claimed
-    lost: tuple[tuple[str, str, float], ...] = ()
 
 
 def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Progress) -> Decision:

@@ -19,8 +19,9 @@ from zendsp.diagnosis.bodies.columns import Layout
 from zendsp.diagnosis.bodies.find import BodySearch, FoundBody, refined, stated
 from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.confidence import MOST as SUREST
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, Decision, dependence
+from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, dependence
 from zendsp.diagnosis.decide.findings import NUMERIC, number
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF
 from zendsp.diagnosis.measure.discrepancy import difference

@@ -17,7 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, Decision, dependence
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, dependence
 from zendsp.diagnosis.decide.findings import COUPLED
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square

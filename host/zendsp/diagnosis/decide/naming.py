@@ -9,14 +9,9 @@ from collections.abc import Sequence
 
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
+from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.decide import (
-    OF_STATE,
-    Claim,
-    Decision,
-    draws_a_curve,
-    weight_of_payload,
-)
+from zendsp.diagnosis.decide.decide import OF_STATE, draws_a_curve, weight_of_payload
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent, sentence
 from zendsp.diagnosis.result import Estimate, Finding, Rejected

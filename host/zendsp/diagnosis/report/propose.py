@@ -16,7 +16,7 @@ import numpy.typing as npt
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.assemble import Assembled
-from zendsp.diagnosis.decide.decide import Decision
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.likelihood import deviance
 from zendsp.diagnosis.result import Finding, Next
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.decide import FINEST, Decision
+from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.decide import FINEST
 from zendsp.diagnosis.measure.torsion import OF_BODIES, has_bodies, of_bodies
 from zendsp.diagnosis.result import Detectable
 from zendsp.diagnosis.transmission.sets import torque_unit

@@ -1,0 +1,68 @@
+"""What the decision deals in: pieces of the proposed model, claims, and what a joint came to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from zendsp.diagnosis.measure.discrepancy import Bursts, Size, Structure
+from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.physics.model import Term
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A mechanism at one joint as it stands in the model, and what taking it away costs on
+    untouched recordings.
+    """
+
+    mechanism: str
+    terms: tuple[Term, ...]
+    without: Scored
+    size: float  # RMS torque that nothing else gives, as a part of the RMS torque
+    evidence: Evidence
+    log_e: float  # logarithm of the e-value
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of its laws."""
+        return tuple(t.effect for t in self.terms)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One law of one mechanism: claimed, or a refinement. ``effect`` is "unknown" where no law
+    describes the mechanism.
+    """
+
+    effect: str
+    mechanism: str
+    term: Term
+    size: float
+    evidence: Evidence
+    log_e: float
+    laws: dict[str, float]
+    same: tuple[str, ...]
+    replaces: tuple[str, ...]
+    # rivals: effect, why not, log-likelihood against the law's
+    lost: tuple[tuple[str, str, float], ...]
+    left: Structure | None = None  # what the law leaves in its own variables
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What one joint came to: "complete", "missing", "unexplained" or "disturbance"."""
+
+    joint: int
+    kind: str
+    claims: tuple[Claim, ...]
+    refinements: tuple[Claim, ...]
+    base: Scored
+    final: Scored
+    before: Size
+    after: Size
+    state: Structure  # what any function of state predicts of what is left
+    scale: float  # RMS torque of the recordings to test on, N m or N
+    bursts: Bursts | None = None
+    # hypotheses that were tried where nothing is claimed
+    lost: tuple[tuple[str, str, float], ...] = ()
