@@ -15,10 +15,9 @@ import zenoh
 from zendsp.errors import LinkError, NoAnswer, Refused, ZendspError
 from zendsp.link.background import END_S, Listener, background, open_links
 from zendsp.link.registered import local_entries
-from zendsp.link.salvage import find_salvage
 from zendsp.link.session import new_author, not_there, open_session
 from zendsp.link.settings import Credentials
-from zendsp_protocol import codec, keys
+from zendsp_protocol import codec, kept, keys
 from zendsp_protocol.once import AGAIN, FIRST, ONCE, SETTLE, stamp
 from zendsp_protocol.verbs import VERBS, Verb
 
@@ -257,7 +256,9 @@ class Link:
 
     def _kept(self) -> str:
         """Where the rows are that a killed target of this computer had recorded."""
-        if not self.own or not find_salvage(self.target):
+        with kept.abandoned() as folders:
+            notes = [kept.read(folder) for folder in folders] if self.own else []
+        if not any(note is not None and note.about.target == self.target for note in notes):
             return ""
         return (
             "; what it had recorded is kept: zendsp salvage -t"
