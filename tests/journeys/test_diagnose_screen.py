@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
 from pathlib import Path
 
@@ -46,7 +47,13 @@ def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
 
 
 def _click(screen: Screen, text: str) -> None:
-    """Press and release the left button on a text."""
+    """Press and release the left button on a text, once the picture has come to rest: what is still
+    being laid out moves from under the pointer.
+    """
+    before = ""
+    while before != screen.text():
+        before = screen.text()
+        time.sleep(0.3)
     row = next(k for k, line in enumerate(screen.shown.display) if text in line)
     column = screen.shown.display[row].index(text)
     at = f"{column + 2};{row + 1}"
