@@ -151,9 +151,14 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
         int32_t: ZENDSP_INT32, int32_t *: ZENDSP_INT32, bool: ZENDSP_BOOL, bool *: ZENDSP_BOOL,                              \
         default: _Generic(ZENDSP_ROW(variable), double: 0, float: 0, int32_t: 0, bool: 0, double *: ZENDSP_DOUBLE,            \
             float *: ZENDSP_FLOAT, int32_t *: ZENDSP_INT32, bool *: ZENDSP_BOOL))
-/* What an array's first element is, and a matrix's first row; of a number, which has none, something valid. Never evaluated. */
-#define ZENDSP_ROW(variable) \
-    (*_Generic((variable), double: (double **)0, float: (double **)0, int32_t: (double **)0, bool: (double **)0, default: (variable)))
+/* What an array's first element is, and a matrix's first row; of a number, which has none, something valid, or where it is of no
+ * type that can be declared, what ZENDSP_TYPE refuses by its name. Never evaluated. */
+#define ZENDSP_ROW(variable)                                                                                             \
+    (*_Generic((variable), double: (double **)0, float: (double **)0, int32_t: (double **)0, bool: (double **)0,         \
+        char: (char **)0, signed char: (signed char **)0, unsigned char: (unsigned char **)0, short: (short **)0,        \
+        unsigned short: (unsigned short **)0, unsigned: (unsigned **)0, long: (long **)0,                                \
+        unsigned long: (unsigned long **)0, long long: (long long **)0, unsigned long long: (unsigned long long **)0,    \
+        long double: (long double **)0, default: (variable)))
 #define ZENDSP_SIZE(variable) \
     (ZENDSP_TYPE(variable) == ZENDSP_DOUBLE ? sizeof(double) : ZENDSP_TYPE(variable) == ZENDSP_BOOL ? sizeof(bool) : sizeof(float))
 #define ZENDSP_COLUMNS(variable)                                     \
