@@ -27,7 +27,7 @@ FROZEN_S = 3.0  # longer than the lease of a host and the watchdog of the loop
 HOST = """
 import time, zendsp
 t = zendsp.connect("shot", shown=True)
-t.acknowledge(); t.take_command(force=True); t.drive_auto()
+t.take_command(force=True); t.acknowledge(); t.drive_auto()
 t.acquire_configure(["tick", "q"], seconds=600.0); t.acquire_start(); t.start()
 while t.acquire_status().count < 50: time.sleep(0.01)
 print("moves", flush=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zendsp.demo.controller import bearing, plan_update
+from zendsp.demo.controller import BEARS, bearing, plan_update
 from zendsp.demo.evidence import (
     Hidden,
     Judged,
@@ -250,6 +250,11 @@ def _compensate(machine: Machine, told: Told, out: Path, narrator: Narrator) -> 
         f"one synchronous update of {len(update.values)} parameters at sample {tick}, while the"
         " machine moved"
     )
+    if borne:  # dry friction holds a joint that is pulled little, and its error with it
+        least = BEARS * max(told.tracking.before[j - 1] for j in borne)
+        told.compensated = tuple(
+            j for j in told.compensated if told.tracking.before[j - 1] >= least
+        )
     joints = told.compensated or tuple(sorted({f.joint for f in d.findings}))
     for j in joints:
         before, after = told.tracking.before[j - 1], told.tracking.after[j - 1]
