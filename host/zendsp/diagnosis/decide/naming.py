@@ -18,6 +18,8 @@ from zendsp.diagnosis.result import Estimate, Finding, Rejected
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 
+# stated of a disturbance; not learned: the cases have too few of them
+IN_TIME = 0.85
 VARIABLE = {
     "position_torque": "position",
     "dry_friction": "direction and position",
@@ -157,7 +159,7 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         "disturbance",
         joint,
         values,
-        0.85,
+        IN_TIME,
         found.share,
         (),
         (),
