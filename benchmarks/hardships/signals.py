@@ -55,6 +55,8 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
             finally:
                 host.kill()
                 host.wait()
+            gone = until(lambda: len(target.status().hosts) == 1)
+            tally.expect(gone, "the host has ended, and still commands")
             tally.count(f"{how} of the {whom}")
             yield
     finally:

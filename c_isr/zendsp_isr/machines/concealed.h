@@ -8,7 +8,7 @@
  *     dry friction   levels of the plant's own bristle friction, set anew every step
  *     torque         added on the load side at every evaluation
  *     inertia        M + dM, through the inverse of M that the machine's law already is
- *     transmission   a load of its own behind a spring or a gap; the sensor stays on the motor
+ *     transmission   the link behind a spring or a gap; sensor and friction stay on the motor
  *     actuator       what the command loses on its way, in the order of the list
  *     sensor         what the encoder shows
  *     body           a payload: the machine's own law takes it up
@@ -38,7 +38,7 @@ static inline void concealed_on_load(void *self, double t, const double *q, cons
     if (c->before.load)
         c->before.load(c->before.self, t, q, qd, torque, extra);
     for (int i = 0; i < c->count; i++)
-        extra[c->effect[i].joint] += concealed_torque(c, &c->effect[i], t, q, qd);
+        extra[c->effect[i].joint] += concealed_torque(&c->effect[i], t, q, qd);
 }
 
 static inline void concealed_on_advance(void *self, double t, double dt, const double *q,
@@ -96,9 +96,8 @@ static inline void concealed_prepare(concealed *c, concealed_effect *e) {
         c->dM[e->joint][e->joint] += e->p[0];
         break;
     case ELASTICITY:
-    case BACKLASH: /* the load is taken out of the joint and hangs behind the spring */
-        c->dM[e->joint][e->joint] -= e->p[2];
-        e->s[0] = c->plant->q[e->joint];
+    case BACKLASH: /* both have load_inertia third */
+        concealed_divide(c, e);
         break;
     case COUPLING:
         if (e->p[1] == 0.0)
@@ -154,15 +153,33 @@ static inline int concealed_attach(concealed *c, plant *p, const char *config, c
         }
     }
     memcpy(c->base, p->friction, sizeof c->base);
+    c->acceleration = p->acceleration;
+    c->self = p->self;
+    c->others = p->others;
+    c->others_self = p->others_self;
     for (int i = 0; i < c->count; i++)
         concealed_prepare(c, &c->effect[i]);
+    for (int i = 0; i < c->count; i++) {
+        const concealed_effect *e = &c->effect[i];
+        if (!concealed_divides(e))
+            continue;
+        if (!(e->p[2] > 0.0 && e->motor > 0.0)) {
+            snprintf(error, error_size,
+                     "concealed: load_inertia of joint %d is %g kg m^2; expected above 0 and below"
+                     " the joint's %g",
+                     e->joint + 1, e->p[2], e->motor + e->p[2]);
+            return -1;
+        }
+        p->others = concealed_others;
+        p->others_self = c;
+        break;
+    }
     for (int i = 0; i < p->joints; i++)
         for (int k = 0; k < p->joints; k++)
             c->massive |= c->dM[i][k] != 0.0;
     memcpy(p->friction, c->base, sizeof c->base);
+    c->massive |= p->others == concealed_others;
     c->before = p->hooks;
-    c->acceleration = p->acceleration;
-    c->self = p->self;
     p->acceleration = concealed_acceleration;
     p->self = c;
     p->hooks = (plant_hooks){.self = c,

@@ -24,7 +24,9 @@ typedef struct concealed {
     void (*acceleration)(void *self, const double *q, const double *qd, const double *torque,
                          double *qdd);
     void *self; /* of the machine's own law */
-    int massive; /* 1: dM is not zero */
+    void (*others)(void *self, int stage, double h); /* what moved beside the joints before */
+    void *others_self;
+    int massive; /* 1: dM is not zero, or a link stands behind a transmission */
     double dM[PLANT_JOINTS][PLANT_JOINTS];
     long written; /* entries ever put into the history */
     double when[CONCEALED_HISTORY], past[CONCEALED_HISTORY][PLANT_JOINTS];
@@ -117,11 +119,10 @@ static inline void concealed_command(concealed *c, double t, double dt, double *
 
 /* ---- torque on the load side ---- */
 
-/* Torque of the spring (or gap) behind motor angle q: k dz(q - ql) + damping while in contact,
- * never pulling across a gap. */
-static inline double concealed_spring(const concealed_effect *e, double q, double qd, double ql,
-                                      double qdl) {
-    const double bend = q - ql, rate = qd - qdl;
+/* Torque of the spring (or gap) between motor, at angle q, and link: k dz(q - ql) + damping while
+ * in contact, never pulling across a gap. */
+static inline double concealed_spring(const concealed_effect *e, double q, double qd) {
+    const double bend = q - e->s[0], rate = qd - e->s[1];
     if (e->kind == ELASTICITY)
         return e->p[0] * bend + e->p[1] * rate;
     const double half = 0.5 * e->p[0], in = fabs(bend) - half, side = concealed_sign(bend);
@@ -145,8 +146,8 @@ static inline double concealed_foreign(const concealed_effect *e, double t, doub
     }
 }
 
-static inline double concealed_torque(const concealed *c, const concealed_effect *e, double t,
-                                      const double *q, const double *qd) {
+static inline double concealed_torque(const concealed_effect *e, double t, const double *q,
+                                      const double *qd) {
     const int j = e->joint;
     const double away = q[j] - e->p[1];
     switch (e->kind) {
@@ -174,11 +175,6 @@ static inline double concealed_torque(const concealed *c, const concealed_effect
             return e->p[2] * qd[from];
         return e->p[1] == 3.0 ? e->p[2] * e->s[0] : 0.0; /* law 0 is in dM */
     }
-    case ELASTICITY:
-    case BACKLASH: {
-        const double ahead = t - c->plant->t;
-        return concealed_spring(e, q[j], qd[j], e->s[0] + ahead * e->s[1], e->s[1]);
-    }
     case FOREIGN:
         return concealed_foreign(e, t, q[j], qd[j]);
     default:
@@ -186,8 +182,7 @@ static inline double concealed_torque(const concealed *c, const concealed_effect
     }
 }
 
-/* States: z of Bouc–Wen, bristle of a coupled friction, the load behind a spring; midpoint rule
- * like the plant. */
+/* States: z of Bouc–Wen, bristle of a coupled friction; midpoint rule like the plant. */
 static inline void concealed_advance_one(concealed_effect *e, double h, const double *q,
                                          const double *qd) {
     const int j = e->joint;
@@ -204,11 +199,6 @@ static inline void concealed_advance_one(concealed_effect *e, double h, const do
     } else if (e->kind == COUPLING && e->p[1] == 3.0) {
         const double v = qd[j] + qd[(int)e->p[0] - 1], end = concealed_sign(v);
         e->s[0] = end + (e->s[0] - end) * exp(-fabs(v) * h / 1e-3);
-    } else if (e->kind == ELASTICITY || e->kind == BACKLASH) {
-        const double push = concealed_spring(e, q[j], qd[j], e->s[0] + 0.5 * h * e->s[1], e->s[1]);
-        const double after = e->s[1] + h * push / e->p[2]; /* both have load_inertia third */
-        e->s[0] += 0.5 * h * (e->s[1] + after);
-        e->s[1] = after;
     }
 }
 

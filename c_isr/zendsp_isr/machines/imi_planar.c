@@ -158,6 +158,8 @@ static int imi_open(void **handle, const char *config, double period, machine_in
     make_plant(&m->plant, &m->info, config);
     m->plant.self = m->plant.carry_self = m;
     m->plant.carry = carry;
+    m->plant.inertia[0] = p1;
+    m->plant.inertia[1] = p2;
     m->p1 = p1;
     m->p2 = p2;
     m->p3 = p3;

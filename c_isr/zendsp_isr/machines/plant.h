@@ -92,6 +92,8 @@ typedef struct plant {
     void (*acceleration)(void *self, const double *q, const double *qd, const double *torque,
                          double *qdd);
     void *self;
+    /* kg m^2: of a joint, the same at every pose; 0 where the law has no such figure */
+    double inertia[PLANT_JOINTS];
     /* What moves beside the joints (may be NULL): stage 0 after the first evaluation, to the middle
      * of the step of h seconds; stage 1 after the second, to its end. */
     void (*others)(void *self, int stage, double h);

@@ -95,13 +95,13 @@ def _viscous_asymmetry(r: random.Random, s: Scale, u: Usual) -> Mapping[str, flo
 
 
 def _elasticity(r: random.Random, s: Scale, u: Usual) -> Mapping[str, float]:
-    load, frequency = r.uniform(0.3, 0.5) * s.inertia, r.uniform(5.0, 12.0)
+    load, frequency = r.uniform(0.45, 0.65) * s.inertia, r.uniform(5.0, 12.0)
     k = load * (2 * math.pi * frequency) ** 2
     return {"stiffness": k, "damping": 0.04 * math.sqrt(k * load), "load_inertia": load}
 
 
 def _backlash(r: random.Random, s: Scale, u: Usual) -> Mapping[str, float]:
-    load = r.uniform(0.3, 0.5) * s.inertia
+    load = r.uniform(0.45, 0.65) * s.inertia
     return {
         "gap": r.uniform(0.015, 0.05),
         "stiffness": load * (2 * math.pi * r.uniform(15.0, 30.0)) ** 2,
