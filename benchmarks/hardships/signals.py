@@ -55,8 +55,7 @@ def rounds(place: Place, tally: Tally) -> Iterator[None]:
             finally:
                 host.kill()
                 host.wait()
-            gone = until(lambda: len(target.status().hosts) == 1)
-            tally.expect(gone, "the host has ended, and still commands")
+            tally.expect(_alone(target), "the host has ended, and still commands")
             tally.count(f"{how} of the {whom}")
             yield
     finally:
@@ -113,6 +112,10 @@ def _monitor(place: Place, target: Target, runner: int, how: str, tally: Tally) 
     if how == "TERM":
         tally.expect(until(lambda: not place.shared(pid)), f"{said}: shared memory is left")
     return place.local("shot")
+
+
+def _alone(target: Target) -> bool:
+    return until(lambda: len(target.status().hosts) == 1)
 
 
 def _trip(target: Target) -> str:

@@ -158,7 +158,7 @@ def run_behind(k: float, c: float, gap: float, load: float) -> Array:
         return math.copysign(max(0.0, k * inside + c * rate * math.copysign(1, bend)), bend)
 
     def rate(y: Array, tau: Array) -> Array:
-        (q1, motor, v1, vm, link, vl), turned = y, P2 - load
+        (_, motor, v1, vm, link, vl), turned = y, P2 - load
         cos, sin = P3 * math.cos(link), P3 * math.sin(link)
         m = np.array([[P1 + 2 * cos, P2 + cos], [P2 + cos, P2 - turned]])
         bias = np.array([-sin * vl * (2 * v1 + vl), sin * v1**2])
