@@ -24,6 +24,7 @@ from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
     FEW,
+    MEMORY,
     STRUCTURED,
     Size,
     Structure,
@@ -31,6 +32,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     difference,
     discrepancy,
     mean_square,
+    periodic,
     structure,
 )
 from zendsp.diagnosis.measure.evidence import Evidence, block_scores, compare, settling
@@ -262,9 +264,9 @@ def _claimed(
         own = after <= _may_leave(piece) or all(get_effect(e).over == "time" for e in piece.effects)
         error = 0.0 if own else LAW_ERROR * larger
         sure = piece.log_e > needed and piece.evidence.z > CLAIMED
-        (
-            claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
-        ).append(piece)
+        (claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest).append(
+            piece
+        )
     return claimed, rest
 
 
@@ -644,9 +646,23 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         claim = _without_law(parts, search, state)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    if of_state or before.value > MACHINE:
+    if (
+        of_state
+        or before.value > MACHINE
+        or (before.value > OF_STATE and _lawful(parts, base, joint))
+    ):
         return replace(out, kind="unexplained")
     return out
+
+
+def _lawful(parts: Parts, base: Scored, joint: int) -> bool:
+    """Whether what lacks is no noise of a machine: it follows from how the joint moved before, or
+    repeats itself with time.
+    """
+    memory = structure(parts.each, base.model, joint, [MEMORY])
+    if memory.size > OF_STATE and memory.z > SURE:
+        return True
+    return periodic(parts.held, base.model, joint) > OF_STATE
 
 
 def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:

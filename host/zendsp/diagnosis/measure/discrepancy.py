@@ -15,7 +15,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
-from scipy.ndimage import binary_closing
+from scipy.ndimage import binary_closing, median_filter
+from scipy.signal import lfilter
 from scipy.stats import norm
 
 from zendsp.physics.fit import Data
@@ -39,6 +40,11 @@ BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that 
 # of the energy outside of that time, against what a random torque that is normally distributed has
 # there
 CONCENTRATED = 0.4
+MEMORY = "memory"
+SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
+SWINGS = 0.15  # damping ratio: neighbours among these overlap
+CHANCE = 1e-3  # that the largest of a noise's spectral lines stands out so far
+AROUND = 20  # neighbours on either side, whose median says how large noise is there
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY, FEW = 12, 3  # intervals: in recordings that no model was fitted to, and in the others
 
@@ -271,7 +277,25 @@ def shapes(
     if mechanism == "actuator":
         command = _unit(record.command, ranges.command)
         return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
+    if mechanism == MEMORY:
+        return _swung(record)
     return np.zeros((0, record.n))
+
+
+def _swung(record: JointRecord) -> Array:
+    """What hangs on the joint and swings: position and speed of damped masses on springs of several
+    frequencies, carried along, (columns, n). Any linear law with a memory is near a sum of them.
+    """
+    a, h = record.motion.states[2], record.sample_time
+    columns = []
+    for hertz in SWINGING:
+        if hertz * h < 0.1:
+            w = 2 * np.pi * hertz
+            decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
+            behind = [1.0, -2 * decay * turn, decay**2]
+            place = lfilter([0.0, h * h], behind, a)
+            columns += [w**2 * place, w * np.gradient(place, h)]
+    return np.array(columns).reshape(-1, record.n)
 
 
 STRUCTURED = ("position_torque", "dry_friction", "fluid_friction", "actuator")
@@ -409,6 +433,30 @@ class Bursts:
     share: float
     peak: float
     rms: float
+
+
+def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
+    """RMS of the one sine that stands out of what a model lacks, as a part of the RMS torque; 0
+    where none does in each recording (Fisher 1929, with the noise of the neighbouring lines).
+    """
+    sizes, places = [], []
+    scale = np.sqrt(mean_square(data, joint))
+    for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
+        record = rec[joint - 1]
+        here = lack[kept(record, band)]
+        window, seconds = np.hanning(len(here)), len(here) * record.sample_time
+        power = np.abs(np.fft.rfft((here - here.mean()) * window)) ** 2
+        level = median_filter(power, 2 * AROUND + 1, mode="nearest") / np.log(2)
+        out = power[2:] / np.maximum(level[2:], 1e-300)
+        peak = int(np.argmax(out))
+        if len(out) * np.exp(-float(out[peak])) > CHANCE:
+            return 0.0
+        lines = power[peak : peak + 5].sum()
+        sizes.append(float(np.sqrt(2 * lines / len(here) / (window**2).sum())) / scale)
+        places.append(((peak + 2) / seconds, 2 / seconds))
+    if max(f for f, _ in places) - min(f for f, _ in places) > max(d for _, d in places):
+        return 0.0
+    return float(np.median(sizes))
 
 
 def _states(
