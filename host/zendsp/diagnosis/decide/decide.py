@@ -649,11 +649,8 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         claim = _without_law(parts, search, state)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    if (
-        of_state
-        or before.value > MACHINE
-        or (before.value > OF_STATE and _lawful(parts, base, joint))
-    ):
+    lawful = before.value > LAWFUL and _lawful(parts, base, joint)
+    if of_state or lawful or before.value > MACHINE:
         return replace(out, kind="unexplained")
     return out
 
@@ -663,9 +660,9 @@ def _lawful(parts: Parts, base: Scored, joint: int) -> bool:
     repeats itself with time.
     """
     memory = structure(parts.each, base.model, joint, [MEMORY])
-    if memory.size > OF_STATE and memory.z > SURE:
+    if memory.size > LAWFUL and memory.z > SURE:
         return True
-    return periodic(parts.held, base.model, joint) > OF_STATE
+    return periodic(parts.held, base.model, joint) > LAWFUL
 
 
 def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:
