@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from zendsp.diagnosis.measure.discrepancy import Bursts, Size, Structure
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.physics.effects import MECHANISMS, laws_of
 from zendsp.physics.model import Term
+
+# the laws that write a mechanism down, as the effect files say
+LAWS_OF: dict[str, tuple[str, ...]] = {mechanism: laws_of(mechanism) for mechanism in MECHANISMS}
 
 
 @dataclass(frozen=True)

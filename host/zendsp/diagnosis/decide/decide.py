@@ -18,10 +18,9 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
+from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import STATED, confidence
 from zendsp.diagnosis.decide.findings import new_terms
-from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
 from zendsp.diagnosis.measure.discrepancy import (
     FEW,
     STRUCTURED,
@@ -38,7 +37,7 @@ from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import run

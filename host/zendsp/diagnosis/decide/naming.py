@@ -14,7 +14,7 @@ from zendsp.diagnosis.decide.confidence import confidence
 from zendsp.diagnosis.decide.decide import OF_STATE, draws_a_curve, weight_of_payload
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent, sentence
-from zendsp.diagnosis.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 

@@ -23,13 +23,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
-from zendsp.diagnosis.decide.mechanisms import mechanism_of
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Next, Rejected
 from zendsp.diagnosis.external.output_error import (
     BLOCK,
     Output,
@@ -44,10 +43,9 @@ from zendsp.diagnosis.external.output_error import (
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
-from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
 from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, vanishes
 from zendsp.errors import RecordingError
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.fit import free_handles
 from zendsp.physics.model import Model, Term, per_joint
 
@@ -305,7 +303,7 @@ def _diagnose(
         missing=before,
         remaining=after,
         details={
-            "charts": lambda: error_charts(test, base.model, current.model),
+            "errors": lambda: _errors_over_time(test[0], base.model, current.model),
             "benches": (train, test),
         },
     )
@@ -486,34 +484,6 @@ def _next(findings: Sequence[Finding]) -> Next | None:
     )
 
 
-def error_charts(test: Sequence[Bench], calibrated: Model, improved: Model) -> list[Chart]:
-    """The held-out recording and both simulations' errors, one chart a joint."""
-    b = test[0]
-    errors_of = [
-        (b.error(m), label, role)
-        for m, label, role in (
-            (calibrated, "calibrated", "before"),
-            (improved, "improved", "after"),
-        )
-    ]
-    time = np.asarray(b.signals.time, dtype=np.float64)
-    return [
-        Chart(
-            "fit",
-            f"Joint {i + 1}: error on the held-out recording",
-            f"error_joint{i + 1}",
-            (
-                Panel(
-                    "time [s]",
-                    f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
-                    tuple(
-                        Series("line", role, time, error[:, i], label)
-                        for error, label, role in errors_of
-                    ),
-                    f"Joint {i + 1}: held-out recording, measured minus simulated",
-                ),
-            ),
-            joint=i + 1,
-        )
-        for i in range(len(b.records))
-    ]
+def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> tuple[Array, Array, Array]:
+    """Time of the held-out recording, (n,), and both simulations' errors over it, (n, joints)."""
+    return np.asarray(b.signals.time, dtype=np.float64), b.error(calibrated), b.error(improved)
