@@ -32,12 +32,12 @@ from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.propose import propose
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
-from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
+from zendsp.diagnosis.search.forward import WAIT, Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said

@@ -22,10 +22,11 @@ from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, dependence
 from zendsp.diagnosis.decide.findings import COUPLED
 from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
-from zendsp.diagnosis.search.screen import Screen, grid_of, make_term
+from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.effects import get_effect, mechanism_of, unit_of
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
+from zendsp.physics.terms import grid_of, make_term
 
 POWER = 1.28  # standard deviations: nine in ten
 STATED = (

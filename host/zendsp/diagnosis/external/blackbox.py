@@ -42,8 +42,8 @@ from zendsp.diagnosis.external.output_error import (
     with_term,
 )
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
+from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
-from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, vanishes
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.fit import free_handles

@@ -22,6 +22,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
     tune_bandwidth,
 )
+from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.search.backlash import refine
 from zendsp.diagnosis.search.candidates import first_look, screened, simulated, starts_of
 from zendsp.diagnosis.search.hypothesis import (
@@ -30,9 +31,7 @@ from zendsp.diagnosis.search.hypothesis import (
     JointSearch,
     Rival,
     Step,
-    counterpart,
     price,
-    vanishes,
     with_numbers,
 )
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
@@ -62,11 +61,6 @@ WORTH = 10 * WAIT
 # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for
 # behind a first
 LOOK_AHEAD = 0.1
-
-
-def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
-    """The given model with the free parameters that act on one joint refitted."""
-    return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs)
 
 
 class Searcher:

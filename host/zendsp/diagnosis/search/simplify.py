@@ -15,12 +15,13 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
     tune_bandwidth,
 )
-from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
-from zendsp.diagnosis.search.screen import make_term
+from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
+from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model, Term
+from zendsp.physics.terms import make_term
 
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
 # fitted away any more
