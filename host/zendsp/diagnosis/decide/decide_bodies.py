@@ -18,9 +18,10 @@ import numpy as np
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import MOST as SUREST
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, dependence
 from zendsp.diagnosis.decide.findings import NUMERIC, number
+from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored

@@ -18,9 +18,10 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, dependence
 from zendsp.diagnosis.decide.findings import COUPLED
+from zendsp.diagnosis.decide.pieces import dependence
 from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
 from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.effects import get_effect, mechanism_of, unit_of

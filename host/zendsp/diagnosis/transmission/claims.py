@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import LAWS_OF
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, PLAIN, SURE
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN, SURE
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.transmission.sets import Sets
 from zendsp.diagnosis.transmission.terms import Chosen, applied, fitted, may_be_off, physical

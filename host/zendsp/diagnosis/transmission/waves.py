@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from zendsp.diagnosis.decide.decide import PLAIN, SURE
+from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, needed, unexplained
 from zendsp.diagnosis.transmission.sets import Sets
 from zendsp.diagnosis.transmission.torsion import (
