@@ -90,7 +90,8 @@ typedef struct variable_entry {
     uint64_t pointer; /* address in the runner */
     uint64_t address; /* offset within the program's image, bytes */
     int32_t type, kind;
-    int32_t length, columns; /* elements of an array; rows and columns of a matrix or table */
+    /* elements, and how many in a row of a matrix; a table has `length` rows of `columns` */
+    int32_t length, columns;
     int32_t size;            /* bytes of the value; 0 for a table */
     int32_t snapshot;        /* offset within a snapshot's values, bytes; -1 for a table */
     uint64_t bank[2];        /* table: offset of each bank in the data file, bytes */
