@@ -46,6 +46,7 @@ from zendsp.diagnosis.measure.discrepancy import (
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.windows import rms, window_error
+from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.model import Model, Term
 
@@ -147,7 +148,7 @@ def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:
     gain = base.deviance - rival.value
     why = (
         "no more likely than the calibrated model"
-        if gain < 40
+        if gain < WAIT
         else "is not what is missing, on the recordings held out"
     )
     return rival.effect, why, 0.5 * gain

@@ -60,6 +60,11 @@ MIN_GAIN = 20.0
 MIN_Z = 2.5
 SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
 SHORTLIST = 5
+PROMISING = 0.01  # share of the cost that a screen must promise
+OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
+RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
+START_NOISE = 4
+SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
 UNEXPLAINED = 0.03  # of the RMS torque, as a function of time
 REMAINS = (
     "A torque of {:.1f} % of the RMS torque remains over time that no effect on the simulator's"
@@ -110,7 +115,7 @@ class Hunt:
         before = errors(self.test, current.model)
         claims = []
         for promise, term in options[:SHORTLIST]:
-            if promise < 0.01:
+            if promise < PROMISING:
                 continue
             self.tell(f"joint {term.joint}: fitting {term.effect}")
             model = with_term(current.model, term)
@@ -270,7 +275,7 @@ def _diagnose(
     left = _left(after, train)
     floor = _floor(test)
     rest = _rms(test, current.model)
-    open_ = left > UNEXPLAINED and rest > 3 * floor
+    open_ = left > UNEXPLAINED and rest > OVER_NOISE * floor
     verdict = "missing" if findings else "unexplained" if open_ else "complete"
     places, spans = _where(before)
     rejected = tuple(
@@ -372,7 +377,7 @@ def _restarts(b: Bench, model: Model) -> bool:
     off = np.sqrt(np.mean((y - b.signals.position[::size]) ** 2, axis=0))
     return bool(
         np.all(
-            off < 0.02 * np.ptp(b.signals.position, axis=0) + 4 * np.array(
+            off < RESTARTS * np.ptp(b.signals.position, axis=0) + START_NOISE * np.array(
                 [sensor_noise(b, i) for i in range(len(b.records))]
             )
         )
@@ -417,10 +422,11 @@ def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ..
         for c in rivals
         if c is not claim and term.effect not in get_effect(c.term.effect).replaces
     ]
+    near = max(SAME, SAME_SHARE * claim.gain)
     same = tuple(
         c.term.effect
         for c in others
-        if c.term.joint == claim.term.joint and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
+        if c.term.joint == claim.term.joint and claim.gain - c.gain < near
     )
     apart = [claim.gain - c.gain for c in others if c.term.effect not in same]
     margin = min(apart or [claim.gain])

@@ -39,6 +39,7 @@ BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that 
 # of the energy outside of that time, against what a random torque that is normally distributed has
 # there
 CONCENTRATED = 0.4
+BURST, OF_PEAK = 10.0, 0.05  # times the median of the energy, and of its largest: a burst
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
 MANY, FEW = 12, 3  # intervals: in recordings that no model was fitted to, and in the others
 
@@ -469,7 +470,7 @@ def bursts(
     for level, lack, rec in zip(levels, found, data.records, strict=True):
         record = rec[joint - 1]
         use = kept(record, band)
-        high = level > max(10.0 * quiet, 0.05 * float(level.max()))
+        high = level > max(BURST * quiet, OF_PEAK * float(level.max()))
         high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[
             1:-1
         ]
