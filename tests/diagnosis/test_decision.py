@@ -15,8 +15,9 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import pieces
 from zendsp.diagnosis.decide.claims import Piece
-from zendsp.diagnosis.measure.discrepancy import Size, Structure
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.model import Term
 
 RATE = 500.0

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from zendsp.diagnosis.measure.discrepancy import Bursts, Size, Structure
+from zendsp.diagnosis.measure.bursts import Bursts
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.effects import MECHANISMS, laws_of
 from zendsp.physics.model import Term
 

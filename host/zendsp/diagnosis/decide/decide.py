@@ -27,24 +27,12 @@ from zendsp.diagnosis.decide.pieces import (
     rms_torque,
     worth_choosing,
 )
-from zendsp.diagnosis.decide.thresholds import (
-    MACHINE,
-    MOST,
-    OF_STATE,
-    RIVAL,
-    SURE,
-)
-from zendsp.diagnosis.measure.discrepancy import (
-    FEW,
-    STRUCTURED,
-    Size,
-    Structure,
-    bursts,
-    discrepancy,
-    structure,
-)
+from zendsp.diagnosis.decide.thresholds import MACHINE, MOST, OF_STATE, RIVAL, SURE
+from zendsp.diagnosis.measure.bursts import FEW, bursts
+from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival

@@ -13,12 +13,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import STATED, confidence
 from zendsp.diagnosis.decide.findings import new_terms
-from zendsp.diagnosis.decide.pieces import (
-    kind_of,
-    may_leave,
-    piece_of,
-    rms_torque,
-)
+from zendsp.diagnosis.decide.pieces import kind_of, may_leave, piece_of, rms_torque
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CURVE,
@@ -31,16 +26,10 @@ from zendsp.diagnosis.decide.thresholds import (
     SURE,
     TIED,
 )
-from zendsp.diagnosis.measure.discrepancy import (
-    STRUCTURED,
-    Size,
-    Structure,
-    difference,
-    discrepancy,
-    structure,
-)
+from zendsp.diagnosis.measure.discrepancy import Size, difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
 from zendsp.physics.effects import get_effect, library, mechanism_of

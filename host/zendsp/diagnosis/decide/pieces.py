@@ -19,15 +19,10 @@ from zendsp.diagnosis.decide.thresholds import (
     LAW_ERROR,
     LEFT_BY_A_LAW,
 )
-from zendsp.diagnosis.measure.discrepancy import (
-    STRUCTURED,
-    difference,
-    discrepancy,
-    mean_square,
-    structure,
-)
+from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
+from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.fit import Data, joint_handles
