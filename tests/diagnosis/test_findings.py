@@ -9,7 +9,7 @@ import pytest
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
-from zendsp.diagnosis.search.hypothesis import counterpart, vanishes
+from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.physics.fit import Fit, Handle
 from zendsp.physics.model import Model, Quantity, Term
 

@@ -14,9 +14,14 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored, deviance, fit_scored, informative
+from zendsp.diagnosis.measure.likelihood import (
+    Scored,
+    calibrate_joint,
+    deviance,
+    fit_scored,
+    informative,
+)
 from zendsp.diagnosis.search.candidates import as_given, simulated
-from zendsp.diagnosis.search.forward import calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify

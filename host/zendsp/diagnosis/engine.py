@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.bodies.find import BodySearch, find_bodies
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.prepare import prepare
@@ -31,19 +30,20 @@ from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
-from zendsp.diagnosis.decide.torque_sensor import sided
+from zendsp.diagnosis.decide.propose import propose
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
-from zendsp.diagnosis.report.propose import propose
-from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Left, Rejected
-from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
+from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.diagnosis.search.forward import WAIT, Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
+from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import CALLED, Model

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.result import Estimate, Finding
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model

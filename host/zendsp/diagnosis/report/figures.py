@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.chart import Chart, Mesh, Panel, Series
+from zendsp.diagnosis.decide.result import Diagnosis, Finding
 from zendsp.diagnosis.measure.where import Missing, energy, mismatch
 from zendsp.diagnosis.measure.windows import window_error
-from zendsp.diagnosis.result import Diagnosis, Finding
+from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.predict import run
@@ -279,6 +279,32 @@ def white_chart(d: Diagnosis, joint: int) -> Chart:
     )
 
 
+def simulator_charts(
+    d: Diagnosis, time: Array, calibrated: Array, improved: Array
+) -> list[Chart]:
+    """The errors of a simulator on the held-out recording, one chart a joint."""
+    return [
+        Chart(
+            "fit",
+            f"Joint {i + 1}: error on the held-out recording",
+            f"error_joint{i + 1}",
+            (
+                Panel(
+                    "time [s]",
+                    f"position error [{_units(d, i + 1)['position']}]",
+                    (
+                        Series("line", "before", time, calibrated[:, i], "calibrated"),
+                        Series("line", "after", time, improved[:, i], "improved"),
+                    ),
+                    f"Joint {i + 1}: held-out recording, measured minus simulated",
+                ),
+            ),
+            joint=i + 1,
+        )
+        for i in range(calibrated.shape[1])
+    ]
+
+
 def charts(d: Diagnosis) -> list[Chart]:
     """Every figure of a report, in its order.
 
@@ -290,9 +316,8 @@ def charts(d: Diagnosis) -> list[Chart]:
     -------
     list of Chart
     """
-    if "charts" in d.details:  # of a simulator that can only be called
-        made: list[Chart] = d.details["charts"]()
-        return made
+    if "errors" in d.details:  # of a simulator that can only be called
+        return simulator_charts(d, *d.details["errors"]())
     joints = sorted({f.joint for f in d.findings} | {r.joint for r in d.regions[:1]}) or [1]
     joints = joints[:MOST_JOINTS]
     out = [error_chart(d, j) for j in joints]

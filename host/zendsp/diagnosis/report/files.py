@@ -9,8 +9,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from zendsp.diagnosis.chart import SUFFIX, save_chart
-from zendsp.diagnosis.result import Diagnosis
+from zendsp.diagnosis.decide.result import Diagnosis
+from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import model_text
 

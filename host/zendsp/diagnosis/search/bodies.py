@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.bodies.columns import Layout, Sums
-from zendsp.diagnosis.bodies.explain import Explained, explain, tied
-from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS, BodyLimits, hypotheses
-from zendsp.diagnosis.bodies.solver import Solver
+from zendsp.diagnosis.search.body_columns import Layout, Sums
+from zendsp.diagnosis.search.body_explain import Explained, explain, tied
+from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, hypotheses
+from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.bodies import Links
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, Term

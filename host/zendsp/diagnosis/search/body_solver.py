@@ -9,8 +9,8 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.bodies.columns import NUISANCE, Layout, Sums
-from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums
+from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hypothesis
 
 Array = npt.NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
-from zendsp.diagnosis.result import Finding, Next
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
