@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.reference.core import Array
-
-Spectrum = Literal["flat", "velocity", "acceleration"]
-# amplitude of line k is 1/k^power: flat in that derivative
-POWER = {"flat": 0, "velocity": 1, "acceleration": 2}
 
 
 def crest_factor(x: Array) -> float:
