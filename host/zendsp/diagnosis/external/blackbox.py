@@ -35,7 +35,7 @@ from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_inpu
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
-from zendsp.physics.fit import free_handles
+from zendsp.physics.handles import free_handles
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
