@@ -31,7 +31,7 @@ from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.propose import propose
-from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
@@ -179,13 +179,7 @@ def _diagnose(
         unexplained=left_over(decisions, given),
         missing=lacking,
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
-        details={
-            "searches": found.searches,
-            "whole": whole,
-            "train": parts.fit,
-            "test": parts.test,
-            "decisions": decisions,
-        },
+        workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
     )
 
 

@@ -24,7 +24,7 @@ from zendsp.experiment.excite import play
 from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
 from zendsp.recording import Recording
-from zendsp.reference.kinds.multisine import low_crest_phases
+from zendsp.reference.crest import low_crest_phases
 from zendsp_protocol.views import curves, html_table, sentence
 
 if TYPE_CHECKING:

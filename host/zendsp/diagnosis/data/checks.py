@@ -208,8 +208,8 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
 
 
 def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
-    """Look at the motion against the command: units, signs, swapped columns (see
-    ``contradictions``).
+    """Look at the motion against the command: units, signs, swapped columns
+    (``plausibility``).
 
     Parameters
     ----------

@@ -11,7 +11,8 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.convergence import with_step_error
-from zendsp.physics.fit import Data, Fit, fit, free_handles
+from zendsp.physics.fit import Data, Fit, fit
+from zendsp.physics.handles import free_handles
 from zendsp.physics.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
 

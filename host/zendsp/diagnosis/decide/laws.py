@@ -18,11 +18,13 @@ from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CURVE,
     DRAWS,
+    EXPLAINS,
     HARMONIC,
     LAW_ERROR,
     NUMERIC,
     OWN_SHARE,
     PLAIN,
+    STATED_LAW,
     SURE,
     TIED,
 )
@@ -255,7 +257,7 @@ def _law(
             share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
             why = (
                 f"explains {100 * max(0.0, min(share, 0.99)):.0f} % of it"
-                if share > 0.1
+                if share > EXPLAINS
                 else "does not explain the mismatch"
             )
             lost.append((rival.effect, why, -0.5 * behind))
@@ -265,7 +267,7 @@ def _law(
             laws[name] = laws.get(name, 0.0) + float(weight)
     total = sum(laws.values())
     laws = (
-        {n: w / total for n, w in laws.items() if w / total > 1e-3}
+        {n: w / total for n, w in laws.items() if w / total > STATED_LAW}
         if total > 0
         else {term.effect: 1.0}
     )

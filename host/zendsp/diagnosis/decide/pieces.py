@@ -16,6 +16,7 @@ from zendsp.diagnosis.decide.thresholds import (
     CLAIMED,
     FALSE_DISCOVERIES,
     FINEST,
+    HANGING,
     LAW_ERROR,
     LEFT_BY_A_LAW,
 )
@@ -60,7 +61,7 @@ def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
         term.effect == "gravity"
         and "inertia" in found
         and hangs
-        and abs(math.sin(term.value("angle"))) < 0.2
+        and abs(math.sin(term.value("angle"))) < HANGING
     )
 
 

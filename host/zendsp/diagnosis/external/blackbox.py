@@ -28,14 +28,14 @@ from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import file_model
-from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected
+from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
 from zendsp.diagnosis.external.hunt import Hunt, findings_of, next_of
 from zendsp.diagnosis.external.output_error import Output, errors, fit_output, sensor_noise
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import library
-from zendsp.physics.fit import free_handles
+from zendsp.physics.handles import free_handles
 from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
@@ -197,10 +197,7 @@ def _diagnose(
         unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
-        details={
-            "errors": lambda: _errors_over_time(test[0], base.model, current.model),
-            "benches": (train, test),
-        },
+        workings=lambda: _errors_over_time(test[0], base.model, current.model),
     )
 
 
@@ -305,6 +302,7 @@ def _where(
     )
 
 
-def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> tuple[Array, Array, Array]:
-    """Time of the held-out recording, (n,), and both simulations' errors over it, (n, joints)."""
-    return np.asarray(b.signals.time, dtype=np.float64), b.error(calibrated), b.error(improved)
+def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> SimulatorErrors:
+    return SimulatorErrors(
+        np.asarray(b.signals.time, dtype=np.float64), b.error(calibrated), b.error(improved)
+    )

@@ -25,7 +25,7 @@ from zendsp.diagnosis.external.output_error import (
 from zendsp.diagnosis.external.simulator import Bench
 from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
 from zendsp.physics.effects import get_effect, mechanism_of
-from zendsp.physics.fit import free_handles
+from zendsp.physics.handles import free_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles, residual, residuals
+from zendsp.physics.fit import Data, Fit, fit, joint_handles, residual, residuals
+from zendsp.physics.handles import Handle
 from zendsp.physics.model import Model
 from zendsp.physics.predict import ran_away
 

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Along, Parameter
-from zendsp.physics.fit import Data, Fit, Handle
+from zendsp.physics.fit import Data, Fit
+from zendsp.physics.handles import Handle
 from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
 from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import response, sensed, trace
