@@ -174,11 +174,13 @@ def parse_names(text: str) -> list[str]:
 
 def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Any]:
     """Read ``NAME=VALUE …``."""
-    values = {}
+    values: dict[str, Any] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
             raise click.BadParameter(f"{pair!r}: expected NAME=VALUE")
+        if name in values:
+            raise click.BadParameter(f"{pair!r}: {name} has a value already")
         values[name] = parse_value(text)
     return values
 
