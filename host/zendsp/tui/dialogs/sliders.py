@@ -202,7 +202,8 @@ class Sliders(Dialog[None]):
         write: Callable[[dict[str, Any], bool], None],
     ) -> None:
         super().__init__()
-        self._values, self._write = lambda: numbers(variables, values()), write
+        self._write = write
+        self._values: Callable[[], dict[str, Any]] = lambda: numbers(variables, values())
         self._variables = tuple(part for v in variables for part in elements(v))
         now = self._values()
         self._before = {v.name: now.get(v.name, v.initial) for v in self._variables}
