@@ -298,6 +298,8 @@ async def test_a_matrix_has_a_slider_for_each_element_and_says_where_the_scope_i
         await _mark(lab, pilot, "K")
         await pilot.press("space")
         assert "K has 8 curves, 5 of 8 are free: K[5], K[6], K[7] are left out" in _events(lab)
+        await pilot.press("l", "l")
+        assert "over one another: the axis is that of r[0], y chooses another" in _events(lab)
 
 
 @pytest.mark.covers("console.sliders")
@@ -451,7 +453,7 @@ async def test_every_key_of_the_scope(
         assert scope.settings.auto and scope.settings.lanes == "curve"
         await pilot.press("l")
         assert scope.settings.lanes == "over"
-        assert "over one another: the axis is that of q[0]" in _events(lab)
+        assert "scope: over one another" in _events(lab)
         await pilot.press("y")
         assert scope.settings.selected == 1
         await pilot.press("x")
