@@ -213,24 +213,13 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     axis.plot(t, np.where(counted & (t < at), e, np.nan), color=MODEL, lw=0.7)
     axis.plot(t, np.where(counted & (t >= at), e, np.nan), color=FOUND, lw=0.7)
     low = _scale(axis, e[t > LEAD_S], 0.3)
-    axis.text(
-        0.0,
-        low,
-        " grey: setting out and at rest, not counted",
-        fontsize=8,
-        va="bottom",
-        color=QUIET,
-    )
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
-    axis.text(
-        at,
-        low,
-        f" one synchronous update, sample {told.tracking.tick}",
-        fontsize=8,
-        va="bottom",
-        color="0.2",
-    )
+    for x, words, colour in (
+        (0.0, " grey: setting out and at rest, not counted", QUIET),
+        (at, f" one synchronous update, sample {told.tracking.tick}", "0.2"),
+    ):
+        axis.text(x, low, words, fontsize=8, va="bottom", color=colour)
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(
             x,
