@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -70,8 +70,7 @@ def run(
     bandwidth: float,
     *,
     inner: int = 2,
-    states: bool = False,
-    beyond: bool = False,
+    states: Literal["", "seen", "beyond"] = "",
     free_every: int = 0,
     extra: Array | None = None,
 ) -> Run:
@@ -86,10 +85,9 @@ def run(
         Of the observer, rad/s.
     inner : int
         Integration steps per sample.
-    states : bool
-        Also return states and torque.
-    beyond : bool
-        The states of the other side of a transmission, which the sensor does not see.
+    states : str
+        Which states to return too, with the torque: those of the side of a transmission that the
+        sensor sees, or of the side beyond it.
     free_every : int
         Restart from the smoothed motion every so many samples and simulate freely between; 0:
         observer.
@@ -104,7 +102,7 @@ def run(
     p = lib.doubles
     m = lib.ffi.new("zk_model *")
     alive = _fill(m, record, model, bandwidth, inner)
-    m.beyond = int(beyond)
+    m.beyond = int(states == "beyond")
     if free_every:
         value, half, w = record.position, np.zeros(n), np.ones(n)
         m.m, m.half, m.w, m.reset = p(value), p(half), p(w), free_every

@@ -62,7 +62,7 @@ def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Re
     for joint in joints:
         record = rec[joint - 1]
         beyond = run(
-            record, model, data.bandwidth[joint - 1], inner=data.inner, states=True, beyond=True
+            record, model, data.bandwidth[joint - 1], inner=data.inner, states="beyond"
         )
         if beyond.diverged:
             continue
