@@ -27,12 +27,12 @@ from zendsp.diagnosis.decide.pieces import (
     rms_torque,
     worth_choosing,
 )
-from zendsp.diagnosis.decide.thresholds import MACHINE, MOST, OF_STATE, RIVAL, SURE
-from zendsp.diagnosis.measure.bursts import FEW, bursts
+from zendsp.diagnosis.decide.thresholds import LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
+from zendsp.diagnosis.measure.bursts import FEW, bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
-from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
+from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
@@ -116,7 +116,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         lost=lost,
     )
     of_state = state.size > OF_STATE and state.z > SURE
-    if before.value > OF_STATE and state.share < MOST:
+    if before.value > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
         here = bursts(parts.held, base.model, joint) or bursts(
             parts.fit, base.model, joint, many=FEW
@@ -127,9 +127,20 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         claim = _without_law(parts, search, state)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    if of_state or before.value > MACHINE:
+    lawful = before.value > LAWFUL and _lawful(parts, base, joint)
+    if of_state or lawful or before.value > MACHINE:
         return replace(out, kind="unexplained")
     return out
+
+
+def _lawful(parts: Parts, base: Scored, joint: int) -> bool:
+    """Whether what lacks is no noise of a machine: it follows from how the joint moved before, or
+    repeats itself with time.
+    """
+    memory = structure(parts.each, base.model, joint, [MEMORY])
+    if memory.size > LAWFUL and memory.z > SURE:
+        return True
+    return periodic(parts.held, base.model, joint) > LAWFUL
 
 
 def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:

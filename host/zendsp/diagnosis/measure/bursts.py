@@ -1,4 +1,4 @@
-"""Lacking torque that comes and goes with time: a disturbance, whatever the joint does."""
+"""Lacking torque that comes and goes with time, or repeats itself, whatever the joint does."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_closing
+from scipy.ndimage import binary_closing, median_filter
 from scipy.stats import norm
 
-from zendsp.diagnosis.measure.discrepancy import kept, lacking
+from zendsp.diagnosis.measure.discrepancy import kept, lacking, mean_square
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord
@@ -24,6 +24,8 @@ BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that 
 CONCENTRATED = 0.4
 BURST, OF_PEAK = 10.0, 0.05  # times the median of the energy, and of its largest: a burst
 REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
+CHANCE = 1e-3  # that the largest of a noise's spectral lines stands out so far
+AROUND = 20  # neighbours on either side, whose median says how large noise is there
 MANY, FEW = 12, 3  # intervals: in recordings that no model was fitted to, and in the others
 
 
@@ -133,3 +135,27 @@ def bursts(
     if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
         return None
     return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))
+
+
+def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:
+    """RMS of the one sine that stands out of what a model lacks, as a part of the RMS torque; 0
+    where none does in each recording (Fisher 1929, with the noise of the neighbouring lines).
+    """
+    sizes, places = [], []
+    scale = np.sqrt(mean_square(data, joint))
+    for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
+        record = rec[joint - 1]
+        here = lack[kept(record, band)]
+        window, seconds = np.hanning(len(here)), len(here) * record.sample_time
+        power = np.abs(np.fft.rfft((here - here.mean()) * window)) ** 2
+        level = median_filter(power, 2 * AROUND + 1, mode="nearest") / np.log(2)
+        out = power[2:] / np.maximum(level[2:], 1e-300)
+        peak = int(np.argmax(out))
+        if len(out) * np.exp(-float(out[peak])) > CHANCE:
+            return 0.0
+        lines = power[peak : peak + 5].sum()
+        sizes.append(float(np.sqrt(2 * lines / len(here) / (window**2).sum())) / scale)
+        places.append(((peak + 2) / seconds, 2 / seconds))
+    if max(f for f, _ in places) - min(f for f, _ in places) > max(d for _, d in places):
+        return 0.0
+    return float(np.median(sizes))

@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
+from scipy.signal import lfilter
 
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
@@ -31,6 +32,10 @@ Array = npt.NDArray[np.float64]
 ROWS = 8000  # rows of a regression
 # pieces of a function of state, as multiples: broad shapes, and narrow ones
 DETAILS = (1, 3)
+MEMORY = "memory"  # not a mechanism: any of them may remember
+SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
+SWINGS = 0.15  # damping ratio: neighbours among these overlap
+SLOWER = 0.1  # of the sampling: a swing that the recording shows
 
 
 def _splines(u: Array, count: int) -> Array:
@@ -105,7 +110,25 @@ def shapes(
     if mechanism == "actuator":
         command = unit(record.command, ranges.command)
         return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
+    if mechanism == MEMORY:
+        return _swung(record)
     return np.zeros((0, record.n))
+
+
+def _swung(record: JointRecord) -> Array:
+    """What hangs on the joint and swings: position and speed of damped masses on springs of several
+    frequencies, carried along, (columns, n). Any linear law with a memory is near a sum of them.
+    """
+    a, h = record.motion.states[2], record.sample_time
+    columns = []
+    for hertz in SWINGING:
+        if hertz * h < SLOWER:
+            w = 2 * np.pi * hertz
+            decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
+            behind = [1.0, -2 * decay * turn, decay**2]
+            place = lfilter([0.0, h * h], behind, a)
+            columns += [w**2 * place, w * np.gradient(place, h)]
+    return np.array(columns).reshape(-1, record.n)
 
 
 STRUCTURED = ("position_torque", "dry_friction", "fluid_friction", "actuator")
