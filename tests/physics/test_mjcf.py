@@ -11,7 +11,7 @@ import pytest
 
 from zendsp.errors import ModelError
 from zendsp.physics.model_file import load_model, parse_model
-from zendsp.physics.model_text import model_text
+from zendsp.physics.model_write import model_text
 from zendsp.physics.robot import mjcf_of, robot_tree
 from zendsp.physics.tree import inverse_dynamics
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import pkgutil
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -132,3 +133,11 @@ def test_one_role_has_one_name() -> None:
     assert {
         name: [f"{p} for {OTHER_NAMES[p]}" for p in found] for name, found in odd.items() if found
     } == {}
+
+
+def test_a_name_that_is_imported_on_first_use_is_no_module_beside_it() -> None:
+    # whoever imports such a module first would find it in the place of the function
+    for package in ("zendsp", "zendsp.physics", "zendsp.diagnosis"):
+        room = importlib.import_module(package)
+        modules = {name for _, name, _ in pkgutil.iter_modules(room.__path__)}
+        assert modules & set(room._LAZY) == set(), package

@@ -12,7 +12,7 @@ from typing import Any
 from zendsp.diagnosis.decide.result import Diagnosis
 from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.physics.model import Model
-from zendsp.physics.model_text import model_text
+from zendsp.physics.model_write import model_text
 
 
 def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Path:
