@@ -166,7 +166,8 @@ def test_a_joint_stopped_beyond_its_limit_goes_no_further_out(make_runtime: Make
 SLOW = (
     '#include "isr.h"\n#include <fcntl.h>\n#include <unistd.h>\nvoid UserInit(void) {'
     ' close(open("%(begun)s", O_CREAT | O_WRONLY, 0600));'
-    ' for (int i = 0; i < 20000 && access("%(go)s", F_OK) != 0; i++) usleep(1000); }\n'
+    ' for (int i = 0; i < 20000 && access("%(go)s", F_OK) != 0; i++) usleep(1000);'
+    ' close(open("%(over)s", O_CREAT | O_WRONLY, 0600)); }\n'
     "void UserISR_INT2(void) {}\n"
 )
 
@@ -175,14 +176,14 @@ def test_stop_does_not_wait_behind_a_load(
     make_runtime: Make, wait_for: Wait, tmp_path: Path
 ) -> None:
     runtime = make_runtime(CONSTANT)
-    begun, go = tmp_path / "begun", tmp_path / "go"
-    slow = runtime.compile({"slow.c": SLOW % {"begun": begun, "go": go}})
+    begun, go, over = tmp_path / "begun", tmp_path / "go", tmp_path / "over"
+    slow = runtime.compile({"slow.c": SLOW % {"begun": begun, "go": go, "over": over}})
     assert slow.ok, slow.diagnostics
     thread = threading.Thread(target=runtime.load, args=(slow.key,))
     thread.start()
     wait_for(begun.exists)
     runtime.stop()
-    assert thread.is_alive(), "STOP came after the load"
+    assert not over.exists(), "STOP came after the load"
     go.touch()
     thread.join()
 
