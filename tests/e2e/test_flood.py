@@ -47,6 +47,7 @@ sys.stdin.read()
 def endpoint(tmp_path: Path) -> Iterator[str]:
     users = tmp_path / "users"
     users.write_text("anna:a\nmallory:m\n")
+    users.chmod(0o600)
     target = subprocess.Popen(
         [
             sys.executable,

@@ -35,6 +35,21 @@ OWNER = "owner"  # name that goes with the token of a loopback port
 EVERYWHERE = f"{keys.ROOT}/**"
 
 
+def _check_secret(option: str, path: str) -> None:
+    """Refuse a file of secrets that others may read or write; a group may read it.
+
+    Raises
+    ------
+    Refused
+        With the command that mends it.
+    """
+    if Path(path).stat().st_mode & 0o026:
+        raise Refused(
+            f"{option} {path}: others may read or write it, and come in with what stands there:"
+            f" chmod 600 {path}"
+        )
+
+
 def read_users(path: str) -> dict[str, str]:
     """Users and passwords of a file of lines ``user:password``.
 
@@ -42,7 +57,7 @@ def read_users(path: str) -> dict[str, str]:
     ------
     Refused
         The file cannot be read, is empty or cut, names a user twice, or one that cannot stand in a
-        key. Zenoh would let everybody in on an empty file.
+        key; or others may read it. Zenoh would let everybody in on an empty file.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -73,6 +88,7 @@ def read_users(path: str) -> dict[str, str]:
             f"--users {path}: the last line does not end: was the file cut off? End it with a new"
             " line"
         )
+    _check_secret("--users", path)
     return users
 
 
@@ -306,6 +322,8 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
                 f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
                 " them)"
             )
+    if security.key:
+        _check_secret("--tls-key", security.key)
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}
