@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from helpers import kill, python
+from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.link import Target
@@ -67,7 +68,7 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     assert target.stdout is not None
     yield json.loads(target.stdout.readline())["endpoints"][0]
     target.terminate()
-    target.communicate(timeout=30)
+    target.communicate(timeout=PATIENCE_S)
 
 
 def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(

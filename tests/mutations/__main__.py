@@ -45,7 +45,7 @@ CAGE = (
 ALIVE = """
 import zendsp, zendsp_target, sys
 assert zendsp.__file__.startswith(sys.argv[1]) and zendsp_target.__file__.startswith(sys.argv[1]), zendsp.__file__
-with zendsp.local("imi_planar", clock="fast", timeout=300.0) as target:
+with zendsp.local("imi_planar", clock="fast") as target:
     target.download("pd.c")
     target.run_for(0.1)
     assert target.status().tick == 100 and target["Kp1"] > 0
