@@ -89,7 +89,7 @@ def of_case(case: Path, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
         sound = finding.effect in also or held_back(finding, effects)
         if named:
             sound = right[k] == "law" or (right[k] == "mechanism" and finding.effect == "unknown")
-        for decision in d.details.get("decisions", ()):
+        for decision in getattr(d.workings, "decisions", ()):
             for claim in decision.claims:
                 if (decision.joint, claim.effect) == (finding.joint, finding.effect):
                     yield {

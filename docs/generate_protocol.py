@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import textwrap
 from pathlib import Path
 
 import msgspec
@@ -98,7 +99,7 @@ def message_tables() -> str:
     for struct in structs():
         said = comments(struct)
         summary = " ".join((inspect.getdoc(struct) or "").split())
-        lines = [f"**{struct.__name__}** – {summary}", ""]
+        lines = [*textwrap.wrap(f"**{struct.__name__}** – {summary}", 100), ""]
         fields = msgspec.structs.fields(struct)
         if fields:
             lines += ["| field | type | meaning |", "|---|---|---|"]

@@ -437,7 +437,7 @@ def _build_mujoco(machine: str) -> Path:
         )
     root = source_root()
     source = root / "machines" / "mujoco" / "mujoco_machine.c"
-    include = [root / "include", root / "machines", package / "include", package]
+    include = [root / "include", root / "machines", source.parent, package / "include", package]
     link = (f"-L{package}", f"-l:{libraries[-1].name}", f"-Wl,-rpath,{package}", "-lm")
     return _trusted(
         "machine for MuJoCo models",

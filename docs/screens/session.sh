@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
-# A session in tmux, to watch: build, enable, run, tune, record, stop. Needs tmux and zendsp on the PATH.
+# A session in tmux, to watch: build, enable, run, tune, record, stop. Needs tmux and zendsp on the
+# PATH.
 #     docs/screens/session.sh [columns] [rows]
-# With SESSION_PRINT=1 it prints the screen after each step in place of showing it (no terminal needed).
+# With SESSION_PRINT=1 it prints the screen after each step in place of showing it (no terminal
+# needed).
 set -euo pipefail
 columns=${1:-140} rows=${2:-42}
 socket=zendsp-session-$$

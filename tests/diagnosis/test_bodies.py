@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import zendsp
-from zendsp.diagnosis.bodies.find import BodySearch, find_bodies
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
+from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import load_model, parse_model
 
@@ -239,7 +239,7 @@ def test_diagnosis_claims_the_payload_once_for_the_whole_arm(record,
 
 def test_what_no_joint_feels_of_a_centre_is_no_number_to_look_for() -> None:
     """Two parallel axes: a place along them gave a centre of 30 km, and springs that balance it."""
-    from zendsp.diagnosis.bodies.hypotheses import felt
+    from zendsp.diagnosis.search.body_hypotheses import felt
     from zendsp.physics.bodies import Links
     from zendsp.physics.tree import Body
 

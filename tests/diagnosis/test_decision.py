@@ -13,7 +13,11 @@ import reality
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
+from zendsp.diagnosis.decide import pieces
+from zendsp.diagnosis.decide.claims import Piece
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
+from zendsp.diagnosis.measure.structure import Structure
 from zendsp.physics.model import Term
 
 RATE = 500.0
@@ -88,18 +92,18 @@ def test_complete_says_what_would_have_been_seen_and_an_effect_of_twice_that_is_
     assert [f.effect for f in again.findings] == ["ripple"]
 
 
-def piece(size: float, z: float, log_e: float) -> decision.Piece:
+def piece(size: float, z: float, log_e: float) -> Piece:
     term = Term("ripple", 1, {})
     evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
-    return decision.Piece("position_torque", (term,), SimpleNamespace(), size, evidence, log_e)  # type: ignore[arg-type]
+    return Piece("position_torque", (term,), SimpleNamespace(), size, evidence, log_e)  # type: ignore[arg-type]
 
 
 def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(decision, "discrepancy", lambda *_: decision.Size(0.01, 0.0, 0.02))
-    monkeypatch.setattr(decision, "structure", lambda *_: decision.Structure(0.01, 0.5, 1.0))
-    monkeypatch.setattr(decision, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.01, 0.0, 0.02))
+    monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.01, 0.5, 1.0))
+    monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
     final = SimpleNamespace(model=None)
     sure, unlikely, uneven, small = (
@@ -108,7 +112,7 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
         piece(0.1, 1.0, 20.0),
         piece(0.005, 5.0, 20.0),
     )
-    claimed, rest = decision._claimed(
+    claimed, rest = pieces.held_apart(
         parts,
         None,
         final,
@@ -125,16 +129,16 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     term = Term("ripple", 1, {})
     final = SimpleNamespace(model=None)
 
-    def ask(data: object, *_: object) -> decision.Piece:
+    def ask(data: object, *_: object) -> Piece:
         asked.append(data)
         return piece(0.1, 0.0, 0.0)
 
-    monkeypatch.setattr(decision, "_worth_choosing", lambda *_: final)
+    monkeypatch.setattr(decision, "worth_choosing", lambda *_: final)
     monkeypatch.setattr(decision, "discrepancy", lambda *_: None)
     monkeypatch.setattr(decision, "new_terms", lambda *_: [term])
-    monkeypatch.setattr(decision, "_grouped", lambda *_: {("position_torque", 0): (term,)})
-    monkeypatch.setattr(decision, "_piece", ask)
-    monkeypatch.setattr(decision, "_claimed", lambda *_: ([], []))
+    monkeypatch.setattr(decision, "grouped", lambda *_: {("position_torque", 0): (term,)})
+    monkeypatch.setattr(decision, "piece_of", ask)
+    monkeypatch.setattr(decision, "held_apart", lambda *_: ([], []))
     monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
     parts = SimpleNamespace(fit="fit", choose="choose", test="test")
     search = SimpleNamespace(joint=1, base=SimpleNamespace(model=None))

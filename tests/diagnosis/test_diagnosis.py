@@ -191,8 +191,8 @@ def test_several_recordings_are_fitted_jointly(tmp_path: Path) -> None:
     spread = [
         dict(
             zip(
-                (h.key for h in d.details["whole"].fits[1].handles),
-                d.details["whole"].fits[1].std,
+                (h.key for h in d.workings.whole.fits[1].handles),
+                d.workings.whole.fits[1].std,
                 strict=True,
             )
         )["level"]

@@ -9,8 +9,9 @@ import pytest
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
-from zendsp.diagnosis.search.hypothesis import counterpart, vanishes
-from zendsp.physics.fit import Fit, Handle
+from zendsp.diagnosis.measure.significance import counterpart, vanishes
+from zendsp.physics.fit import Fit
+from zendsp.physics.handles import Handle
 from zendsp.physics.model import Model, Quantity, Term
 
 # of the couplings from joint 2 by inertia, from joint 2 by speed, from joint 3 by inertia

@@ -15,7 +15,8 @@ import reality
 from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals, unused_effects
-from zendsp.diagnosis.search.forward import Searcher, calibrate_joint
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
+from zendsp.diagnosis.search.forward import Searcher
 from zendsp.errors import RecordingError
 from zendsp.physics.effects import mechanism_of
 from zendsp.physics.fit import Data

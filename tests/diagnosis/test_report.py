@@ -15,8 +15,8 @@ import reality
 
 from zendsp.cli import main
 from zendsp.diagnosis import diagnose
+from zendsp.diagnosis.decide.result import Detectable
 from zendsp.diagnosis.report.summary import _sized
-from zendsp.diagnosis.result import Detectable
 from zendsp.physics.effects import library
 
 RATE = 500.0

@@ -11,16 +11,25 @@ import pytest
 import reality
 
 from zendsp.diagnosis.data.prepare import prepare
-from zendsp.diagnosis.data.signals import Signals
+from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.decide.thresholds import LAWFUL
+from zendsp.diagnosis.measure.bursts import periodic
 from zendsp.diagnosis.measure.discrepancy import deviation
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored, deviance, fit_scored, informative
+from zendsp.diagnosis.measure.likelihood import (
+    Scored,
+    calibrate_joint,
+    deviance,
+    fit_scored,
+    informative,
+)
+from zendsp.diagnosis.measure.structure import MEMORY, structure
 from zendsp.diagnosis.search.candidates import as_given, simulated
-from zendsp.diagnosis.search.forward import calibrate_joint
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
-from zendsp.physics.fit import Data, joint_handles
+from zendsp.diagnosis.transmission.links import divided, with_links
+from zendsp.physics.fit import Data, joint_handles, residual
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model
 
@@ -122,3 +131,86 @@ def test_neighbouring_blocks_that_resemble_each_other_count_for_less() -> None:
     in_fives = np.repeat(alone[:800], 5)
     assert deviation(alone) == pytest.approx(np.sqrt(4000), rel=0.1)
     assert deviation(in_fives) > 1.8 * np.sqrt(4000)  # that of 800 sums of five: 2.2 times
+
+
+@pytest.mark.parametrize("hertz", [6.1, 10.2])
+def test_a_spring_is_found_wherever_its_resonance_lies(hertz: float) -> None:
+    load, motor = 0.004, 0.006
+    stiffness = (2 * np.pi * hertz) ** 2 * load * motor / (load + motor)
+    machine = reality.Machine(load=load, soft=stiffness)
+    columns = reality.simulate(machine, reality.multisine(8.0, RATE, 5, high=6.0), RATE)
+    base = model_of(VISCOUS, COULOMB)
+    calibrated = calibrate_joint(data_of(columns, base), base, 1)
+    ((start, *_),) = simulated(calibrated.data, calibrated.model, 1, frozenset({"elasticity"}))
+    model = with_candidate(calibrated.model, start)
+    found = fit_scored(calibrated.data, model, joint_handles(calibrated.data, model, 1), (1,))
+    assert found.model.terms[-1].value("stiffness") == pytest.approx(stiffness, rel=0.03)
+
+
+def test_what_repeats_itself_and_what_remembers_are_told_from_unrest() -> None:
+    reference = reality.multisine(10.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    quiet = reality.simulate(reality.Machine(), reference, RATE)
+    restless = reality.simulate(reality.Machine(unrest=0.004), reference, RATE)
+    rms = float(np.sqrt(np.mean(quiet["u"] ** 2)))
+    swung, v, rate = np.zeros(len(reference)), 0.0, np.gradient(np.gradient(quiet["q"]))
+    for k in range(1, len(reference)):  # a mass on a spring of 1.7 Hz, carried along
+        v += rate[k] * RATE - (2 * np.pi * 1.7) ** 2 * swung[k - 1] / RATE - 1.5 * v / RATE
+        swung[k] = swung[k - 1] + v / RATE
+    with_sine = {**quiet, "u": quiet["u"] + 0.03 * rms * np.sin(2 * np.pi * 3.7 * quiet["t"])}
+    with_swing = {**quiet, "u": quiet["u"] + 0.04 * rms * swung / np.std(swung)}
+
+    def seen(columns: dict[str, np.ndarray]) -> tuple[float, float]:
+        half = len(reference) // 2
+        parts = [
+            data_of({key: x[a : a + half] for key, x in columns.items()}, model)
+            for a in (0, half)
+        ]
+        memory = structure(parts, model, 1, [MEMORY])
+        return periodic(parts[1], model, 1), memory.size if memory.z > 3 else 0.0
+
+    assert max(*seen(quiet), *seen(restless)) < LAWFUL
+    assert seen(with_sine)[0] == pytest.approx(0.03 / np.sqrt(2), rel=0.2)
+    assert seen(with_swing)[1] > 0.02
+
+
+def test_the_other_joint_feels_the_link_behind_a_spring() -> None:
+    p1, p2, p3, stiffness, motor = 0.42, 0.1, 0.1, 300.0, 0.12
+    seconds, steps = 4.0, 40
+    h = 1.0 / RATE / steps
+    t = np.arange(round(seconds * RATE)) / RATE
+    command = np.stack([2.0 * np.sin(7 * t) + np.sin(23 * t), 0.8 * np.sin(9 * t + 1)], 1)
+    command *= np.minimum(1.0, t / 0.5)[:, None]
+    x, v, turned, speed, rows = np.zeros(2), np.zeros(2), 0.0, 0.0, []
+    for u in command:  # semi-implicit Euler of motor 1 and both links
+        rows.append((turned, x[1]))
+        for _ in range(steps):
+            c, s = p3 * np.cos(x[1]), p3 * np.sin(x[1])
+            spring = stiffness * (turned - x[0]) + 0.5 * (speed - v[0])
+            inertia = np.array([[p1 - motor + 2 * c, p2 + c], [p2 + c, p2]])
+            bias = np.array([-s * v[1] * (2 * v[0] + v[1]), s * v[0] ** 2])
+            v = v + h * np.linalg.solve(inertia, [spring, u[1] - 0.1 * v[1]] - bias)
+            x = x + h * v
+            speed += h * (u[0] - spring - 0.2 * speed) / motor
+            turned += h * speed
+    model = parse_model(
+        {
+            "sample_time": 1.0 / RATE,
+            "mechanism": {"kind": "planar2r", "parameters": {"p1": p1, "p2": p2, "p3": p3}},
+            "effect": [
+                {"kind": "viscous", "joint": 1, "coefficient": 0.2},
+                {"kind": "viscous", "joint": 2, "coefficient": 0.1},
+                {
+                    "kind": "elasticity", "joint": 1, "stiffness": stiffness, "damping": 0.5,
+                    "load_inertia": p1 - motor,
+                },
+            ],
+        }
+    )  # fmt: skip
+    read = Signals("run", t, 1.0 / RATE, np.array(rows), command, None, np.full(2, 1e-6))
+    data = prepare([read], model, 64.0)
+    assert divided(model) == {1}
+    links = with_links(Parts(data, data, data), model, divided(model)).fit
+    off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
+    assert off[1] < 0.25 * off[0]
+    assert np.allclose(residual(links, model, [1]), residual(data, model, [1]))

@@ -12,8 +12,8 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.torque_sensor import sides_of
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
+from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.errors import RecordingError
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model

@@ -17,7 +17,7 @@ from zendsp.experiment.estimates import line_fit, mean_of
 from zendsp.experiment.imi_fit import fit_curve
 from zendsp.experiment.imi_friction import breakaway_torque, bristle_stiffness, inertia_torque
 from zendsp.experiment.pendulum_motor import fit_parameters, pendulum_model, steady_means
-from zendsp.experiment.report import table, write_report
+from zendsp.experiment.report import table, wrapped, write_report
 from zendsp.experiment.wam_friction import Sliding, cannot_separate, fit_friction
 from zendsp.physics import load_model, simulate_loop
 from zendsp.recording import Recording
@@ -286,6 +286,15 @@ def test_the_report_asks_for_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="lacks imi-static"):
         write_report(tmp_path, tmp_path / "results.md")
     assert table(["a", "b"], [["1", "2"]]).splitlines() == ["| a | b |", "|---|---|", "| 1 | 2 |"]
+
+
+def test_the_prose_of_the_report_is_wrapped_and_its_tables_are_not() -> None:
+    long, row = "word " * 40 + "end", "| " + "cell " * 40 + "|"
+    page = wrapped(f"{long}\n- {long}\n{row}").split("\n")
+    assert page[-1] == row and all(len(line) <= 100 for line in page[:-1])
+    first = next(i for i, line in enumerate(page) if line.startswith("- "))
+    assert all(line.startswith("  ") for line in page[first + 1 : -1])
+    assert " ".join(page[:first]) == long
 
 
 def test_the_command_lists_every_experiment() -> None:

@@ -93,6 +93,10 @@ NOT_RUN: dict[tuple[str, str], str] = {
     ): CLONE,
     ("docs/measurements/mutations.md", "python -m tests.mutations"): CLONE,
     ("docs/measurements/structure.md", "python docs/measure_structure.py e89b9aa"): CLONE,
+    (
+        "docs/measurements/terminal.md",
+        "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
+    ): "takes an hour, of a clone",
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,
@@ -124,10 +128,6 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/troubleshooting/link.md",
         "zendsp info -t imi --connect tls/robot.lab:7447",
     ): "needs a target elsewhere: docs/security.md and README.md connect to one over TLS",
-    (
-        "docs/tui.md",
-        "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
-    ): "takes an hour, of a clone",
     ("docs/tui.md", "zendsp tui"): TERMINAL,
     ("docs/tui.md", "zendsp tui imi"): TERMINAL,
     ("docs/tui.md", "zendsp tui --local imi_planar --source pd.c"): TERMINAL,

@@ -13,7 +13,8 @@ import pytest
 from zendsp.errors import ModelError
 from zendsp.physics.bodies import Links, change_of, changed, numbers_of, turned_gravity
 from zendsp.physics.model import Quantity, Term
-from zendsp.physics.model_file import load_model, model_text, parse_model
+from zendsp.physics.model_file import load_model, parse_model
+from zendsp.physics.model_text import model_text
 from zendsp.physics.rigid import bases
 from zendsp.physics.tree import inverse_dynamics, read_urdf
 

@@ -18,7 +18,8 @@ from zendsp.diagnosis.measure.likelihood import (
     tune_bandwidth,
 )
 from zendsp.physics.convergence import step_error, with_step_error
-from zendsp.physics.fit import Data, fit, free_handles, get_values, set_values
+from zendsp.physics.fit import Data, fit
+from zendsp.physics.handles import free_handles, get_values, set_values
 from zendsp.physics.model_file import parse_model
 
 T, N = 0.002, 3000

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from zendsp.errors import ModelError
-from zendsp.physics.model_file import load_model, model_text, parse_model
+from zendsp.physics.model_file import load_model, parse_model
+from zendsp.physics.model_text import model_text
 from zendsp.physics.robot import mjcf_of, robot_tree
 from zendsp.physics.tree import inverse_dynamics
 

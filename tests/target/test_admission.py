@@ -10,15 +10,9 @@ import pytest
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, VERBS
 from zendsp_target.access import admission
-from zendsp_target.access.admission import (
-    Doors,
-    access_control,
-    check_role,
-    read_roles,
-    read_users,
-    settle,
-)
+from zendsp_target.access.admission import Doors, access_control, check_role, settle
 from zendsp_target.access.endpoints import Security, check
+from zendsp_target.access.lists import read_roles, read_users
 from zendsp_target.access.registration import own_folder, users_file
 
 

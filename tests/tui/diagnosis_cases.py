@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from zendsp.diagnosis.chart import Chart, Panel, Series, save_chart
+from zendsp.diagnosis.report.chart import Chart, Panel, Series, save_chart
 from zendsp.physics import load_model, model_text, parse_model, simulate_loop
 from zendsp.physics.codegen import compensation
 from zendsp.physics.model import Quantity, Term

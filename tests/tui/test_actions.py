@@ -17,7 +17,7 @@ from zendsp.errors import LinkError
 from zendsp.tui.actions import ACTIONS, SCREENS, actions
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Field, Form, Message, Option
-from zendsp.tui.panels.source import SourceView
+from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.panels.table import Column, LiveTable
 from zendsp.tui.playing import Setup
 from zendsp.tui.port import Port

@@ -16,7 +16,7 @@ from zendsp.link import ParameterSet, Target, connect
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose, Form, Message, Sliders
 from zendsp.tui.dialogs.sliders import NAME, Slider
-from zendsp.tui.panels.source import SourceView
+from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.runs import list_runs
 from zendsp.tui.scope import Scale
 from zendsp.tui.screens.analysis import ProcessView

@@ -13,7 +13,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, OptionList, Static
 
-from zendsp.diagnosis.chart import load_chart
+from zendsp.diagnosis.report.chart import load_chart
 from zendsp.link import Target
 from zendsp.physics import load_model
 from zendsp.recording import Recording

@@ -11,13 +11,13 @@ from textual.app import App, ComposeResult
 from textual.color import Color
 
 from zendsp.tui.colours import DARK, LIGHT
-from zendsp.tui.panels.values import show_value
 from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.ticks import duration, label, number, ticks
 from zendsp.tui.scope.trigger import last_crossing
+from zendsp.tui.values import show_value
 
 
 def test_each_dot_is_the_braille_dot_that_unicode_names() -> None:

@@ -20,7 +20,7 @@ LONG = {
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
     "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
-    "host/zendsp/diagnosis/decide/decide.py:_named": "the decision, case by case",
+    "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
     "host/zendsp/diagnosis/decide/naming.py:_finding": "the fields of a finding",
     "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
     "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
@@ -47,8 +47,8 @@ TOLD = {
     "host/zendsp/tui/play_job.py:__init__": "a job's own fields",
     "host/zendsp/tui/scope/picture.py:compose": "what stands on a picture",
     "host/zendsp/proof/mujoco/kit.py:truth": "the fields of a truth, keywords",
-    "host/zendsp/diagnosis/decide/decide.py:_named": "what a joint is decided by",
-    "host/zendsp/diagnosis/decide/decide.py:_law": "what a joint is decided by",
+    "host/zendsp/diagnosis/decide/laws.py:named": "what a joint is decided by",
+    "host/zendsp/diagnosis/decide/laws.py:_law": "what a joint is decided by",
 }
 
 

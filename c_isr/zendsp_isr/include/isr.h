@@ -3,11 +3,16 @@
  *     #include "isr.h"
  *     static double Kp = 400.0, q, tau;
  *
- *     void UserInit(void)      { PARAMETER(Kp, 400.0, "N m/rad", 0.0, 5000.0, "gain"); SIGNAL(q, "rad", "angle"); SIGNAL(tau, "N m", ""); }
+ *     void UserInit(void) {
+ *         PARAMETER(Kp, 400.0, "N m/rad", 0.0, 5000.0, "gain");
+ *         SIGNAL(q, "rad", "angle");
+ *         SIGNAL(tau, "N m", "");
+ *     }
  *     void UserISR_INT2(void)  { q = READ_POSITION(0); tau = -Kp * q; WRITE_TORQUE(0, tau); }
  *     void UserBackground(void) {}
  *
- * Channels, joints and array elements count from 0, as everywhere in C. What the code writes at sample k acts from sample k + 1.
+ * Channels, joints and array elements count from 0, as everywhere in C. What the code writes at
+ * sample k acts from sample k + 1.
  */
 #ifndef ZENDSP_ISR_H
 #define ZENDSP_ISR_H
@@ -17,34 +22,39 @@
 #include <stddef.h>  /* NULL */
 #include <stdint.h>  /* int32_t */
 
-/* ---- The three functions that you write ---------------------------------------------------------------------------------- */
+/* ---- The three functions that you write ------------------------------------------------------ */
 
 void UserInit(void);       /* once, at load: declare and initialise variables */
 void UserISR_INT2(void);   /* every sample: the control law */
-void UserBackground(void); /* again and again beneath the loop, which interrupts it (leave out if not needed) */
+void UserBackground(void); /* again and again beneath the loop, which interrupts it; optional */
 
-/* ---- Declaring variables, in UserInit ------------------------------------------------------------------------------------
- * A variable is a static or global double, float, int32_t or bool, or a one-dimensional array of them. */
+/* ---- Declaring variables, in UserInit -----------------------------------------------------------
+ * A variable is a static or global double, float, int32_t or bool, or a one-dimensional array of
+ * them. */
 
 /* The host may write it, within min … max (NO_MIN, NO_MAX). Every element starts at `initial`. */
-#define PARAMETER(variable, initial, unit, min, max, text) \
+#define PARAMETER(variable, initial, unit, min, max, text)                                         \
     ZENDSP_DECLARE(variable, ZENDSP_PARAMETER, 1, (double)(initial), unit, min, max, text)
 
 /* An array parameter that keeps the values of its C initialiser. */
-#define PARAMETER_ARRAY(variable, unit, min, max, text) ZENDSP_DECLARE(variable, ZENDSP_PARAMETER, 0, 0.0, unit, min, max, text)
+#define PARAMETER_ARRAY(variable, unit, min, max, text)                                            \
+    ZENDSP_DECLARE(variable, ZENDSP_PARAMETER, 0, 0.0, unit, min, max, text)
 
 /* The first `count` elements of an array, for programs that fit any machine: count is JOINTS. */
-#define PARAMETER_FIRST(variable, count, unit, min, max, text) \
+#define PARAMETER_FIRST(variable, count, unit, min, max, text)                                     \
     ZENDSP_DECLARE_FIRST(variable, count, ZENDSP_PARAMETER, 0, 0.0, unit, min, max, text)
-#define SIGNAL_FIRST(variable, count, unit, text) \
+#define SIGNAL_FIRST(variable, count, unit, text)                                                  \
     ZENDSP_DECLARE_FIRST(variable, count, ZENDSP_SIGNAL, 0, 0.0, unit, NO_MIN, NO_MAX, text)
 
 /* The host may read, record and plot it. */
-#define SIGNAL(variable, unit, text) ZENDSP_DECLARE(variable, ZENDSP_SIGNAL, 0, 0.0, unit, NO_MIN, NO_MAX, text)
+#define SIGNAL(variable, unit, text)                                                               \
+    ZENDSP_DECLARE(variable, ZENDSP_SIGNAL, 0, 0.0, unit, NO_MIN, NO_MAX, text)
 
-/* A large array of double, `columns` values a row, at most `capacity` rows (60 s × 7 joints at 1 kHz: 60000 rows, 7 columns). The
- * host fills it while the loop runs; all of it, with its length, takes effect at the start of one sample. `variable` is a `table`. */
-#define TABLE(variable, capacity, columns, unit, text) zendsp_declare_table(&(variable), #variable, capacity, columns, unit, text)
+/* A large array of double, `columns` values a row, at most `capacity` rows (60 s × 7 joints at 1
+ * kHz: 60000 rows, 7 columns). The host fills it while the loop runs; all of it, with its length,
+ * takes effect at the start of one sample. `variable` is a `table`. */
+#define TABLE(variable, capacity, columns, unit, text)                                             \
+    zendsp_declare_table(&(variable), #variable, capacity, columns, unit, text)
 
 typedef struct table {
     const double *data; /* row after row; NULL while empty */
@@ -56,43 +66,49 @@ typedef struct table {
 #define NO_MIN (-INFINITY)
 #define NO_MAX (INFINITY)
 
-/* ---- Inputs and outputs --------------------------------------------------------------------------------------------------- */
+/* ---- Inputs and outputs ---------------------------------------------------------------------- */
 
-#define IOGP_FU1_READ_ENC_CURRENT(ch) (zendsp->enc[(ch)&7]) /* encoder, counts (int32_t) */
-#define IOGP_FU1_READ_ADC(ch) (zendsp->adc[(ch)&7])         /* analog input, in the machine's unit (double) */
-#define IOGP_FU1_READ_DIN(ch) ((zendsp->din >> ((ch)&31) & 1u) != 0u) /* digital input (bool) */
+#define IOGP_FU1_READ_ENC_CURRENT(ch) (zendsp->enc[(ch) & 7]) /* encoder, counts (int32_t) */
+#define IOGP_FU1_READ_ADC(ch) (zendsp->adc[(ch) & 7]) /* analog input, machine's unit (double) */
+#define IOGP_FU1_READ_DIN(ch) ((zendsp->din >> ((ch) & 31) & 1u) != 0u) /* digital input (bool) */
 
-/* Analog output, mV: an lvalue, IOGP_FU1_WRITE_AOUT_ENGU(ch) = mv; or with two arguments, IOGP_FU1_WRITE_AOUT_ENGU(ch, mv); */
-#define IOGP_FU1_WRITE_AOUT_ENGU(...) ZENDSP_PICK(__VA_ARGS__, ZENDSP_AOUT_SET, ZENDSP_AOUT, )(__VA_ARGS__)
+/* Analog output, mV: an lvalue, IOGP_FU1_WRITE_AOUT_ENGU(ch) = mv; or with two arguments,
+ * IOGP_FU1_WRITE_AOUT_ENGU(ch, mv); */
+#define IOGP_FU1_WRITE_AOUT_ENGU(...)                                                              \
+    ZENDSP_PICK(__VA_ARGS__, ZENDSP_AOUT_SET, ZENDSP_AOUT, )(__VA_ARGS__)
 
 /* Digital output: on is true or false. */
-#define IOGP_FU1_WRITE_DOUT(ch, on) \
-    (zendsp->dout = (on) ? zendsp->dout | 1u << ((ch)&31) : zendsp->dout & ~(1u << ((ch)&31)))
+#define IOGP_FU1_WRITE_DOUT(ch, on)                                                                \
+    (zendsp->dout = (on) ? zendsp->dout | 1u << ((ch) & 31) : zendsp->dout & ~(1u << ((ch) & 31)))
 
 /* The same in physical units, by the scales of the machine: rad (or m), N m (or N). */
-#define READ_POSITION(ch) ((zendsp->enc[(ch)&7] - zendsp->zero_counts[(ch)&7]) / zendsp->counts_per_unit[(ch)&7])
-#define WRITE_TORQUE(ch, tau) (zendsp->aout[(ch)&7] = (tau)*zendsp->mv_per_torque[(ch)&7])
+#define READ_POSITION(ch)                                                                          \
+    ((zendsp->enc[(ch) & 7] - zendsp->zero_counts[(ch) & 7]) / zendsp->counts_per_unit[(ch) & 7])
+#define WRITE_TORQUE(ch, tau) (zendsp->aout[(ch) & 7] = (tau) * zendsp->mv_per_torque[(ch) & 7])
 
-/* What the machine says of a joint: its largest torque, N m (or N), and what it turns, kg m^2 (or kg; 0 where it does not say). */
-#define TORQUE_MAX(ch) (zendsp->torque_max[(ch)&7])
-#define JOINT_INERTIA(ch) (zendsp->inertia[(ch)&7])
+/* What the machine says of a joint: its largest torque, N m (or N), and what it turns, kg m^2 (or
+ * kg; 0 where it does not say). */
+#define TORQUE_MAX(ch) (zendsp->torque_max[(ch) & 7])
+#define JOINT_INERTIA(ch) (zendsp->inertia[(ch) & 7])
 
-/* ---- Time, state, acquisition ---------------------------------------------------------------------------------------------- */
+/* ---- Time, state, acquisition ---------------------------------------------------------------- */
 
 #define SAMPLE_PERIOD (zendsp->period) /* s */
 #define SAMPLE_TICK (zendsp->tick)     /* samples since load (uint64_t) */
 #define SAMPLE_TIME (zendsp->t)        /* s since load */
 #define JOINTS (zendsp->joints)        /* joints of the machine */
-#define DRIVE_ENABLED (zendsp->enabled != 0) /* false: outputs are being ignored (hold your integrators) */
+#define DRIVE_ENABLED (zendsp->enabled != 0) /* false: outputs are ignored (hold integrators) */
 
-/* True in the first sample after load, and in the first one after homing, an acknowledged trip or STOP, a switching off of the
- * drives during a pause, and any pause of hardware: nothing remembered from before holds, positions may have jumped. Estimates of
- * speed begin again: qd = FIRST_SAMPLE ? 0.0 : …. Except after load, DRIVE_ENABLED is false in this sample:
- * its outputs are not taken, and a motion starts from where the machine stands.
- * The pause of a simulated machine stops its time: the program goes on as if there had been none. */
+/* True in the first sample after load, and in the first one after homing, an acknowledged trip or
+ * STOP, a switching off of the drives during a pause, and any pause of hardware: nothing remembered
+ * from before holds, positions may have jumped. Estimates of speed begin again
+ * (qd = FIRST_SAMPLE ? 0.0 : …). Except after load, DRIVE_ENABLED is false in this sample: its
+ * outputs are not taken, and a motion starts from where the machine stands. The pause of a
+ * simulated machine stops its time: the program goes on as if there had been none. */
 #define FIRST_SAMPLE (zendsp->first != 0)
 
-/* Store one row of every running acquisition here and now; without a call it is done after UserISR_INT2. Never blocks. */
+/* Store one row of every running acquisition here and now; without a call it is done after
+ * UserISR_INT2. Never blocks. */
 #define Acquire() (zendsp->acquire())
 
 /* Value of a table at a row (a fraction interpolates linearly, ends hold), 0 while empty. */
@@ -107,7 +123,7 @@ static inline double TableValue(const table *source, double row, int32_t column)
     return part > 0.0 ? here[0] + part * (here[source->columns] - here[0]) : here[0];
 }
 
-/* ---- Beneath: how the macros reach the runtime ------------------------------------------------------------------------------ */
+/* ---- Beneath: how the macros reach the runtime ----------------------------------------------- */
 
 enum { ZENDSP_ISR_ABI = 3 }; /* raised when anything below changes; checked at load */
 enum { ZENDSP_PARAMETER = 1, ZENDSP_SIGNAL = 2, ZENDSP_TABLE = 3 };
@@ -142,51 +158,86 @@ __attribute__((weak, visibility("default"))) zendsp_io *zendsp;
 __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZENDSP_ISR_ABI;
 
 #define ZENDSP_PICK(a, b, name, ...) name
-#define ZENDSP_AOUT(ch) (zendsp->aout[(ch)&7])
-#define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[(ch)&7] = (mv))
+#define ZENDSP_AOUT(ch) (zendsp->aout[(ch) & 7])
+#define ZENDSP_AOUT_SET(ch, mv) (zendsp->aout[(ch) & 7] = (mv))
 
 /* Type of a number, of an array's elements, or of a matrix's: that of its first row's. */
-#define ZENDSP_TYPE(variable)                                                                                                  \
-    _Generic((variable), double: ZENDSP_DOUBLE, double *: ZENDSP_DOUBLE, float: ZENDSP_FLOAT, float *: ZENDSP_FLOAT,          \
-        int32_t: ZENDSP_INT32, int32_t *: ZENDSP_INT32, bool: ZENDSP_BOOL, bool *: ZENDSP_BOOL,                              \
-        default: _Generic(ZENDSP_ROW(variable), double: 0, float: 0, int32_t: 0, bool: 0, double *: ZENDSP_DOUBLE,            \
-            float *: ZENDSP_FLOAT, int32_t *: ZENDSP_INT32, bool *: ZENDSP_BOOL))
-/* What an array's first element is, and a matrix's first row; of a number, which has none, something valid, or where it is of no
- * type that can be declared, what ZENDSP_TYPE refuses by its name. Never evaluated. */
-#define ZENDSP_ROW(variable)                                                                                             \
-    (*_Generic((variable), double: (double **)0, float: (double **)0, int32_t: (double **)0, bool: (double **)0,         \
-        char: (char **)0, signed char: (signed char **)0, unsigned char: (unsigned char **)0, short: (short **)0,        \
-        unsigned short: (unsigned short **)0, unsigned: (unsigned **)0, long: (long **)0,                                \
-        unsigned long: (unsigned long **)0, long long: (long long **)0, unsigned long long: (unsigned long long **)0,    \
-        long double: (long double **)0, default: (variable)))
-#define ZENDSP_SIZE(variable) \
-    (ZENDSP_TYPE(variable) == ZENDSP_DOUBLE ? sizeof(double) : ZENDSP_TYPE(variable) == ZENDSP_BOOL ? sizeof(bool) : sizeof(float))
-#define ZENDSP_COLUMNS(variable)                                     \
-    _Generic((variable), double: 1u, float: 1u, int32_t: 1u, bool: 1u, \
+#define ZENDSP_TYPE(variable)                                                                      \
+    _Generic((variable),                                                                           \
+        double: ZENDSP_DOUBLE,                                                                     \
+        double *: ZENDSP_DOUBLE,                                                                   \
+        float: ZENDSP_FLOAT,                                                                       \
+        float *: ZENDSP_FLOAT,                                                                     \
+        int32_t: ZENDSP_INT32,                                                                     \
+        int32_t *: ZENDSP_INT32,                                                                   \
+        bool: ZENDSP_BOOL,                                                                         \
+        bool *: ZENDSP_BOOL,                                                                       \
+        default: _Generic(ZENDSP_ROW(variable),                                                    \
+            double: 0,                                                                             \
+            float: 0,                                                                              \
+            int32_t: 0,                                                                            \
+            bool: 0,                                                                               \
+            double *: ZENDSP_DOUBLE,                                                               \
+            float *: ZENDSP_FLOAT,                                                                 \
+            int32_t *: ZENDSP_INT32,                                                               \
+            bool *: ZENDSP_BOOL))
+/* What an array's first element is, and a matrix's first row; of a number, which has none,
+ * something valid, or where it is of no type that can be declared, what ZENDSP_TYPE refuses by its
+ * name. Never evaluated. */
+#define ZENDSP_ROW(variable)                                                                       \
+    (*_Generic((variable),                                                                         \
+         double: (double **)0,                                                                     \
+         float: (double **)0,                                                                      \
+         int32_t: (double **)0,                                                                    \
+         bool: (double **)0,                                                                       \
+         char: (char **)0,                                                                         \
+         signed char: (signed char **)0,                                                           \
+         unsigned char: (unsigned char **)0,                                                       \
+         short: (short **)0,                                                                       \
+         unsigned short: (unsigned short **)0,                                                     \
+         unsigned: (unsigned **)0,                                                                 \
+         long: (long **)0,                                                                         \
+         unsigned long: (unsigned long **)0,                                                       \
+         long long: (long long **)0,                                                               \
+         unsigned long long: (unsigned long long **)0,                                             \
+         long double: (long double **)0,                                                           \
+         default: (variable)))
+#define ZENDSP_SIZE(variable)                                                                      \
+    (ZENDSP_TYPE(variable) == ZENDSP_DOUBLE ? sizeof(double)                                       \
+     : ZENDSP_TYPE(variable) == ZENDSP_BOOL ? sizeof(bool)                                         \
+                                            : sizeof(float))
+#define ZENDSP_COLUMNS(variable)                                                                   \
+    _Generic((variable),                                                                           \
+        double: 1u,                                                                                \
+        float: 1u,                                                                                 \
+        int32_t: 1u,                                                                               \
+        bool: 1u,                                                                                  \
         default: sizeof(ZENDSP_ROW(variable)) / ZENDSP_SIZE(variable))
-#define ZENDSP_DECLARE(variable, kind, set, initial, unit, min, max, text) \
+#define ZENDSP_DECLARE(variable, kind, set, initial, unit, min, max, text)                         \
     ZENDSP_DECLARE_BYTES(variable, sizeof(variable), kind, set, initial, unit, min, max, text)
-#define ZENDSP_DECLARE_FIRST(variable, count, kind, set, initial, unit, min, max, text)                         \
-    ZENDSP_DECLARE_BYTES(variable, sizeof((variable)[0]) * ZENDSP_WITHIN(variable, count), kind, set, initial, unit, min, \
-                         max, text)
-#define ZENDSP_WITHIN(variable, count) \
-    ((size_t)(count) < sizeof(variable) / sizeof((variable)[0]) ? (size_t)(count) : sizeof(variable) / sizeof((variable)[0]))
-#define ZENDSP_DECLARE_BYTES(variable, bytes_, kind_, set_, initial_, unit_, min_, max_, text_)                                \
-    zendsp->declare(&(const zendsp_declaration){.name = #variable,                                                             \
-                                                .unit = (unit_),                                                               \
-                                                .text = (text_),                                                               \
-                                                .address = (void *)&(variable),                                                \
-                                                .initial = (initial_),                                                         \
-                                                .minimum = (min_),                                                             \
-                                                .maximum = (max_),                                                             \
-                                                .kind = (kind_),                                                               \
-                                                .type = ZENDSP_TYPE(variable),                                                 \
-                                                .bytes = (int32_t)(bytes_),                                                    \
-                                                .columns = (int32_t)ZENDSP_COLUMNS(variable),                                  \
+#define ZENDSP_DECLARE_FIRST(variable, count, kind, set, initial, unit, min, max, text)            \
+    ZENDSP_DECLARE_BYTES(variable, sizeof((variable)[0]) * ZENDSP_WITHIN(variable, count), kind,   \
+                         set, initial, unit, min, max, text)
+#define ZENDSP_WITHIN(variable, count)                                                             \
+    ((size_t)(count) < sizeof(variable) / sizeof((variable)[0])                                    \
+         ? (size_t)(count)                                                                         \
+         : sizeof(variable) / sizeof((variable)[0]))
+#define ZENDSP_DECLARE_BYTES(variable, bytes_, kind_, set_, initial_, unit_, min_, max_, text_)    \
+    zendsp->declare(&(const zendsp_declaration){.name = #variable,                                 \
+                                                .unit = (unit_),                                   \
+                                                .text = (text_),                                   \
+                                                .address = (void *)&(variable),                    \
+                                                .initial = (initial_),                             \
+                                                .minimum = (min_),                                 \
+                                                .maximum = (max_),                                 \
+                                                .kind = (kind_),                                   \
+                                                .type = ZENDSP_TYPE(variable),                     \
+                                                .bytes = (int32_t)(bytes_),                        \
+                                                .columns = (int32_t)ZENDSP_COLUMNS(variable),      \
                                                 .set = (set_)})
 
-static inline void zendsp_declare_table(table *variable, const char *name, int32_t capacity, int32_t columns, const char *unit,
-                                        const char *text) {
+static inline void zendsp_declare_table(table *variable, const char *name, int32_t capacity,
+                                        int32_t columns, const char *unit, const char *text) {
     zendsp->declare(&(const zendsp_declaration){.name = name,
                                                 .unit = unit,
                                                 .text = text,

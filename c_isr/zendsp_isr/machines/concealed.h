@@ -47,7 +47,7 @@ static inline void concealed_on_advance(void *self, double t, double dt, const d
     if (c->before.advance)
         c->before.advance(c->before.self, t, dt, q, qd);
     for (int i = 0; i < c->count; i++)
-        concealed_advance_one(&c->effect[i], dt, q, qd);
+        concealed_advance_one(&c->effect[i], dt, qd);
 }
 
 static inline void concealed_on_sensor(void *self, double t, double *measured) {

@@ -183,8 +183,7 @@ static inline double concealed_torque(const concealed_effect *e, double t, const
 }
 
 /* States: z of Bouc–Wen, bristle of a coupled friction; midpoint rule like the plant. */
-static inline void concealed_advance_one(concealed_effect *e, double h, const double *q,
-                                         const double *qd) {
+static inline void concealed_advance_one(concealed_effect *e, double h, const double *qd) {
     const int j = e->joint;
     if (e->kind == HYSTERESIS) { /* A = stiffness / force, beta = gamma = A / 2: |z| <= 1 */
         const double A = e->p[1] / e->p[0], n = e->p[2], v = qd[j];

@@ -97,7 +97,7 @@ typedef struct concealed_effect {
     concealed_kind kind;
     int joint;                      /* from 0 */
     double p[CONCEALED_PARAMETERS]; /* in the order of the table above, SI units */
-    double s[3];                    /* states of its own; of a link its place, speed, acceleration */
+    double s[3];                    /* states of its own; of a link place, speed, acceleration */
     double from[2];                 /* of a link: place and speed where the step began */
     double motor, now;              /* kg m^2 before a transmission; at this pose */
     long cursor;                    /* of a delay: its place in the history of commands */

@@ -10,8 +10,9 @@
  * levels of its own for each direction and a bristle damping that fades with speed (keeps the law
  * passive).
  *
- *     dz/dt = qd − stiffness |qd| z / g(qd),   g = coulomb + (breakaway − coulomb)
- * exp(−(qd/stribeck)²) torque = stiffness z + damping exp(−(qd/stribeck)²) dz/dt + viscous qd
+ *     dz/dt = qd − stiffness |qd| z / g(qd)
+ *     g = coulomb + (breakaway − coulomb) exp(−(qd/stribeck)²)
+ *     torque = stiffness z + damping exp(−(qd/stribeck)²) dz/dt + viscous qd
  *
  * In sliding the bristle equation is stiff (rate stiffness |qd| / g, 10⁵/s and more), so an
  * explicit method would need steps of microseconds. The step here is an exponential midpoint rule:

@@ -1,8 +1,8 @@
 /* pd.c: PD control of the planar arm around a circle in joint space, or around a reference that the
  * host has downloaded.
  *
- *     tau = Kp (r - q) + Kd (rd - qd)        rd, qd: differences of r and q through a first-order
- * filter
+ *     tau = Kp (r - q) + Kd (rd - qd)
+ *     rd, qd: differences of r and q through a first-order filter
  *
  * A compensation.c beside this file, as `zendsp diagnose --out` writes it, is added to the command,
  * along the reference: a measured speed at rest would chatter, a reference knows its reversals.

@@ -67,8 +67,9 @@ static const char *objection(const zendsp_declaration *d) {
     if (d->kind != KIND_TABLE && d->bytes / size_of_type[d->type] > LAYOUT_ELEMENTS)
         return "more than 4096 elements: declare it as a TABLE";
     if (!(d->minimum <= d->maximum))
-        snprintf(text, sizeof text, "its limits are %g and %g: the first must not be above the second",
-                 d->minimum, d->maximum);
+        snprintf(text, sizeof text,
+                 "its limits are %g and %g: the first must not be above the second", d->minimum,
+                 d->maximum);
     else if (d->set && !(d->initial >= d->minimum && d->initial <= d->maximum))
         snprintf(text, sizeof text,
                  "initial value %g is outside its limits %g and %g: change one of them in UserInit",

@@ -1,13 +1,16 @@
 /* layout.h: the shared memory between the monitor (Python) and the runner (native), in one place.
  *
  * Four kinds of file in /dev/shm:
- *   stop     one per target: STOP by any program of the target's own user, with nothing between it and the loop
+ *   stop     one per target: STOP by any program of the target's own user, with nothing between
+ *            it and the loop
  *   control  one per load, of fixed size: settings, requests, answers, dictionary, timing
  *   data     one per load, sized by the runner after UserInit: snapshots, batches, table banks
- *   stream   one per configured acquisition, sized by the monitor: its head and its rows; outlives the runner
+ *   stream   one per configured acquisition, sized by the monitor: its head and its rows;
+ *            outlives the runner
  *
- * Each word has one writer, named beside it. Words that order others are accessed with acquire and release (the __atomic
- * builtins in C; through runtime/monitor.c from Python). This file is also read by Python (cffi): plain declarations only.
+ * Each word has one writer, named beside it. Words that order others are accessed with acquire and
+ * release (the __atomic builtins in C; through runtime/monitor.c from Python). This file is also
+ * read by Python (cffi): plain declarations only.
  */
 #ifndef ZENDSP_LAYOUT_H
 #define ZENDSP_LAYOUT_H
@@ -34,12 +37,20 @@ enum {
 };
 
 enum { CLOCK_REAL = 0, CLOCK_FAST = 1 };
-enum { TYPE_DOUBLE = 1, TYPE_FLOAT = 2, TYPE_INT32 = 3, TYPE_BOOL = 4 };                           /* as in isr.h */
-enum { KIND_PARAMETER = 1, KIND_SIGNAL = 2, KIND_TABLE = 3, KIND_BUILTIN = 4, KIND_SETTING = 5 }; /* 1 … 3 as in isr.h */
+enum { TYPE_DOUBLE = 1, TYPE_FLOAT = 2, TYPE_INT32 = 3, TYPE_BOOL = 4 }; /* as in isr.h */
+/* 1 … 3 as in isr.h */
+enum { KIND_PARAMETER = 1, KIND_SIGNAL = 2, KIND_TABLE = 3, KIND_BUILTIN = 4, KIND_SETTING = 5 };
 enum { OVERRUN_COUNT = 0, OVERRUN_SKIP = 1, OVERRUN_TRIP = 2 };
 enum { PHASE_STARTING = 0, PHASE_INIT = 1, PHASE_READY = 2, PHASE_ENDED = 3, PHASE_FAILED = 4 };
 enum { RUN_PAUSED = 0, RUN_ISR = 1, RUN_HOME = 2, RUN_QUIT = 3 };
-enum { WITHIN_RUNTIME = 0, WITHIN_LOADING = 1, WITHIN_INIT = 2, WITHIN_ISR = 3, WITHIN_BACKGROUND = 4, WITHIN_MACHINE = 5 };
+enum {
+    WITHIN_RUNTIME = 0,
+    WITHIN_LOADING = 1,
+    WITHIN_INIT = 2,
+    WITHIN_ISR = 3,
+    WITHIN_BACKGROUND = 4,
+    WITHIN_MACHINE = 5
+};
 enum { BATCH_FREE = 0, BATCH_COMMITTED = 1, BATCH_APPLIED = 2 };
 enum { STREAM_IDLE = 0, STREAM_ARMED = 1, STREAM_RUNNING = 2, STREAM_DONE = 3 };
 enum { EDGE_NONE = 0, EDGE_RISING = 1, EDGE_FALLING = 2, EDGE_BOTH = 3 };
@@ -59,16 +70,18 @@ enum {
     TRIP_HOMING = 11
 };
 
-/* STOP past the monitor and the link: docs/protocol.md describes it for other languages. Made by the monitor. */
+/* STOP past the monitor and the link: docs/protocol.md describes it for other languages. Made by
+ * the monitor. */
 typedef struct stop_page {
     uint32_t magic, version;
     uint32_t stop;   /* by any host: 1 asks for STOP; the loop clears it */
     uint32_t pad;
-    uint64_t sample; /* by the loop, before it counts `taken`: that of the trip which was latched then */
+    uint64_t sample; /* by the loop, before it counts `taken`: that of the trip latched then */
     uint64_t taken;  /* by the loop: how many STOPs it took from here */
 } stop_page;
 
-/* One entry of the dictionary. Written by the runner before PHASE_READY, then constant; `table` excepted. */
+/* One entry of the dictionary. Written by the runner before PHASE_READY, then constant; `table`
+ * excepted. */
 typedef struct variable_entry {
     char name[LAYOUT_NAME];
     char unit[LAYOUT_NAME];
@@ -77,14 +90,16 @@ typedef struct variable_entry {
     uint64_t pointer; /* address in the runner */
     uint64_t address; /* offset within the program's image, bytes */
     int32_t type, kind;
-    int32_t length, columns; /* elements, of a matrix columns in a row; a table has length rows of columns */
+    /* elements, and how many in a row of a matrix; a table has `length` rows of `columns` */
+    int32_t length, columns;
     int32_t size;            /* bytes of the value; 0 for a table */
     int32_t snapshot;        /* offset within a snapshot's values, bytes; -1 for a table */
     uint64_t bank[2];        /* table: offset of each bank in the data file, bytes */
     uint64_t table;          /* table, by the loop: bank in the upper 32 bits, rows in the lower */
 } variable_entry;
 
-/* One consistent sample of all small variables; `values` follow in the data file. Written by the loop. */
+/* One consistent sample of all small variables; `values` follow in the data file. Written by the
+ * loop. */
 typedef struct snapshot {
     uint64_t sequence; /* of the seqlock: 2 n + 1 while sample n is being written, 2 n + 2 after */
     uint64_t tick;
@@ -92,14 +107,15 @@ typedef struct snapshot {
 
 /* One synchronous update; entries follow in the data file. */
 typedef struct batch {
-    uint32_t state;   /* FREE → COMMITTED by the monitor, → APPLIED by the loop, → FREE by the monitor */
+    uint32_t state;   /* COMMITTED by the monitor, then APPLIED by the loop, FREE by the monitor */
     uint32_t entries;
     uint64_t sequence; /* by the monitor */
     uint64_t at_tick;  /* by the monitor: not before this sample */
     uint64_t applied;  /* by the loop: the sample at whose start it took effect */
 } batch;
 
-/* One value of an update; padded to 8 bytes. When applied, the loop leaves the old value in its place. */
+/* One value of an update; padded to 8 bytes. When applied, the loop leaves the old value in its
+ * place. */
 typedef struct batch_entry {
     int32_t variable;
     int32_t offset; /* bytes into the variable */
@@ -175,11 +191,11 @@ typedef struct control {
     int32_t realtime; /* 1: ask for SCHED_RR, locked memory and a CPU of its own */
     int32_t priority;
     int32_t cpu;      /* -1: choose */
-    int32_t monitor;  /* process id of the monitor: when it is no longer the parent, nobody watches */
+    int32_t monitor;  /* process id of the monitor; when no longer the parent, nobody watches */
     int32_t contained; /* by the runner: 1, a filter of system calls holds user code */
-    double spin_us;   /* wait awake for the last stretch; only under SCHED_RR, at most 0.6 of the period */
+    double spin_us;   /* wait awake at last; only under SCHED_RR, at most 0.6 of the period */
     double speed;     /* fast clock: at most so many machine seconds a second; 0: no limit */
-    uint64_t memory;  /* bytes that user code may take beside what the machine has, shared memory aside */
+    uint64_t memory;  /* bytes that user code may take beside the machine's, shared memory aside */
     char data_path[LAYOUT_PATH];
     char stop_path[LAYOUT_PATH];
     char program_path[LAYOUT_PATH];
@@ -202,7 +218,7 @@ typedef struct control {
     uint64_t batch_stride;
     int32_t crash_signal; /* by the signal handler */
     int32_t crash_within;
-    uint64_t crash_address; /* of the instruction, offset within the program's image; 0: elsewhere */
+    uint64_t crash_address; /* of the instruction, offset in the program's image; 0: elsewhere */
 
     /* requests: by the monitor */
     uint32_t run;        /* RUN_…; the loop itself sets RUN_PAUSED at run_until */
@@ -235,10 +251,13 @@ typedef struct control {
     variable_entry variable[LAYOUT_VARIABLES];
 } control;
 
-_Static_assert(sizeof(variable_entry) == 400, "variable_entry: layout changed, raise LAYOUT_VERSION");
+_Static_assert(sizeof(variable_entry) == 400,
+               "variable_entry: layout changed, raise LAYOUT_VERSION");
 _Static_assert(sizeof(stop_page) == 32, "stop_page: known to every host, raise LAYOUT_VERSION");
-_Static_assert(sizeof(batch) == 32 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16, "layout changed, raise LAYOUT_VERSION");
-_Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0, "64-bit words must be aligned");
+_Static_assert(sizeof(batch) == 32 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
+               "layout changed, raise LAYOUT_VERSION");
+_Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,
+               "64-bit words must be aligned");
 _Static_assert(sizeof(stream_head) % 8 == 0, "rows must be aligned");
 
 #endif

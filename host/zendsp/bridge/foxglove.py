@@ -47,7 +47,7 @@ LOG_SCHEMA = {
 
 
 class Bridge:
-    """Serves one target until it is closed.
+    """Serves a target to Foxglove and PlotJuggler on the loopback, until it is closed.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Bridge:
     rate : float, Hz
         Rows a second at the most.
     writable : bool
-        Viewers may write parameters.
+        Viewers may write parameters; all of one message in one sample.
 
     Raises
     ------
@@ -276,38 +276,7 @@ class _Listener:
     def on_connection_graph_unsubscribe(self) -> None: ...
 
 
-def foxglove(
-    target: Target,
-    channels: Sequence[str] = (),
-    *,
-    port: int = PORT,
-    rate: float = 100.0,
-    writable: bool = False,
-) -> Bridge:
-    """Serve a target to Foxglove and PlotJuggler on the loopback, until the result is closed.
-
-    Parameters
-    ----------
-    target : Target
-    channels : sequence of str
-        Signals to show; default all signals of the program.
-    port : int
-        0 takes a free one.
-    rate : float, Hz
-        Rows a second at the most.
-    writable : bool
-        Viewers may write parameters; all of one message in one sample.
-
-    Returns
-    -------
-    Bridge
-
-    Raises
-    ------
-    LinkError
-        The port is taken, or foxglove-sdk is not installed.
-    """
-    return Bridge(target, channels, port=port, rate=rate, writable=writable)
+foxglove = Bridge  # zendsp.bridge.foxglove(target) serves it until it is closed
 
 
 def _columns(

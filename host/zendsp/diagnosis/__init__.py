@@ -9,23 +9,23 @@ from zendsp.first_use import on_first_use
 
 # name -> module that holds it; imported on first use: who only reads a report needs no SciPy
 _LAZY = {
-    "Diagnosis": "zendsp.diagnosis.result",
-    "Estimate": "zendsp.diagnosis.result",
-    "Finding": "zendsp.diagnosis.result",
-    "FitTable": "zendsp.diagnosis.result",
-    "Next": "zendsp.diagnosis.result",
-    "Rejected": "zendsp.diagnosis.result",
+    "Diagnosis": "zendsp.diagnosis.decide.result",
+    "Estimate": "zendsp.diagnosis.decide.result",
+    "Finding": "zendsp.diagnosis.decide.result",
+    "FitTable": "zendsp.diagnosis.decide.result",
+    "Next": "zendsp.diagnosis.decide.result",
+    "Rejected": "zendsp.diagnosis.decide.result",
     "diagnose": "zendsp.diagnosis.engine",
 }
 
 if TYPE_CHECKING:
+    from zendsp.diagnosis.decide.result import Diagnosis as Diagnosis
+    from zendsp.diagnosis.decide.result import Estimate as Estimate
+    from zendsp.diagnosis.decide.result import Finding as Finding
+    from zendsp.diagnosis.decide.result import FitTable as FitTable
+    from zendsp.diagnosis.decide.result import Next as Next
+    from zendsp.diagnosis.decide.result import Rejected as Rejected
     from zendsp.diagnosis.engine import diagnose as diagnose
-    from zendsp.diagnosis.result import Diagnosis as Diagnosis
-    from zendsp.diagnosis.result import Estimate as Estimate
-    from zendsp.diagnosis.result import Finding as Finding
-    from zendsp.diagnosis.result import FitTable as FitTable
-    from zendsp.diagnosis.result import Next as Next
-    from zendsp.diagnosis.result import Rejected as Rejected
 
 __all__ = sorted(_LAZY)
 

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from zendsp.diagnosis.bodies.find import BodySearch, find_bodies
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.inertia import inertia_ranges
 from zendsp.diagnosis.data.prepare import prepare
@@ -30,18 +30,20 @@ from zendsp.diagnosis.decide.detectable import detectable
 from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
-from zendsp.diagnosis.decide.torque_sensor import sided
+from zendsp.diagnosis.decide.propose import propose
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
 from zendsp.diagnosis.measure.where import intervals, mismatch, regions
 from zendsp.diagnosis.measure.windows import model_error, noise_floor
 from zendsp.diagnosis.report.files import left_out
-from zendsp.diagnosis.report.propose import propose
-from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Left, Rejected
-from zendsp.diagnosis.search.forward import WAIT, Searcher, calibrate_joint
+from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
+from zendsp.diagnosis.search.forward import WAIT, Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
+from zendsp.diagnosis.transmission.torque_sensor import sided
 from zendsp.errors import RecordingError
 from zendsp.physics.fit import Data
 from zendsp.physics.model import CALLED, Model
@@ -50,7 +52,6 @@ from zendsp.recording import Recording, Table
 
 Source = str | Path | Recording | Table
 Progress = Callable[[str], None]
-
 
 
 class Acceptance:
@@ -178,13 +179,7 @@ def _diagnose(
         unexplained=left_over(decisions, given),
         missing=lacking,
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
-        details={
-            "searches": found.searches,
-            "whole": whole,
-            "train": parts.fit,
-            "test": parts.test,
-            "decisions": decisions,
-        },
+        workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
     )
 
 
@@ -228,12 +223,16 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
     the others have to explain.
     """
     tell("calibrating the given model")
+    measured_motion, parts = parts, with_links(parts, given, divided(given))
     bodies = find_bodies(parts.fit, parts.choose, given, jobs, tell)
     measured = measured_transmissions(parts, bodies.model, jobs)
     known = tuple(t for m in measured for t in m.terms)
     beneath, bare = bodies.model.with_terms((*bodies.model.terms, *known)), parts
-    parts = _with_bodies(bare, beneath)
-    searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+    explained = _explain(_with_bodies(bare, beneath), given, beneath, jobs, tell)
+    bare, explained = _with_their_links(
+        measured_motion, bare, given, beneath, explained, jobs, tell
+    )
+    parts, (searches, decisions, whole) = _with_bodies(bare, beneath), explained
     claims = decide_bodies(parts, bodies, decisions, jobs)
     if len(claims) < len(bodies.found):  # what is no body has to be explained at the joints
         beneath = given.with_terms((*given.terms, *(c.found.term for c in claims), *known))
@@ -321,13 +320,66 @@ def _plainer(test: Data, one: Explained, other: Explained, bodies: int) -> bool:
     return claims[0] < claims[1] + bodies and errors[0] <= errors[1]
 
 
+def _with_their_links(
+    measured_motion: Parts,
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    first: Explained,
+    jobs: int,
+    tell: Progress,
+) -> tuple[Parts, Explained]:
+    """Explained again where a joint turned out to have a transmission: the others feel its link,
+    whose swinging they else have to explain as something of their own.
+
+    One joint after the other, at each step the one with which the machine is explained best; and
+    only as long as that claims no more and predicts no worse.
+    """
+    felt, now, explained = divided(given), parts, first
+    while found := _transmissions(explained) - felt:
+        tell("the links behind transmissions: what the other joints feel")
+        tried = []
+        for joint in found:
+            with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
+            same = {
+                s.joint: (s, d) for s, d in zip(*explained[:2], strict=True) if s.joint == joint
+            }
+            again = _explain(_with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
+            tried.append((_cost(with_it.test, again), joint, with_it, again))
+        best = min(tried, key=lambda t: t[0])
+        before = _cost(now.test, explained)
+        if best[0][0] > before[0] or best[0][1] > before[1]:
+            break
+        felt, now, explained = felt | {best[1]}, best[2], best[3]
+    return now, explained
+
+
+def _transmissions(explained: Explained) -> frozenset[int]:
+    """Joints that are claimed to have a transmission whose link nobody sees."""
+    claimed = {
+        d.joint for d in explained[1] if any(c.mechanism == "transmission" for c in d.claims)
+    }
+    return divided(explained[2].improved) & claimed
+
+
+def _cost(test: Data, explained: Explained) -> tuple[int, float]:
+    """How much an explanation claims, and how far off it predicts."""
+    return sum(len(d.claims) for d in explained[1]), float(model_error(test, explained[2].improved))
+
+
 def _explain(
-    parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    jobs: int,
+    tell: Progress,
+    done: Mapping[int, tuple[JointSearch, Decision]] = MappingProxyType({}),
 ) -> Explained:
     """Search and decide every joint, and put the machine together; ``beneath`` is the given model,
-    with what is known of it by now.
+    with what is known of it by now, ``done`` the joints that are
+    searched already.
     """
-    searches, decisions = _search(parts, given, beneath, jobs, tell)
+    searches, decisions = _search(parts, given, beneath, jobs, tell, done)
     tell("fitting the improved model")
     whole = assemble(parts.fit, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
@@ -343,21 +395,33 @@ def _with_bodies(parts: Parts, model: Model) -> Parts:
 
 
 def _search(
-    parts: Parts, given: Model, beneath: Model, jobs: int, tell: Progress
+    parts: Parts,
+    given: Model,
+    beneath: Model,
+    jobs: int,
+    tell: Progress,
+    known: Mapping[int, tuple[JointSearch, Decision]],
 ) -> tuple[list[JointSearch], list[Decision]]:
-    joints = range(1, given.joints + 1)
-    if jobs == 1 or given.joints == 1:
-        done = [_search_joint(parts, beneath, joint, jobs, tell) for joint in joints]
-        return [s for s, _ in done], [d for _, d in done]
+    joints = [joint for joint in range(1, given.joints + 1) if joint not in known]
+    done = dict(known)
+    if jobs == 1 or len(joints) == 1:
+        done |= {joint: _search_joint(parts, beneath, joint, jobs, tell) for joint in joints}
+        return _in_order(done)
     # joints are independent: a process each, which inherits the recordings and the effects that a
     # user has added
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(min(jobs, given.joints), context, _inherit, (parts, beneath)) as pool:
-        out = []
+    with ProcessPoolExecutor(min(jobs, len(joints)), context, _inherit, (parts, beneath)) as pool:
         for joint, found in zip(joints, pool.map(_search_inherited, joints), strict=True):
             tell(f"joint {joint} of {given.joints}: searched")
-            out.append(found)
-    return [s for s, _ in out], [d for _, d in out]
+            done[joint] = found
+    return _in_order(done)
+
+
+def _in_order(
+    done: Mapping[int, tuple[JointSearch, Decision]],
+) -> tuple[list[JointSearch], list[Decision]]:
+    pairs = [done[joint] for joint in sorted(done)]
+    return [s for s, _ in pairs], [d for _, d in pairs]
 
 
 def _search_joint(

@@ -3,8 +3,8 @@ and write a result.
 """
 
 from zendsp.experiment.frequency import FrequencyResponse, frequency_response
-from zendsp.experiment.into import fit_model, put_into
 from zendsp.experiment.lab import Lab
+from zendsp.experiment.model_update import fit_model, put_into
 from zendsp.experiment.registry import EXPERIMENTS, Experiment, run_experiment
 from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.sweep import Sweep, sweep

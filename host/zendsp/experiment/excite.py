@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -77,10 +78,8 @@ def play(
         if found.simulated and not found.good:
             raise Refused(f"not played, the twin was stopped: {found.text}; take less amplitude")
     running = target.status().state == ProgramState.RUNNING
-    if real and running:
-        recording, begin = _while_it_runs(target, tables, wanted, channels, length, progress)
-    else:
-        recording, begin = _from_the_start(target, tables, wanted, channels, length, progress)
+    swing = _Swing(target, tables, wanted, channels, length, progress)
+    recording, begin = swing.while_it_runs() if real and running else swing.from_the_start()
     if running and not real:
         target.start()
     trip = target.status().trip
@@ -151,44 +150,43 @@ def _position(target: Target, infos: dict[str, Any]) -> Any:
     return [(c - j.zero_counts) / j.counts_per_unit for c, j in zip(counts, joints, strict=False)]
 
 
-def _from_the_start(
-    target: Target,
-    tables: dict[str, Floats],
-    values: dict[str, Any],
-    channels: list[str],
-    length: float,
-    progress: Callable[[float], None] | None,
-) -> tuple[Recording, int]:
-    """Start the program together with the recording: the first row is the first sample."""
-    if target.status().state == ProgramState.RUNNING:
-        target.pause()
-    for name, rows in tables.items():
-        target.upload(name, rows)
-    target.write(**values)
-    recording = target.acquire(channels, length, start=True, progress=progress)
-    return recording, recording.start_tick
+@dataclass(frozen=True)
+class _Swing:
+    """What is played and recorded: tables, the program's parameters, channels, length in s."""
 
+    target: Target
+    tables: dict[str, Floats]
+    values: dict[str, Any]
+    channels: list[str]
+    length: float
+    progress: Callable[[float], None] | None
 
-def _while_it_runs(
-    target: Target,
-    tables: dict[str, Floats],
-    values: dict[str, Any],
-    channels: list[str],
-    length: float,
-    progress: Callable[[float], None] | None,
-) -> tuple[Recording, int]:
-    """Switch the table over while the recorder runs, and keep the rows from there on."""
-    rate = target.info.rate_hz
-    size = sum(rows.nbytes for rows in tables.values())
-    begin = target.status().tick + round((LEAD_S + size / SLOWEST) * rate)
-    target.update(at_tick=begin, **values)  # all in one sample, so that nothing jumps
-    for name, rows in tables.items():
-        begin = max(begin, target.upload(name, rows, at_tick=begin))
-    target.acquire_configure(channels, length + SLACK_S, continuous=True)
-    target.acquire_start()
-    end = begin + round((length + 0.1) * rate)
-    while (status := target.status()).tick < end and status.state == ProgramState.RUNNING:
-        if progress is not None:
-            progress(max(0.0, min(1.0, 1.0 - (end - status.tick) / (length * rate))))
-        time.sleep(0.02)  # until the target's clock has come so far
-    return target.acquire_finish(), begin
+    def from_the_start(self) -> tuple[Recording, int]:
+        """Start the program together with the recording: the first row is the first sample."""
+        target = self.target
+        if target.status().state == ProgramState.RUNNING:
+            target.pause()
+        for name, rows in self.tables.items():
+            target.upload(name, rows)
+        target.write(**self.values)
+        recording = target.acquire(
+            self.channels, self.length, start=True, progress=self.progress
+        )
+        return recording, recording.start_tick
+
+    def while_it_runs(self) -> tuple[Recording, int]:
+        """Switch the table over while the recorder runs, and keep the rows from there on."""
+        target, length, rate = self.target, self.length, self.target.info.rate_hz
+        size = sum(rows.nbytes for rows in self.tables.values())
+        begin = target.status().tick + round((LEAD_S + size / SLOWEST) * rate)
+        target.update(at_tick=begin, **self.values)  # all in one sample, so that nothing jumps
+        for name, rows in self.tables.items():
+            begin = max(begin, target.upload(name, rows, at_tick=begin))
+        target.acquire_configure(self.channels, length + SLACK_S, continuous=True)
+        target.acquire_start()
+        end = begin + round((length + 0.1) * rate)
+        while (status := target.status()).tick < end and status.state == ProgramState.RUNNING:
+            if self.progress is not None:
+                self.progress(max(0.0, min(1.0, 1.0 - (end - status.tick) / (length * rate))))
+            time.sleep(0.02)  # until the target's clock has come so far
+        return target.acquire_finish(), begin

@@ -21,9 +21,10 @@ import numpy.typing as npt
 
 from zendsp.errors import AcquisitionError, RecordingError
 from zendsp.experiment.excite import play
+from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
 from zendsp.recording import Recording
-from zendsp.reference.kinds.multisine import low_crest_phases
+from zendsp.reference.crest import low_crest_phases
 from zendsp_protocol.views import curves, html_table, sentence
 
 if TYPE_CHECKING:
@@ -122,16 +123,8 @@ class FrequencyResponse:
         RecordingError
             The name ends otherwise, or the file cannot be written.
         """
-        path = Path(path)
-        if path.suffix.lower() != ".csv":
-            raise RecordingError(f"{path}: a frequency response is written as .csv")
-        rows = self.rows()
-        lines = [",".join(rows[0]), *(",".join(f"{v:.9g}" for v in row.values()) for row in rows)]
-        try:
-            path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
-        return path
+        rows = [{name: f"{v:.9g}" for name, v in row.items()} for row in self.rows()]
+        return write_rows(path, "a frequency response", list(rows[0]), rows)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Draw magnitude, phase and coherence over frequency.

@@ -5,6 +5,7 @@ where they differ.
 from __future__ import annotations
 
 import shutil
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from zendsp.experiment.result import Estimate, Result
 from zendsp.experiment.truth import TRUTH
 
 Rows = Sequence[Sequence[str]]
+WIDTH = 100  # columns of the page's prose
 
 
 def write_report(folder: Path, path: Path) -> Path:
@@ -57,8 +59,22 @@ def write_report(folder: Path, path: Path) -> Path:
             parts.append(f"![{result.title}](figures/{name}.png)\n")
         if result.warnings:
             parts.append("\n".join(f"- {text}" for text in result.warnings) + "\n")
-    path.write_text("\n".join(parts), encoding="utf-8")
+    path.write_text(wrapped("\n".join(parts)), encoding="utf-8")
     return path
+
+
+def wrapped(page: str) -> str:
+    """The page with its long paragraphs and list items wrapped; tables and figures stay whole."""
+    lines = []
+    for line in page.split("\n"):
+        if len(line) <= WIDTH or line.startswith(("|", "#", "!")):
+            lines.append(line)
+            continue
+        hang = "  " if line.startswith("- ") else ""
+        lines += textwrap.wrap(
+            line, WIDTH, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False
+        )
+    return "\n".join(lines)
 
 
 _HEAD = """# Results of the experiments

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError, RecordingError, VariableError, ZendspError
+from zendsp.errors import AcquisitionError, VariableError, ZendspError
+from zendsp.experiment.table_file import write_rows
 from zendsp.link import Target
 from zendsp.recording import Recording
 from zendsp_protocol.views import html_table, sentence
@@ -75,18 +75,9 @@ class Sweep:
         RecordingError
             The name ends otherwise, or the file cannot be written.
         """
-        path = Path(path)
-        if path.suffix.lower() != ".csv":
-            raise RecordingError(f"{path}: a sweep is written as .csv")
-        header = [*self.parameters, *self.results, "ended"]
-        try:
-            with path.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, header, lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(self.rows)
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
-        return path
+        return write_rows(
+            path, "a sweep", [*self.parameters, *self.results, "ended"], self.rows
+        )
 
     def cells(self) -> list[list[str]]:
         """Return the rows as text."""

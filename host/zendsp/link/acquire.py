@@ -197,7 +197,7 @@ class Recorder(Transfers):
             time.sleep(POLL_S)
         self.request("acquire_stop")
         status = msgspec.structs.replace(status, lost=max(status.lost, gone), wanted=wanted)
-        from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
+        from zendsp.link.metadata import describe  # with NumPy: not before there are rows
 
         return describe(self._parameters, status, 0, data, note, patience)
 
@@ -297,7 +297,7 @@ class Recorder(Transfers):
         data = self.load_rows(
             status.first, status.count - status.first, len(status.channels), progress, patience
         )
-        from zendsp.link.circumstances import describe  # with NumPy: not before there are rows
+        from zendsp.link.metadata import describe  # with NumPy: not before there are rows
 
         return describe(self._parameters, status, status.first, data, note, patience)
 

@@ -61,7 +61,7 @@ class Salvage:
         AcquisitionError
             It is gone.
         """
-        from zendsp.link.circumstances import host_version, join_channels
+        from zendsp.link.metadata import host_version, join_channels
         from zendsp.link.variables import plain
         from zendsp.recording import Recording
         from zendsp_protocol.values import from_wire

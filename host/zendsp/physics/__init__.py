@@ -13,7 +13,7 @@ _LAZY = {
     "Model": "zendsp.physics.model",
     "load_model": "zendsp.physics.model_file",
     "parse_model": "zendsp.physics.model_file",
-    "model_text": "zendsp.physics.model_file",
+    "model_text": "zendsp.physics.model_text",
     "Effect": "zendsp.physics.effects",
     "library": "zendsp.physics.effects",
     "load_effects": "zendsp.physics.effects",
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from zendsp.physics.effects import load_effects as load_effects
     from zendsp.physics.model import Model as Model
     from zendsp.physics.model_file import load_model as load_model
-    from zendsp.physics.model_file import model_text as model_text
     from zendsp.physics.model_file import parse_model as parse_model
+    from zendsp.physics.model_text import model_text as model_text
     from zendsp.physics.simulate_plant import Plant as Plant
     from zendsp.physics.simulate_run import simulate as simulate
     from zendsp.physics.simulate_run import simulate_loop as simulate_loop

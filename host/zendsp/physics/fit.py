@@ -18,8 +18,9 @@ import numpy.typing as npt
 
 from zendsp.physics.bounds import parameter_bounds
 from zendsp.physics.effects import get_effect
+from zendsp.physics.handles import Handle, free_handles, get_values, set_values
 from zendsp.physics.joint import JointRecord
-from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.model import Model, Quantity
 from zendsp.physics.native import LANES
 from zendsp.physics.predict import ran_away, run, run_many
 
@@ -38,17 +39,6 @@ ZERO_ERROR = 2e-3
 FIRST_LOOK = 4e-3
 
 
-@dataclass(frozen=True)
-class Handle:
-    """Names one free number of a model: ``place`` is "mechanism", "term", "gain" or "offset";
-    ``index`` is 0-based.
-    """
-
-    place: str
-    index: int
-    key: str = ""
-
-
 def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
     """The free numbers that act on one joint (1-based): its terms, its sensor's zero, the mechanism
     parameters in its equation.
@@ -62,106 +52,6 @@ def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
             continue
         out.append(h)
     return tuple(out)
-
-
-def free_handles(
-    model: Model, *, joints: Sequence[int] = (), offsets: bool = True
-) -> tuple[Handle, ...]:
-    """The numbers of a model that may be calibrated.
-
-    A mechanism parameter of value 0 is physics that the model does not have; it is not calibrated.
-    Numbers of bodies are free only where all joints decide.
-
-    Parameters
-    ----------
-    model : Model
-    joints : sequence of int
-        Only terms of these joints (1-based); all where empty.
-    offsets : bool
-        Also the sensor's zero within one count, where a torque depends on position.
-
-    Returns
-    -------
-    tuple of Handle
-    """
-    wanted = set(joints or range(1, model.joints + 1))
-    handles: list[Handle] = []
-    for key, items in model.mechanism.items():
-        for i, item in enumerate(items):
-            if item.free and item.value != 0 and (len(items) == 1 or i + 1 in wanted):
-                handles.append(Handle("mechanism", i, key))
-    for i, term in enumerate(model.terms):
-        if term.joint in wanted:
-            effect = get_effect(term.effect)
-            if effect.site == "body" and len(wanted) < model.joints:
-                continue
-            handles += [
-                Handle("term", i, p.name)
-                for p in effect.parameters
-                if p.fitted and term.parameters[p.name].free
-            ]
-    if model.actuator.gain_free:
-        handles += [Handle("gain", j - 1) for j in sorted(wanted)]
-    if (
-        offsets
-        and model.kind == "rotary"
-        and any(q.value for q in model.mechanism.get("gravity", ()))
-    ):
-        handles += [Handle("offset", j - 1) for j in sorted(wanted)]
-    return tuple(handles)
-
-
-def _pick(values: tuple[float, ...], index: int, default: float) -> float:
-    return values[index] if index < len(values) else (values[0] if values else default)
-
-
-def get_values(model: Model, handles: Sequence[Handle]) -> Array:
-    """The numbers behind the handles, (p,)."""
-    out = []
-    for h in handles:
-        if h.place == "mechanism":
-            out.append(model.mechanism[h.key][h.index].value)
-        elif h.place == "term":
-            out.append(model.terms[h.index].parameters[h.key].value)
-        elif h.place == "gain":
-            out.append(_pick(model.actuator.gain, h.index, 1.0))
-        else:
-            out.append(_pick(model.sensor.offset, h.index, 0.0))
-    return np.array(out, float)
-
-
-def set_values(
-    model: Model, handles: Sequence[Handle], x: Array, std: Array | None = None
-) -> Model:
-    """A copy of the model with the numbers behind the handles replaced (and their standard
-    deviations noted).
-    """
-    mechanism = {key: list(items) for key, items in model.mechanism.items()}
-    terms = [dict(term.parameters) for term in model.terms]
-    gain = [_pick(model.actuator.gain, j, 1.0) for j in range(model.joints)]
-    offset = [_pick(model.sensor.offset, j, 0.0) for j in range(model.joints)]
-    for i, h in enumerate(handles):
-        value, spread = float(x[i]), float(std[i]) if std is not None else 0.0
-        if h.place == "mechanism":
-            mechanism[h.key][h.index] = replace(mechanism[h.key][h.index], value=value, std=spread)
-        elif h.place == "term":
-            terms[h.index][h.key] = replace(terms[h.index][h.key], value=value, std=spread)
-        elif h.place == "gain":
-            gain[h.index] = value
-        else:
-            offset[h.index] = value
-    used = {h.place for h in handles}
-    actuator = replace(model.actuator, gain=tuple(gain)) if "gain" in used else model.actuator
-    sensor = replace(model.sensor, offset=tuple(offset)) if "offset" in used else model.sensor
-    return replace(
-        model,
-        mechanism={key: tuple(items) for key, items in mechanism.items()},
-        terms=tuple(
-            Term(t.effect, t.joint, values) for t, values in zip(model.terms, terms, strict=True)
-        ),
-        actuator=actuator,
-        sensor=sensor,
-    )
 
 
 @dataclass(frozen=True)

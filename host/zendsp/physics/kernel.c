@@ -52,6 +52,7 @@ typedef struct {
      * begins */
     double q0, qd0, a0;
     int load_sensor;          /* 1: the sensor sits on the load */
+    int beyond;               /* 1: states are those of the side that the sensor does not see */
     /* free run: restart from (rq, rqd) every so many samples, no correction; 0 = observer */
     int reset;
     const double *rq, *rqd;   /* n: states to restart from */

@@ -277,8 +277,9 @@ static inline __attribute__((always_inline)) int OF(predict)(const zk_model *M, 
                 for (int i = gone[l] - 1; i < n; i++) r[(size_t)i * LANES + l] = 1e9;
             return 1 + k;
         }
-        if (xq) xq[k] = side ? ql[0] : q[0];
-        if (xqd) xqd[k] = side ? qdl[0] : qd[0];
+        const int shown = M->beyond ? !side : side; /* the load */
+        if (xq) xq[k] = shown ? ql[0] : q[0];
+        if (xqd) xqd[k] = shown ? qdl[0] : qd[0];
         if (k == n - 1) { if (torque) torque[k] = k ? torque[k - 1] : 0; break; }
         const double added = M->extra ? M->extra[k] : 0;
         double jm[LANES], jl[LANES], per_jm[LANES], per_jl[LANES], bias[LANES];

@@ -71,6 +71,7 @@ def run(
     *,
     inner: int = 2,
     states: bool = False,
+    beyond: bool = False,
     free_every: int = 0,
     extra: Array | None = None,
 ) -> Run:
@@ -87,6 +88,8 @@ def run(
         Integration steps per sample.
     states : bool
         Also return states and torque.
+    beyond : bool
+        The states of the other side of a transmission, which the sensor does not see.
     free_every : int
         Restart from the smoothed motion every so many samples and simulate freely between; 0:
         observer.
@@ -101,6 +104,7 @@ def run(
     p = lib.doubles
     m = lib.ffi.new("zk_model *")
     alive = _fill(m, record, model, bandwidth, inner)
+    m.beyond = int(beyond)
     if free_every:
         value, half, w = record.position, np.zeros(n), np.ones(n)
         m.m, m.half, m.w, m.reset = p(value), p(half), p(w), free_every

@@ -21,6 +21,39 @@ Array = npt.NDArray[np.float64]
 
 EDGE_FLOOR = 0.05  # counts: no edge of a real encoder is known better
 PACE = 41  # samples, over which a speed is taken to tell moving from standing
+MOVING = 0.75  # counts a sample: from there on rounding is as good as white
+STANDING = 0.1  # counts a sample: below, a joint hardly moves
+ENOUGH = 200  # samples of either kind that tell a variance
+SPEED_OVER = 0.02  # s, over which the speed of measurements is taken
+SLOW = 0.5  # counts a sample: below, a constant code says only where the position may lie
+DITHERED = 0.3  # counts of noise beside quantisation: from there on a code is a mean, no interval
+
+# of a lattice: the steps that are looked at, and how they lie
+SMALL = 1e-9  # of the span: a smaller step is rounding of the numbers
+SMALLEST = 0.001  # quantile of the steps that is taken for one count, to begin with
+ONE = 1.5  # counts: a step below is one count
+STEPS = 10  # that must be there to tell
+COUNTED = 200  # counts: of longer steps the digits printed no longer tell whole ones
+OFF, ON = 0.02, 0.98  # of a count off a whole one at most, in so many of the steps
+
+# sums of uniform errors have shorter tails than normal ones, which the median takes for up to a
+# fifth more variance
+SHORT_TAILS = 1.2
+FOURTH = 70  # sum of the squared binomials of a fourth difference
+MEDIAN = 0.6745  # median absolute deviation of a normal variable of standard deviation 1
+
+# of noise without a lattice: how differences over twice the samples grow
+SMOOTH_GROWTH = 12.0  # less than the 16 of a smooth motion
+WHITE_GROWTH = 1.2  # more than the 1 of white noise
+PER_STRIDE = 100  # samples a sample of stride
+
+# of a joint that hardly moves
+FLIPS = 20  # changes of the code that must be there to tell
+BACK = 0.25  # of them that go back: below, it is motion
+FEW_SAMPLES = 0.4  # counts of noise at least, where all changes go back and few samples stand
+# Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi) while s
+# is small, and s^2 + 1/12 from a third of a count on, where the two meet.
+MEET = 0.17
 
 
 @dataclass(frozen=True)
@@ -62,18 +95,18 @@ def find_resolution(y: Array) -> float:
     """
     steps = np.abs(np.diff(y))
     span = float(np.ptp(y))
-    steps = steps[steps > 1e-9 * max(span, 1e-12)]
-    if len(steps) < 10:
+    steps = steps[steps > SMALL * max(span, 1e-12)]
+    if len(steps) < STEPS:
         return 0.0
-    step = float(np.quantile(steps, 0.001))
-    small = steps[steps < 1.5 * step]
+    step = float(np.quantile(steps, SMALLEST))
+    small = steps[steps < ONE * step]
     step = float(np.mean(small))
     ratio = steps / step
-    close = ratio < 200
-    if close.sum() < 10:
+    close = ratio < COUNTED
+    if close.sum() < STEPS:
         return 0.0
     off = np.abs(ratio[close] - np.round(ratio[close]))
-    return step if np.mean(off < 0.02) > 0.98 else 0.0
+    return step if np.mean(off < OFF) > ON else 0.0
 
 
 def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0) -> Measurement:
@@ -96,13 +129,13 @@ def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0)
     """
     n = len(y)
     white = resolution**2 / 12 + noise**2
-    if resolution <= 0 or noise > 0.3 * resolution:
+    if resolution <= 0 or noise > DITHERED * resolution:
         floor = max(white, (1e-9 * max(float(np.ptp(y)), 1e-9)) ** 2)
         return Measurement(y.astype(float), np.zeros(n), np.full(n, floor), resolution, noise)
-    window = max(5, round(0.02 / sample_time))
+    window = max(5, round(SPEED_OVER / sample_time))
     speed = np.abs(np.gradient(uniform_filter1d(y, window, mode="nearest"), sample_time))
     speed = uniform_filter1d(speed, window, mode="nearest")
-    slow = speed * sample_time < 0.5 * resolution
+    slow = speed * sample_time < SLOW * resolution
     change = np.zeros(n, bool)
     change[1:] = np.abs(np.diff(y)) > 0.5 * resolution
     value, half, variance = y.astype(float).copy(), np.zeros(n), np.full(n, white)
@@ -113,7 +146,7 @@ def measure(y: Array, sample_time: float, resolution: float, noise: float = 0.0)
     variance[slow] = white * length[slow]
     edge = slow & change
     travel = np.abs(y[edge] - y[np.flatnonzero(edge) - 1])
-    one = travel < 1.5 * resolution
+    one = travel < ONE * resolution
     k = np.flatnonzero(edge)[one]
     direction = np.sign(y[k] - y[k - 1])
     step = np.minimum(speed[k] * sample_time, resolution)
@@ -189,7 +222,7 @@ def smooth(measurement: Measurement, sample_time: float, known_acceleration: Arr
     n = len(measurement.value)
     span = float(np.ptp(measurement.value)) or 1e-6
     size = max(float(np.std(known_acceleration)), span)
-    window = max(5, round(0.02 / sample_time))
+    window = max(5, round(SPEED_OVER / sample_time))
     early = measurement.value[: 4 * window]
     v0 = (
         float(np.polyfit(np.arange(len(early)) * sample_time, early, 1)[0])
@@ -247,25 +280,23 @@ def noise_beside_quantisation(y: Array, resolution: float) -> float:
         return _coloured(y)
     fourth = np.diff(y, 4)
     pace = np.abs(np.gradient(uniform_filter1d(y, PACE, mode="nearest")))[4:] / resolution
-    moving = pace > 0.75  # counts a sample: from there on rounding is as good as white
-    if moving.sum() < 200:
-        return resolution * _dither(np.diff(y) / resolution, pace < 0.1)
+    moving = pace > MOVING
+    if moving.sum() < ENOUGH:
+        return resolution * _dither(np.diff(y) / resolution, pace < STANDING)
     # differences of counts are whole numbers, and so would be their median: spread evenly over one
     # count it is not
     spread = _spread(
         fourth[moving]
         + resolution * np.random.default_rng(0).uniform(-0.5, 0.5, int(moving.sum()))
     )
-    # sums of uniform errors have shorter tails than normal ones, which the median takes for up to a
-    # fifth more variance
-    return float(np.sqrt(max(0.0, spread**2 - 1.2 * resolution**2 / 12)))
+    return float(np.sqrt(max(0.0, spread**2 - SHORT_TAILS * resolution**2 / 12)))
 
 
 def _spread(fourth: Array) -> float:
     """Standard deviation of the white noise behind fourth differences; their median absolute
-    deviation keeps impacts out. 70: sum of the squared binomials.
+    deviation keeps impacts out.
     """
-    return float(np.median(np.abs(fourth - np.median(fourth))) / 0.6745 / np.sqrt(70))
+    return float(np.median(np.abs(fourth - np.median(fourth))) / MEDIAN / np.sqrt(FOURTH))
 
 
 def _coloured(y: Array) -> float:
@@ -275,13 +306,13 @@ def _coloured(y: Array) -> float:
     grow, ever less, to what there was before the filter. White noise stays the same; a smooth
     motion grows by 16 each time, and ever on.
     """
-    best, growth = _spread(np.diff(y, 4)), 12.0
+    best, growth = _spread(np.diff(y, 4)), SMOOTH_GROWTH
     for stride in (2, 4, 8):
-        if len(y) < 100 * stride:
+        if len(y) < PER_STRIDE * stride:
             break
         a, b, c, d, e = (y[k * stride : len(y) - (4 - k) * stride] for k in range(5))
         wider = _spread(e - 4 * d + 6 * c - 4 * b + a)
-        if not 1.2 * best < wider < growth * best:
+        if not WHITE_GROWTH * best < wider < growth * best:
             break
         best, growth = wider, wider / best
     return best
@@ -299,13 +330,11 @@ def _dither(steps: Array, still: Array) -> float:
         Of each fourth difference, whether the joint moves by less than a tenth of a count a sample.
     """
     flips = steps[np.abs(steps) > 0.5]
-    back = float(np.mean(flips[1:] * flips[:-1] < 0)) if len(flips) > 20 else 0.0
-    if back <= 0.25:
+    back = float(np.mean(flips[1:] * flips[:-1] < 0)) if len(flips) > FLIPS else 0.0
+    if back <= BACK:
         return 0.0
-    if still.sum() < 200:
-        return 0.4 * back
-    # Rounding noise of s counts, over all places between two codes: a variance of s / sqrt(pi)
-    # while s is small, and s^2 + 1/12 from a third of a count on, where the two meet.
-    variance = float(np.mean(np.diff(steps, 3)[still] ** 2)) / 70
-    counts = np.sqrt(np.pi) * variance if variance < 0.17 else np.sqrt(variance - 1 / 12)
+    if still.sum() < ENOUGH:
+        return FEW_SAMPLES * back
+    variance = float(np.mean(np.diff(steps, 3)[still] ** 2)) / FOURTH
+    counts = np.sqrt(np.pi) * variance if variance < MEET else np.sqrt(variance - 1 / 12)
     return float(counts)

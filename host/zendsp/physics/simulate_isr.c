@@ -1,6 +1,8 @@
-/* The user's own program in the place of the controller: what isr.h asks of a runtime, around one simulated machine.
+/* The user's own program in the place of the controller: what isr.h asks of a runtime, around one
+ * simulated machine.
  *
- * Runs in a child process of the simulator's, so that code that crashes or never returns takes nothing else with it.
+ * Runs in a child process of the simulator's, so that code that crashes or never returns takes
+ * nothing else with it.
  */
 #include <dlfcn.h> /* dlopen, dlsym */
 #include <stdio.h> /* snprintf */
@@ -44,7 +46,8 @@ static void declare(const zendsp_declaration *d) {
     if (h->problem[0])
         return;
     if (h->variables >= HOST_VARIABLES) {
-        snprintf(h->problem, sizeof h->problem, "variable '%s': more than %d variables", d->name, HOST_VARIABLES);
+        snprintf(h->problem, sizeof h->problem, "variable '%s': more than %d variables", d->name,
+                 HOST_VARIABLES);
         return;
     }
     for (int32_t i = 0; i < h->variables; i++)
@@ -71,10 +74,18 @@ static void declare(const zendsp_declaration *d) {
     v->length = d->bytes / size_of[d->type];
     for (int32_t i = 0; d->set && i < v->length; i++)
         switch (d->type) {
-        case ZENDSP_DOUBLE: ((double *)d->address)[i] = d->initial; break;
-        case ZENDSP_FLOAT: ((float *)d->address)[i] = (float)d->initial; break;
-        case ZENDSP_INT32: ((int32_t *)d->address)[i] = (int32_t)d->initial; break;
-        default: ((bool *)d->address)[i] = d->initial != 0; break;
+        case ZENDSP_DOUBLE:
+            ((double *)d->address)[i] = d->initial;
+            break;
+        case ZENDSP_FLOAT:
+            ((float *)d->address)[i] = (float)d->initial;
+            break;
+        case ZENDSP_INT32:
+            ((int32_t *)d->address)[i] = (int32_t)d->initial;
+            break;
+        default:
+            ((bool *)d->address)[i] = d->initial != 0;
+            break;
         }
 }
 
@@ -88,22 +99,29 @@ static void acquire(void) {
     for (int32_t i = 0; i < h->channels; i++) {
         const host_channel *c = &h->channel[i];
         switch (c->type) {
-        case ZENDSP_DOUBLE: row[i] = *(const double *)c->address; break;
-        case ZENDSP_FLOAT: row[i] = *(const float *)c->address; break;
-        case ZENDSP_INT32: row[i] = *(const int32_t *)c->address; break;
-        default: row[i] = *(const bool *)c->address; break;
+        case ZENDSP_DOUBLE:
+            row[i] = *(const double *)c->address;
+            break;
+        case ZENDSP_FLOAT:
+            row[i] = *(const float *)c->address;
+            break;
+        case ZENDSP_INT32:
+            row[i] = *(const int32_t *)c->address;
+            break;
+        default:
+            row[i] = *(const bool *)c->address;
+            break;
         }
     }
 }
 
 /* Bytes of a host: whoever declares the struct again holds its copy against this. */
-int host_size(void) {
-    return (int)sizeof(host);
-}
+int host_size(void) { return (int)sizeof(host); }
 
-/* Load a program and let it declare its variables. Returns the host, whose `problem` is empty when all is well. */
-host *host_open(const char *path, int joints, double period, const double *counts_per_unit, const double *mv_per_torque,
-                const double *torque_max) {
+/* Load a program and let it declare its variables. Returns the host, whose `problem` is empty when
+ * all is well. */
+host *host_open(const char *path, int joints, double period, const double *counts_per_unit,
+                const double *mv_per_torque, const double *torque_max) {
     host *h = &the_host;
     memset(h, 0, sizeof *h);
     h->io.period = period;
@@ -129,8 +147,11 @@ host *host_open(const char *path, int joints, double period, const double *count
     *(void **)&h->isr = dlsym(program, "UserISR_INT2");
     *(void **)&h->background = dlsym(program, "UserBackground");
     if (!io || !init || !h->isr) {
-        snprintf(h->problem, sizeof h->problem, "the program lacks %s: see template.c for the sections of a program",
-                 !io ? "#include \"isr.h\"" : !init ? "UserInit" : "UserISR_INT2");
+        snprintf(h->problem, sizeof h->problem,
+                 "the program lacks %s: see template.c for the sections of a program",
+                 !io     ? "#include \"isr.h\""
+                 : !init ? "UserInit"
+                         : "UserISR_INT2");
         return h;
     }
     *io = &h->io;
@@ -138,10 +159,11 @@ host *host_open(const char *path, int joints, double period, const double *count
     return h;
 }
 
-/* Run `ticks` samples; UserBackground is called `background` times between two of them. progress[0] is the tick being computed.
- * Returns the samples completed; motion (when it ran away) stops it early. */
-int host_run(host *h, sim *S, int ticks, int decimation, int background, const host_channel *channel, int channels, double *out,
-             volatile int32_t *progress) {
+/* Run `ticks` samples; UserBackground is called `background` times between two of them. progress[0]
+ * is the tick being computed. Returns the samples completed; motion (when it ran away) stops it
+ * early. */
+int host_run(host *h, sim *S, int ticks, int decimation, int background,
+             const host_channel *channel, int channels, double *out, volatile int32_t *progress) {
     const int n = S->c.joints;
     h->channel = channel;
     h->channels = channels;
@@ -155,7 +177,9 @@ int host_run(host *h, sim *S, int ticks, int decimation, int background, const h
         sim_measure(S, h->measured, counts);
         sim_truth(S, h->q, h->qd, h->torque);
         for (int i = 0; i < n; i++) {
-            h->io.enc[i] = S->c.resolution[i] > 0 ? counts[i] : (int32_t)floor(h->measured[i] * h->io.counts_per_unit[i] + 0.5);
+            h->io.enc[i] = S->c.resolution[i] > 0
+                               ? counts[i]
+                               : (int32_t)floor(h->measured[i] * h->io.counts_per_unit[i] + 0.5);
             h->enc[i] = h->io.enc[i];
         }
         h->io.tick = (uint64_t)k;
@@ -168,7 +192,8 @@ int host_run(host *h, sim *S, int ticks, int decimation, int background, const h
         h->isr();
         acquire();
         double command[SIM_MAX];
-        for (int i = 0; i < n; i++) /* WRITE_TORQUE counts in torque, the model's commands in their own unit */
+        /* WRITE_TORQUE counts in torque, the model's commands in their own unit */
+        for (int i = 0; i < n; i++)
             command[i] = h->io.aout[i] / h->io.mv_per_torque[i] / S->c.gain[i];
         if (sim_advance(S, command)) {
             k++;

@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from zendsp.errors import ModelError, RecordingError
 from zendsp.physics.model import Model, per_joint
-from zendsp.physics.model_file import load_model, model_text
+from zendsp.physics.model_file import load_model
+from zendsp.physics.model_text import model_text
 from zendsp.physics.simulate_plant import INNER, Plant, joint_count
 from zendsp.physics.simulate_program import Job, Outcome, compile_program, run_program
 from zendsp.recording import Recording

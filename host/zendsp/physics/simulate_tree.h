@@ -2,8 +2,9 @@
  *
  *     M(q) qdd + C(q, qd) qd + g(q) = tau
  *
- * Newton-Euler in link coordinates (Luh, Walker, Paul 1980) for torques, composite bodies (Walker, Orin 1982) for M. Used by the
- * simulator and by generated control code. Parents come before their children. Units: m, kg, s, rad (or m where prismatic).
+ * Newton-Euler in link coordinates (Luh, Walker, Paul 1980) for torques, composite bodies (Walker,
+ * Orin 1982) for M. Used by the simulator and by generated control code. Parents come before their
+ * children. Units: m, kg, s, rad (or m where prismatic).
  */
 #ifndef ZENDSP_TREE_H
 #define ZENDSP_TREE_H
@@ -36,7 +37,9 @@ static inline void tree_cross(const double *a, const double *b, double *r) {
     r[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-static inline double tree_dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static inline double tree_dot(const double *a, const double *b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 /* r = R b, and r = transpose(R) b. */
 static inline void tree_out(const double *R, const double *b, double *r) {
@@ -71,22 +74,27 @@ static inline void tree_place(int n, const double *tree, const double *q, tree_p
         }
         /* Rodrigues: turn by q about a */
         const double c = cos(q[k]), s = sin(q[k]), d = 1.0 - c;
-        const double T[9] = {c + d * a[0] * a[0],        d * a[0] * a[1] - s * a[2], d * a[0] * a[2] + s * a[1],
-                             d * a[0] * a[1] + s * a[2], c + d * a[1] * a[1],        d * a[1] * a[2] - s * a[0],
-                             d * a[0] * a[2] - s * a[1], d * a[1] * a[2] + s * a[0], c + d * a[2] * a[2]};
+        const double T[9] = {
+            c + d * a[0] * a[0],        d * a[0] * a[1] - s * a[2], d * a[0] * a[2] + s * a[1],
+            d * a[0] * a[1] + s * a[2], c + d * a[1] * a[1],        d * a[1] * a[2] - s * a[0],
+            d * a[0] * a[2] - s * a[1], d * a[1] * a[2] + s * a[0], c + d * a[2] * a[2]};
         for (int i = 0; i < 3; i++)
             for (int j = 0; j < 3; j++)
-                pose->R[k][3 * i + j] = R0[3 * i] * T[j] + R0[3 * i + 1] * T[3 + j] + R0[3 * i + 2] * T[6 + j];
+                pose->R[k][3 * i + j] =
+                    R0[3 * i] * T[j] + R0[3 * i + 1] * T[3 + j] + R0[3 * i + 2] * T[6 + j];
     }
 }
 
 /* tau = M qdd + C qd + g; qdd = NULL stands for zero. gravity: m/s^2 in the base frame. */
-static inline void tree_torque(int n, const double *tree, const tree_pose *pose, const double *gravity, const double *qd,
-                               const double *qdd, double *tau) {
-    double w[TREE_MAX][3], al[TREE_MAX][3], acc[TREE_MAX][3], force[TREE_MAX][3], moment[TREE_MAX][3];
+static inline void tree_torque(int n, const double *tree, const tree_pose *pose,
+                               const double *gravity, const double *qd, const double *qdd,
+                               double *tau) {
+    double w[TREE_MAX][3], al[TREE_MAX][3], acc[TREE_MAX][3], force[TREE_MAX][3],
+        moment[TREE_MAX][3];
     const double still[3] = {0.0, 0.0, 0.0}, lift[3] = {-gravity[0], -gravity[1], -gravity[2]};
     for (int k = 0; k < n; k++) {
-        const double *link = tree + k * TREE_ROW, *a = link + TREE_AXIS, *R = pose->R[k], *p = pose->p[k];
+        const double *link = tree + k * TREE_ROW, *a = link + TREE_AXIS, *R = pose->R[k],
+                     *p = pose->p[k];
         const int parent = (int)link[TREE_PARENT], slides = link[TREE_PRISMATIC] != 0.0;
         const double *w0 = parent < 0 ? still : w[parent], *al0 = parent < 0 ? still : al[parent];
         const double *acc0 = parent < 0 ? lift : acc[parent];
@@ -127,7 +135,8 @@ static inline void tree_torque(int n, const double *tree, const tree_pose *pose,
     for (int k = n - 1; k >= 0; k--) {
         const double *link = tree + k * TREE_ROW;
         const int parent = (int)link[TREE_PARENT];
-        tau[k] = tree_dot(link + TREE_AXIS, link[TREE_PRISMATIC] != 0.0 ? force[k] : moment[k]) + link[TREE_ROTOR] * (qdd ? qdd[k] : 0.0);
+        tau[k] = tree_dot(link + TREE_AXIS, link[TREE_PRISMATIC] != 0.0 ? force[k] : moment[k]) +
+                 link[TREE_ROTOR] * (qdd ? qdd[k] : 0.0);
         if (parent >= 0) {
             double f[3], m[3], lever[3];
             tree_out(pose->R[k], force[k], f);
@@ -143,9 +152,11 @@ static inline void tree_torque(int n, const double *tree, const tree_pose *pose,
 
 /* M(q), n x n, row by row. */
 static inline void tree_mass(int n, const double *tree, const tree_pose *pose, double *M) {
-    double m[TREE_MAX], h[TREE_MAX][3], I[TREE_MAX][6]; /* of each link with all it carries: mass, m c, inertia about the origin */
+    /* of each link with all it carries: mass, m c, inertia about the origin */
+    double m[TREE_MAX], h[TREE_MAX][3], I[TREE_MAX][6];
     for (int k = 0; k < n; k++) {
-        const double *link = tree + k * TREE_ROW, *c = link + TREE_COM, *J = link + TREE_I, mass = link[TREE_MASS];
+        const double *link = tree + k * TREE_ROW, *c = link + TREE_COM, *J = link + TREE_I,
+                     mass = link[TREE_MASS];
         const double cc = tree_dot(c, c);
         m[k] = mass;
         for (int i = 0; i < 3; i++) {
@@ -177,7 +188,8 @@ static inline void tree_mass(int n, const double *tree, const tree_pose *pose, d
         static const int at[6][2] = {{0, 0}, {1, 1}, {2, 2}, {0, 1}, {0, 2}, {1, 2}};
         for (int s = 0; s < 6; s++) {
             const int i = at[s][0], j = at[s][1];
-            I[parent][s] += X[3 * i + j] + (i == j ? 2.0 * gp + mass * pp : 0.0) - g[i] * p[j] - p[i] * g[j] - mass * p[i] * p[j];
+            I[parent][s] += X[3 * i + j] + (i == j ? 2.0 * gp + mass * pp : 0.0) - g[i] * p[j] -
+                            p[i] * g[j] - mass * p[i] * p[j];
         }
         m[parent] += mass;
         for (int i = 0; i < 3; i++)
@@ -197,7 +209,8 @@ static inline void tree_mass(int n, const double *tree, const tree_pose *pose, d
             tree_sym(I[k], a, t);
         }
         M[k * n + k] = tree_dot(a, link[TREE_PRISMATIC] != 0.0 ? f : t) + link[TREE_ROTOR];
-        for (int j = k, parent = (int)link[TREE_PARENT]; parent >= 0; j = parent, parent = (int)tree[j * TREE_ROW + TREE_PARENT]) {
+        for (int j = k, parent = (int)link[TREE_PARENT]; parent >= 0;
+             j = parent, parent = (int)tree[j * TREE_ROW + TREE_PARENT]) {
             double fo[3], to[3], lever[3];
             tree_out(pose->R[j], f, fo);
             tree_out(pose->R[j], t, to);
@@ -207,7 +220,8 @@ static inline void tree_mass(int n, const double *tree, const tree_pose *pose, d
                 t[i] = to[i] + lever[i];
             }
             const double *up = tree + parent * TREE_ROW;
-            M[parent * n + k] = M[k * n + parent] = tree_dot(up + TREE_AXIS, up[TREE_PRISMATIC] != 0.0 ? f : t);
+            M[parent * n + k] = M[k * n + parent] =
+                tree_dot(up + TREE_AXIS, up[TREE_PRISMATIC] != 0.0 ? f : t);
         }
     }
 }

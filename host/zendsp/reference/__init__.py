@@ -3,6 +3,7 @@ that Execute plays.
 """
 
 from zendsp.reference.core import Mode, Reference
+from zendsp.reference.crest import crest_factor
 from zendsp.reference.dynamics import predict_motion
 from zendsp.reference.files import load_reference, save_reference
 from zendsp.reference.kind import Kind, Parameter
@@ -11,7 +12,7 @@ from zendsp.reference.kinds.circle import make_circle
 from zendsp.reference.kinds.from_file import make_from_file
 from zendsp.reference.kinds.line import make_line
 from zendsp.reference.kinds.lspb import make_lspb
-from zendsp.reference.kinds.multisine import crest_factor, make_multisine
+from zendsp.reference.kinds.multisine import make_multisine
 from zendsp.reference.kinds.point_to_point import make_point_to_point
 from zendsp.reference.kinds.prbs import make_prbs
 from zendsp.reference.kinds.step import make_step

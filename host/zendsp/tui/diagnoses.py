@@ -17,7 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from zendsp.diagnosis.chart import SUFFIX, Chart, load_chart
+from zendsp.diagnosis.report.chart import SUFFIX, Chart, load_chart
 from zendsp.tui.workspace import file_name
 
 CARD = "diagnosis.json"

@@ -225,7 +225,7 @@ def compare(runs: Sequence[Run]) -> str:
 
 
 def _different_parameters(recordings: Sequence[Recording]) -> list[tuple[str, list[str]]]:
-    from zendsp.tui.panels.values import differs, show_value
+    from zendsp.tui.values import differs, show_value
 
     rows = []
     for name in dict.fromkeys(n for r in recordings for n in r.parameters):

@@ -17,8 +17,33 @@ from zendsp.physics.signals import noise_beside_quantisation
 Array = npt.NDArray[np.float64]
 
 DEGREE = 180.0 / np.pi
+TINY = 1e-15  # keeps a step of nothing from being divided by
 MIN_SECONDS = 2.0  # eight blocks of the held-out statistics
 MIN_COUNTS = 8
+
+# What refuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
+STILL = 1e-9  # of the largest position: a span below is a constant
+NOISE_SPANS = 15  # standard deviations: 20 000 samples of white noise span 8
+FOLLOWED = 0.8  # R^2 of position on reference from which the slope says unit and sign
+OPPOSITE = -0.5  # slope
+NEAR = (0.7, 1.4)  # of a factor between units
+OTHER_UNITS = 10  # times the actuator's limit, and most of the time beyond it
+OVER = 1.001  # of the actuator's limit: more than a rounding
+AT_TOP = 0.999  # of the largest command: there
+STUCK = 0.03  # of the time at the largest command
+VALUES = 20  # that a command has at least which is no relay's, of six digits
+DIGITS = 6
+JUMP_QUANTILE = 0.999  # of the steps: what a fast step of the motion is
+JUMP_USUAL, JUMP_NEAR = 8, 20  # times that, and the median of the steps before and after
+JUMP_COUNTS = 6  # of the sensor
+JUMP_SPAN = 0.004  # of the position's span
+ARRIVAL = 0.004  # s, over which the speed before a stop is taken
+LAG = 0.02  # s, over which the usual acceleration is; a stop lasts longer
+STOP_COUNTS = 4  # of the sensor, within ARRIVAL
+STOP_USUAL = 6  # times the usual acceleration
+STOP_TIME = 0.01  # of the recording, at the extreme
+STOP_TWICE = 2  # sudden stops at least,
+STOP_MOST = 0.6  # and of all long ones
 
 
 def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
@@ -53,7 +78,7 @@ def check_signals(signals: Sequence[Signals], model: Model) -> list[str]:
 
 def _moves(where: str, y: Array, resolution: float) -> None:
     span = float(np.ptp(y))
-    if span <= 1e-9 * max(1e-9, float(np.max(np.abs(y)))):
+    if span <= STILL * max(STILL, float(np.max(np.abs(y)))):
         raise RecordingError(
             f"{where}: the position is constant; nothing moved, so nothing can be diagnosed"
         )
@@ -62,9 +87,8 @@ def _moves(where: str, y: Array, resolution: float) -> None:
             f"{where}: the position spans {span / resolution:.0f} counts of the sensor; a diagnosis"
             f" needs at least {MIN_COUNTS}: excite the joint more"
         )
-    # white noise of 20 000 samples spans 8 standard deviations
     noise = noise_beside_quantisation(y, resolution)
-    if span < 15 * noise:
+    if span < NOISE_SPANS * noise:
         raise RecordingError(
             f"{where}: the position spans {span:.3g}, {span / noise:.0f} times its own noise of"
             f" {noise:.2g}: it is noise, not motion; excite the joint more"
@@ -81,9 +105,9 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
         return
     slope = float(a @ b) / power
     r2 = slope**2 * power / max(float(a @ a), 1e-300)
-    if r2 < 0.8:
+    if r2 < FOLLOWED:
         return
-    if slope < -0.5:
+    if slope < OPPOSITE:
         raise RecordingError(
             f"{where}: the position runs opposite to its reference (slope {slope:.3g}): the sign of"
             " one of them is flipped"
@@ -95,7 +119,7 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
     )
     for factor, units in factors:
         for value, first in ((factor, "position"), (1 / factor, "reference")):
-            if 0.7 < slope / value < 1.4:
+            if NEAR[0] < slope / value < NEAR[1]:
                 raise RecordingError(
                     f"{where}: the position is {slope:.3g} times its reference: {units} are mixed"
                     f" (the {first} has the larger numbers)"
@@ -104,18 +128,19 @@ def _follows(where: str, y: Array, r: Array, kind: str) -> None:
 
 def _limits(where: str, u: Array, limit: float) -> list[str]:
     top = float(np.max(np.abs(u)))
-    if limit > 0 and top > 10 * limit and float(np.mean(np.abs(u) > limit)) > 0.5:
+    if limit > 0 and top > OTHER_UNITS * limit and float(np.mean(np.abs(u) > limit)) > 0.5:
         raise RecordingError(
             f"{where}: the command reaches {top:.4g} and is most of the time beyond the actuator's"
             f" limit of {limit:.4g}: is it in other units than the model's [actuator]?"
         )
-    if limit > 0 and top > 1.001 * limit:
+    if limit > 0 and top > OVER * limit:
         return [
             f"{where}: the command reaches {top:.4g}, beyond the actuator's limit of {limit:.4g};"
             " it is clipped in the model"
         ]
-    stuck = float(np.mean(np.abs(u) >= 0.999 * top)) if top > 0 else 0.0
-    if limit <= 0 and stuck > 0.03 and len(np.unique(np.round(np.abs(u) / top, 6))) > 20:
+    stuck = float(np.mean(np.abs(u) >= AT_TOP * top)) if top > 0 else 0.0
+    clipped = limit <= 0 and stuck > STUCK
+    if clipped and len(np.unique(np.round(np.abs(u) / top, DIGITS))) > VALUES:
         return [
             f"{where}: the command stays at its largest value {top:.4g} for {100 * stuck:.0f} % of"
             " the time; it looks clipped and the model states no limit"
@@ -128,17 +153,17 @@ def _glued(where: str, y: Array, s: Signals) -> None:
     does not have.
     """
     step = np.diff(y)
-    usual = float(np.quantile(np.abs(step), 0.999))
+    usual = float(np.quantile(np.abs(step), JUMP_QUANTILE))
     k = int(np.argmax(np.abs(step)))
     before = np.median(np.abs(step[max(0, k - 20) : k])) if k else 0.0
     after = np.median(np.abs(step[k + 1 : k + 21])) if k + 1 < len(step) else 0.0
     jump = float(abs(step[k]))
-    counts = 6 * float(np.max(s.resolution))
+    counts = JUMP_COUNTS * float(np.max(s.resolution))
     if (
-        jump > 8 * max(usual, 1e-15)
+        jump > JUMP_USUAL * max(usual, TINY)
         and jump > counts
-        and jump > 20 * max(before, after, 1e-15)
-        and jump > 0.004 * float(np.ptp(y))
+        and jump > JUMP_NEAR * max(before, after, TINY)
+        and jump > JUMP_SPAN * float(np.ptp(y))
     ):
         raise RecordingError(
             f"{where}: the position jumps by {jump:.4g} between two samples at t = {s.time[k]:.4g}"
@@ -150,8 +175,8 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
     """A joint that stands at its extreme from one sample to the next: the stop would need an
     acceleration that it shows nowhere else.
     """
-    width = max(2, round(0.004 / sample_time))  # arrival speed over 4 ms
-    lag = max(1, round(0.02 / sample_time))
+    width = max(2, round(ARRIVAL / sample_time))
+    lag = max(1, round(LAG / sample_time))
     mean = np.convolve(y, np.ones(lag) / lag, mode="valid")
     speed = (mean[lag:] - mean[:-lag]) / (lag * sample_time)
     usual = float(np.quantile(np.abs(speed[lag:] - speed[:-lag]), 0.98)) / (
@@ -162,18 +187,19 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
         share = float(np.mean(at))
         change = np.diff(np.r_[0, at.astype(int), 0])
         starts, stops = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
-        long = (stops - starts) * sample_time > 0.02
+        long = (stops - starts) * sample_time > LAG
         sudden = 0
         for k in starts[long]:
             if k > width:
                 travel = abs(float(y[k - 1] - y[k - 1 - width]))
-                # braking at the usual acceleration from this speed would take well over the 4 ms,
+                # braking at the usual acceleration from this speed would take well over ARRIVAL,
                 # and several counts
                 sudden += (
-                    travel > 4 * resolution
-                    and travel / (width * sample_time) > 6 * usual * width * sample_time
+                    travel > STOP_COUNTS * resolution
+                    and travel / (width * sample_time) > STOP_USUAL * usual * width * sample_time
                 )
-        if share > 0.01 and sudden >= 2 and sudden >= 0.6 * max(1, int(long.sum())):
+        often = sudden >= STOP_TWICE and sudden >= STOP_MOST * max(1, int(long.sum()))
+        if share > STOP_TIME and often:
             raise RecordingError(
                 f"{where}: the position stops dead at its {name} ({edge:.4g}, {100 * share:.0f} %"
                 " of the time): the sensor's range was exceeded, the values are clipped, or the"
@@ -182,8 +208,8 @@ def _clipped(where: str, y: Array, resolution: float, sample_time: float) -> Non
 
 
 def check_motion(data: Data, model: Model, names: Sequence[str]) -> list[str]:
-    """Look at the motion against the command: units, signs, swapped columns (see
-    ``contradictions``).
+    """Look at the motion against the command: units, signs, swapped columns
+    (``plausibility``).
 
     Parameters
     ----------

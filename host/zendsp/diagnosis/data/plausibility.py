@@ -33,6 +33,28 @@ SHOWS = 0.25  # of the command: a rigid body's torque below is no ground to accu
 # of the torque: friction that drives by more is two columns of the regression against each other
 FULL = 1.5
 
+# What accuses a recording: tests/diagnosis/test_bad_input.py has recordings on either side.
+QUIET = 0.1  # of the acceleration: so much noise does not matter
+SWINGS = 0.2  # rad: over less, sine and cosine of the angle are lines
+PER_COLUMN = 4  # samples at least for each column of a regression
+AT_EDGE = 12  # samples at the largest command: fewer tell nothing
+ERRORS = 4  # standard errors by which a factor has to lie beyond a limit
+MANY_ERRORS = 10  # the same, for a sign: with the samples that are one fact counted once
+SURE_ERRORS = 8  # the same, for the factor once a mistake is undone
+LITTLE, MUCH = 0.3, 5.0  # of the model's inertia: outside, columns may have wrong units
+NONE = 0.2  # of the model's inertia: below, it does not show
+SHARE = 0.3  # of the command: a rigid body that should take so much of it, and does not show
+VISIBLE = 0.05  # of the command: a rigid body below cannot show its sign
+SOUND = 0.6  # R^2 of a regression that may accuse a column
+HALF = 0.5  # R^2 of one that explains the motion by half
+GOOD = 0.8  # R^2 of one that may call a column clipped
+NO_WORSE = 0.05  # R^2 by which it may fall when a mistake is undone
+BEYOND, BEYOND_ERRORS = 0.15, 4.5  # of the command at its edge, and in standard errors: clipped
+SATURATED = 0.98  # of the stated limit: from there on the actuator clips as well
+NEAR = (0.4, 2.5)  # of the model's inertia: so near it a column may be called clipped
+RIGHT = (0.5, 2.0)  # of the model's inertia: so near it a mistake is undone
+DRIVES = 0.3  # of the torque: friction that gives so much drives
+
 
 @dataclass(frozen=True)
 class Slow:
@@ -94,7 +116,7 @@ def look(positions: Array, commands: Array, sample_time: float, noise: Array) ->
         qd = np.gradient(q, sample_time, axis=1)
         qdd = np.gradient(qd, sample_time, axis=1)
         white = noise * (2 * np.pi * cutoff) ** 2 * np.sqrt(0.6 * cutoff * sample_time)
-        if np.all(white < 0.1 * np.std(qdd, axis=1) + 1e-300):
+        if np.all(white < QUIET * np.std(qdd, axis=1) + 1e-300):
             break
     step = max(1, round(0.2 / (cutoff * sample_time)))
     ends = min(positions.shape[1] // 8, round(0.5 / (cutoff * sample_time)))
@@ -149,13 +171,15 @@ def regress(slow: Slow, model: Model, joint: int, body: tuple[Array, Array]) -> 
     q, qd = slow.q[i], slow.qd[i]
     speed = float(np.sqrt(np.mean(qd**2)))
     columns = [rigid, qd, np.tanh(qd / (0.1 * speed + 1e-300)), np.ones_like(q), q - np.mean(q)]
-    if model.joint_kind(joint) == "rotary" and np.ptp(q) > 0.2:
+    if model.joint_kind(joint) == "rotary" and np.ptp(q) > SWINGS:
         columns += [np.sin(q), np.cos(q)]
     if np.any(weight):
         columns.append(weight)
     use = ~slow.at_edge[i]
     a = np.stack(columns, axis=1)
-    if use.sum() < 4 * a.shape[1] or not np.std(torque[use]) > 0 or not np.std(rigid[use]) > 0:
+    if use.sum() < PER_COLUMN * a.shape[1]:
+        return None
+    if not (np.std(torque[use]) > 0 and np.std(rigid[use]) > 0):
         return None
     scale = np.linalg.norm(a[use], axis=0)
     scale[scale == 0] = 1.0
@@ -186,7 +210,7 @@ def _excess(
     beyond: Array, torque: Array, at_edge: npt.NDArray[np.bool_], spread: float
 ) -> tuple[float, float]:
     count = int(at_edge.sum())
-    if count < 12:
+    if count < AT_EDGE:
         return 0.0, 0.0
     push = beyond[at_edge] * np.sign(torque[at_edge])
     mean = float(push.mean())
@@ -227,20 +251,20 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
         if found is None:
             continue
         _sign(name, found)
-        if found.slope + 4 * found.error < 0.3 or (
-            found.slope - 4 * found.error > 5.0 and found.r2 > 0.5
+        if found.slope + ERRORS * found.error < LITTLE or (
+            found.slope - ERRORS * found.error > MUCH and found.r2 > HALF
         ):
             kind = model.joint_kind(i + 1)
             _undo(name, found, _mistakes(y, u, noise, kind == "rotary"), period, model, i)
         top = float(np.max(np.abs(u[i])))
         stated = per_joint(model.actuator.limit, i + 1, 0.0)
-        allowed = stated > 0 and top > 0.98 * stated  # the actuator saturates there as well
+        allowed = stated > 0 and top > SATURATED * stated
         if (
             not allowed
-            and found.excess > 0.15
-            and found.excess_t > 4.5
-            and found.r2 > 0.8
-            and 0.4 < found.slope < 2.5
+            and found.excess > BEYOND
+            and found.excess_t > BEYOND_ERRORS
+            and found.r2 > GOOD
+            and NEAR[0] < found.slope < NEAR[1]
         ):
             raise RecordingError(
                 f"{name}: while the command column stands at its largest value {top:.4g} the joint"
@@ -250,15 +274,17 @@ def check_driven(where: Sequence[str], records: Sequence[JointRecord], model: Mo
 
 
 def _sign(name: str, found: Regression) -> None:
-    sure = found.r2 > 0.6
+    sure = found.r2 > SOUND
     error = found.error * math.sqrt(found.alike)
-    if sure and found.share > 0.05 and found.slope < -0.2 and found.slope < -10 * error:
+    against = found.slope < -NONE and found.slope < -MANY_ERRORS * error
+    if sure and found.share > VISIBLE and against:
         raise RecordingError(
             f"{name}: the joint accelerates against its command (its inertia comes out as"
             f" {found.slope:.2g} of the model's): the sign of the command or of the position is"
             " flipped"
         )
-    if sure and -FULL < found.friction < -0.3 and found.slope + 4 * error < 0.3:
+    drives = -FULL < found.friction < -DRIVES
+    if sure and drives and found.slope + ERRORS * error < LITTLE:
         raise RecordingError(
             f"{name}: friction would have to drive the joint ({100 * found.friction:.0f} % of the"
             " torque along the motion): the sign of the command or of the position is flipped"
@@ -297,9 +323,9 @@ def _undo(
             # all: no explanation
             continue
         if (
-            again.r2 > max(0.6, found.r2 - 0.05)
-            and 0.5 < again.slope < 2.0
-            and again.slope > 8 * again.error
+            again.r2 > max(SOUND, found.r2 - NO_WORSE)
+            and RIGHT[0] < again.slope < RIGHT[1]
+            and again.slope > SURE_ERRORS * again.error
         ):
             raise RecordingError(
                 f"{name}: the model's inertia comes out as {found.slope:.2g} of what it should be:"
@@ -307,7 +333,8 @@ def _undo(
             )
     # inertia dominates a motion that the model's inertia cannot come from: not physics that could
     # be added
-    if found.slope + 4 * found.error < 0.2 and found.share > 0.3 and found.r2 < 0.5:
+    hidden = found.slope + ERRORS * found.error < NONE
+    if hidden and found.share > SHARE and found.r2 < HALF:
         raise RecordingError(
             f"{name}: the command does not produce this motion (it explains"
             f" {100 * max(found.r2, 0.0):.0f} % of it, and the model's inertia does not show): are"
@@ -331,7 +358,7 @@ def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Mode
         m = record.measurement
         noise = np.array([np.hypot(m.noise, m.resolution / np.sqrt(12))])
         ratio, r2 = _swing(record.position[None], record.sample_time, noise, inertia, weight)
-        if r2 > 0.6 and ratio < -0.3:
+        if r2 > SOUND and ratio < -LITTLE:
             raise RecordingError(
                 f"{name}: the joint swings about the position pi; the model takes 0 as hanging"
                 " down: add pi by [sensor] offset"
@@ -339,7 +366,7 @@ def check_free(where: Sequence[str], records: Sequence[JointRecord], model: Mode
         other, better = _swing(
             record.position[None] / DEGREE, record.sample_time, noise / DEGREE, inertia, weight
         )
-        if r2 < 0.6 < better and other > 0.3:
+        if r2 < SOUND < better and other > LITTLE:
             raise RecordingError(
                 f"{name}: the joint swings as gravity says only if the position is in degrees;"
                 " expected radians"

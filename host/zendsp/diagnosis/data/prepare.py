@@ -46,7 +46,7 @@ def _records(s: Signals, model: Model) -> tuple[JointRecord, ...]:
     """One recording as its joints."""
     joints = s.position.shape[1]
     smoothed = [_motion(s, model, j) for j in range(joints)]
-    within = [_within_samples(motion.states, s.sample_time) for _, motion in smoothed]
+    within = [within_samples(motion.states, s.sample_time) for _, motion in smoothed]
     others = np.ascontiguousarray(np.stack(within))
     basis = bases(model, within)
     tree = machine_tree(model)
@@ -134,7 +134,7 @@ def _weights(model: Model, states: Sequence[Array]) -> list[Array]:
     ]
 
 
-def _within_samples(states: Array, sample_time: float) -> Array:
+def within_samples(states: Array, sample_time: float) -> Array:
     """Mean q, qd, qdd between each sample and the next, (3, n): over that time the kernel holds
     what other joints do to a joint.
 

@@ -20,6 +20,19 @@ TARGET_RATE = 1000.0  # Hz: faster recordings are averaged down to about this
 BUDGET = 150_000
 SLOWEST_RATE = 250.0  # Hz
 
+REPEATED_COUNTS = 4.0  # of the sensor: a step that a logger's repeated row may have left out
+SLOWEST_CLOCK = 0.1  # s between samples
+STATED = 0.2  # of the stated sample time: further off, the unit is another
+EXACT, ROUNDED = 1e-3, 0.05  # of it: mean and median so near are it, printed with few digits
+JITTER = 0.02  # of the sample time: below, stamps are as good as even
+GAP = 50  # samples, and SLOWEST_CLOCK at least
+UNITS = 0.02  # of a factor between units
+# steps in counts that tell a lattice: below it is rounding, far above the digits printed do not do
+LATTICE = (0.02, 300)
+OFF, ON = 0.05, 0.95  # of a count off a whole one at most, in so many of the steps
+STEPS = 10  # that must be there to tell
+MANY = 1.5  # times TARGET_RATE: above, means of counts are better than one of them
+
 
 def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     """Positions (n, joints) without those that a logger only repeated, and how many there were.
@@ -32,7 +45,7 @@ def read_anew(position: Array, resolution: Array) -> tuple[Array, int]:
     for j in range(position.shape[1]):
         before, none, after = step[:-2, j], step[1:-1, j], step[2:, j]
         fast = 0.1 * float(np.abs(step[:, j]).max())  # slower, such a row is next to no error
-        several = np.abs(before) > max(4.0 * resolution[j], fast)
+        several = np.abs(before) > max(REPEATED_COUNTS * resolution[j], fast)
         double = np.abs(after - 2.0 * before) < 0.5 * np.abs(before)
         rows = 2 + np.flatnonzero((none == 0) & several & double)
         out[rows, j] = 0.5 * (position[rows - 1, j] + position[rows + 1, j])
@@ -64,26 +77,26 @@ def clock(
             " together? Give them as two files"
         )
     period = float(np.median(step))
-    if period > 0.1:
+    if period > SLOWEST_CLOCK:
         raise RecordingError(
             f"{name}: samples are {period:.4g} s apart; a diagnosis needs at least 10 a second: is"
             f" the time column {columns['time']!r} in seconds?"
         )
-    if model.sample_time and abs(period / model.sample_time - 1) > 0.2:
+    if model.sample_time and abs(period / model.sample_time - 1) > STATED:
         raise RecordingError(
             f"{name}: samples are {period:.6g} s apart, the model says sample_time ="
             f" {model.sample_time:.6g} s: check the unit of the time column"
         )
     if (
         model.sample_time
-        and abs(np.mean(step) / model.sample_time - 1) < 1e-3
-        and abs(period / model.sample_time - 1) < 0.05
+        and abs(np.mean(step) / model.sample_time - 1) < EXACT
+        and abs(period / model.sample_time - 1) < ROUNDED
     ):
         period = model.sample_time
     jitter = float(np.max(np.abs(step - period))) / period
-    if jitter < 0.02:
+    if jitter < JITTER:
         return time, float((time[-1] - time[0]) / (n - 1)), notes, None
-    if float(np.max(step)) > max(50 * period, 0.1):
+    if float(np.max(step)) > max(GAP * period, SLOWEST_CLOCK):
         k = int(np.argmax(step))
         raise RecordingError(
             f"{name}: a gap of {step[k]:.3g} s at t = {time[k]:.4g} s: are two runs glued together?"
@@ -119,7 +132,7 @@ def resolution_of(
     where = f"{name}: position {column_name(columns['position'], joint)!r}"
     if found > 0:
         for factor, words in ((180 / np.pi, "degrees, not radians"), (1e3, "milli-units")):
-            if abs(found / stated / factor - 1) < 0.02:
+            if abs(found / stated / factor - 1) < UNITS:
                 raise RecordingError(
                     f"{where}: its smallest step is {found:.6g}, {found / stated:.4g} times the"
                     f" model's position_resolution of {stated:.6g}: the column is in {words}"
@@ -143,10 +156,10 @@ def _on_lattice(y: Array, step: float, least: int = 0) -> bool:
     many must show it.
     """
     ratio = np.abs(np.diff(y)) / step
-    ratio = ratio[(ratio > 0.02) & (ratio < 300)]
-    if len(ratio) < 10 or len(ratio) < least:
+    ratio = ratio[(ratio > LATTICE[0]) & (ratio < LATTICE[1])]
+    if len(ratio) < STEPS or len(ratio) < least:
         return least == 0
-    return float(np.mean(np.abs(ratio - np.round(ratio)) < 0.05)) > 0.95
+    return float(np.mean(np.abs(ratio - np.round(ratio)) < OFF)) > ON
 
 
 def on_counts(values: Array, origin: Array, resolution: Array) -> Array:
@@ -204,7 +217,7 @@ def decimated(signals: Signals) -> Signals:
     held = signals.command[:n].reshape(-1, factor, signals.command.shape[1]).mean(axis=1)
     # means of many counts within a sample are better than one of them; of a few, which at low speed
     # are all the same, they hide the counts
-    few = half == 0 or 1 / signals.sample_time < 1.5 * TARGET_RATE
+    few = half == 0 or 1 / signals.sample_time < MANY * TARGET_RATE
     counts = (signals.resolution > 0) & few
     white = signals.resolution / np.sqrt(12 * (2 * half + 1))
     least = np.zeros_like(white) if signals.least_noise is None else signals.least_noise

@@ -1,1 +1,1 @@
-"""What is claimed: mechanisms, laws, bodies, and how sure."""
+"""What is claimed: mechanisms, laws, bodies, how sure; the result, and what to record next."""

@@ -13,15 +13,17 @@ from dataclasses import replace
 
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.result import Estimate, Finding
 from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
 TOLERANCE = 0.045  # relative standard deviation of a given inertia, mass or gravity figure
 FAR = 3.0  # standard deviations
+INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
+PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
 
 
 def shifted(
@@ -97,10 +99,10 @@ def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
         if not (h.place == "mechanism" and h.key == key)
     )
     fixed = fit_scored(final.data, model, handles, (joint,), rounds=3)
-    if fixed.deviance - final.deviance < 100.0:
+    if fixed.deviance - final.deviance < INSISTS:
         return False
     evidence = compare(fixed, final, test, joint)
-    return evidence.gain > 50.0 and evidence.z > 3.0
+    return evidence.gain > PAYS and evidence.z > SURELY
 
 
 def _gravity_only(

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.convergence import with_step_error
-from zendsp.physics.fit import Data, Fit, fit, free_handles
+from zendsp.physics.fit import Data, Fit, fit
+from zendsp.physics.handles import free_handles
 from zendsp.physics.joint import own_terms
 from zendsp.physics.model import Model, Quantity, Term
 
@@ -117,11 +120,27 @@ def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int)
         )
     everything = tuple(range(1, given.joints + 1))
     calibrated = calibrated_machine(train, given, [s.base for s in searches], jobs)
-    start = merge(given, [s.final for s in searches])
+    start = _with_shared(merge(given, [s.final for s in searches]), [s.final for s in searches])
     whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
     whole = with_step_error(data, whole, everything)
     fits = dict.fromkeys(everything, whole)
     return Assembled(calibrated, _noted(whole.model, {1: whole}), fits, data, True)
+
+
+def _with_shared(model: Model, parts: Sequence[Scored]) -> Model:
+    """What the joints share where their own fits put it, each by how certain it is: a fit of all
+    of them that began elsewhere would begin beside a resonance.
+    """
+    sums: dict[str, tuple[float, float]] = {}
+    for part in parts:
+        for h, value, std in zip(part.fit.handles, part.fit.x, part.fit.std, strict=True):
+            if h.place == "mechanism" and len(model.mechanism[h.key]) == 1 and 0 < std < np.inf:
+                total, weight = sums.get(h.key, (0.0, 0.0))
+                sums[h.key] = total + float(value) / std**2, weight + float(std) ** -2
+    mechanism = dict(model.mechanism)
+    for key, (total, weight) in sums.items():
+        mechanism[key] = (replace(mechanism[key][0], value=total / weight),)
+    return replace(model, mechanism=mechanism)
 
 
 def _noted(model: Model, fits: dict[int, Fit]) -> Model:

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from zendsp.diagnosis.measure.discrepancy import Bursts, Size, Structure
+from zendsp.diagnosis.measure.bursts import Bursts
+from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
+from zendsp.diagnosis.measure.structure import Structure
+from zendsp.physics.effects import MECHANISMS, laws_of
 from zendsp.physics.model import Term
+
+# the laws that write a mechanism down, as the effect files say
+LAWS_OF: dict[str, tuple[str, ...]] = {mechanism: laws_of(mechanism) for mechanism in MECHANISMS}
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.bodies.columns import Layout
-from zendsp.diagnosis.bodies.find import BodySearch, FoundBody, refined, stated
-from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.confidence import MOST as SUREST
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, dependence
 from zendsp.diagnosis.decide.findings import NUMERIC, number
-from zendsp.diagnosis.decide.mechanisms import LAWS_OF
+from zendsp.diagnosis.decide.pieces import dependence
+from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.search.bodies import BodySearch, FoundBody, refined, stated
+from zendsp.diagnosis.search.body_columns import Layout
+from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS
 from zendsp.physics.bodies import Links
 from zendsp.physics.fit import joint_handles
 from zendsp.physics.model import Model

@@ -17,16 +17,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, FINEST, dependence
+from zendsp.diagnosis.decide.claims import LAWS_OF, Decision
 from zendsp.diagnosis.decide.findings import COUPLED
-from zendsp.diagnosis.decide.mechanisms import LAWS_OF, mechanism_of
+from zendsp.diagnosis.decide.pieces import dependence
+from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, FINEST
 from zendsp.diagnosis.measure.discrepancy import BANDS, as_torque, band_of, kept, mean_square
-from zendsp.diagnosis.result import Detectable
-from zendsp.diagnosis.search.screen import Screen, grid_of, make_term
-from zendsp.physics.effects import get_effect, unit_of
+from zendsp.diagnosis.search.screen import Screen
+from zendsp.physics.effects import get_effect, mechanism_of, unit_of
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
+from zendsp.physics.terms import grid_of, make_term
 
 POWER = 1.28  # standard deviations: nine in ten
 STATED = (

@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from zendsp.diagnosis.decide.findings import estimates, sentence
+from zendsp.diagnosis.decide.result import Finding
 from zendsp.diagnosis.measure.discrepancy import difference
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import FASTEST, Scored, deviance, informative
-from zendsp.diagnosis.result import Finding
 from zendsp.diagnosis.search.hypothesis import JointSearch, price
 from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
-from zendsp.physics.fit import Data, Fit, Handle, fit, joint_handles
+from zendsp.physics.fit import Data, Fit, fit, joint_handles
+from zendsp.physics.handles import Handle
 from zendsp.physics.model import Model, Term
 
 # rad/s: 64 Hz; a tenth of the usual first resonance of a stiff drive train is below, its multiples

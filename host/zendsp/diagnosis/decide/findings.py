@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from zendsp.diagnosis.result import Estimate
-from zendsp.diagnosis.search.hypothesis import counterpart
+from zendsp.diagnosis.decide.result import Estimate
+from zendsp.diagnosis.measure.significance import counterpart
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.fit import Fit
 from zendsp.physics.model import Model, Term

@@ -11,10 +11,12 @@ from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.confidence import confidence
-from zendsp.diagnosis.decide.decide import OF_STATE, draws_a_curve, weight_of_payload
 from zendsp.diagnosis.decide.decide_bodies import BodyClaim, body_finding
 from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent, sentence
-from zendsp.diagnosis.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.laws import draws_a_curve
+from zendsp.diagnosis.decide.pieces import weight_of_payload
+from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
+from zendsp.diagnosis.decide.thresholds import OF_STATE
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 

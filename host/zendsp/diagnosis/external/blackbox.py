@@ -17,39 +17,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.chart import Chart, Panel, Series
 from zendsp.diagnosis.data.checks import check_signals
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Signals, with_same_columns
 from zendsp.diagnosis.data.split import split
-from zendsp.diagnosis.decide.findings import estimates, file_model, new_terms, sentence
-from zendsp.diagnosis.decide.mechanisms import mechanism_of
-from zendsp.diagnosis.external.output_error import (
-    BLOCK,
-    Output,
-    errors,
-    fit_output,
-    gain,
-    held_z,
-    late_candidates,
-    screen,
-    sensor_noise,
-    with_term,
-)
+from zendsp.diagnosis.decide.findings import file_model
+from zendsp.diagnosis.decide.result import Diagnosis, FitTable, Rejected, SimulatorErrors
+from zendsp.diagnosis.external.hunt import Hunt, findings_of, next_of
+from zendsp.diagnosis.external.output_error import Output, errors, fit_output, sensor_noise
 from zendsp.diagnosis.external.simulator import Bench, Simulator, bench, on_input, simulator_of
 from zendsp.diagnosis.measure.where import Missing, Region, intervals, regions, units
-from zendsp.diagnosis.result import Diagnosis, Finding, FitTable, Next, Rejected
-from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, vanishes
 from zendsp.errors import RecordingError
-from zendsp.physics.effects import get_effect, library
-from zendsp.physics.fit import free_handles
-from zendsp.physics.model import Model, Term, per_joint
+from zendsp.physics.effects import library
+from zendsp.physics.handles import free_handles
+from zendsp.physics.model import Model, per_joint
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -57,108 +44,14 @@ Progress = Callable[[str], None]
 # s: each window is simulated from the smoothed motion, where the simulator starts from its first
 # row
 WINDOW = 0.25
-# of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
-MIN_GAIN = 20.0
-MIN_Z = 2.5
-SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
-SHORTLIST = 5
+OVER_NOISE = 3  # times the sensor's noise: what is left below is no mismatch
+RESTARTS = 0.02  # of the span, and START_NOISE times the noise: so near a simulation must begin
+START_NOISE = 4
 UNEXPLAINED = 0.03  # of the RMS torque, as a function of time
 REMAINS = (
     "A torque of {:.1f} % of the RMS torque remains over time that no effect on the simulator's"
     " input explains (it may be inside the simulator: springs, gaps, bristles)."
 )
-
-
-@dataclass(frozen=True)
-class Claim:
-    """A fitted hypothesis with its evidence."""
-
-    term: Term
-    output: Output
-    gain: float
-    z: float
-
-
-def _none(claim: Claim) -> bool:
-    """Whether an effect cannot be told from none: what it is by, or every number of it, is zero
-    within its uncertainty. A free parameter of the simulator may be the same thing.
-    """
-    done = claim.output.fit
-    own = [
-        abs(done.x[i]) < SIGNIFICANT * done.std[i]
-        for i, h in enumerate(done.handles)
-        if h.place == "term" and done.model.terms[h.index] is claim.term
-    ]
-    return vanishes(done, claim.term) or (bool(own) and all(own))
-
-
-class Hunt:
-    """Forward selection over all joints."""
-
-    def __init__(self, train: Sequence[Bench], test: Sequence[Bench], tell: Progress) -> None:
-        self.train, self.test, self.tell = train, test, tell
-        self.block = max(10, round(BLOCK / train[0].signals.sample_time))
-        self.tried: dict[tuple[str, int], tuple[float, float, str]] = {}
-
-    def step(self, current: Output) -> tuple[Claim | None, list[Claim]]:
-        """The best hypothesis that passes, and the fitted rivals."""
-        options: list[tuple[float, Term]] = []
-        for joint in range(1, len(self.train[0].records) + 1):
-            options += [
-                *screen(self.train, current, joint, self.tell),
-                *late_candidates(self.train, current, joint),
-            ]
-        options.sort(key=lambda item: -item[0])
-        before = errors(self.test, current.model)
-        claims = []
-        for promise, term in options[:SHORTLIST]:
-            if promise < 0.01:
-                continue
-            self.tell(f"joint {term.joint}: fitting {term.effect}")
-            model = with_term(current.model, term)
-            output = fit_output(self.train, model, free_handles(model, offsets=False))
-            after = errors(self.test, output.model)
-            fitted = sum(p.fitted for p in get_effect(term.effect).parameters)
-            claim = Claim(
-                output.model.terms[-1],
-                output,
-                gain(current.error, output.error, fitted),
-                held_z(before, after, self.block),
-            )
-            claims.append(claim)
-            self.tried[(term.effect, term.joint)] = (claim.gain, claim.z, self._why(claim))
-        for promise, term in options[SHORTLIST:]:
-            self.tried.setdefault(
-                (term.effect, term.joint),
-                (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
-            )
-        passed = [
-            c
-            for c in claims
-            if c.gain > MIN_GAIN and c.z > MIN_Z and not _none(c)
-        ]
-        if not passed:
-            return None, claims
-        best = max(passed, key=lambda c: c.gain)
-        # a special case that does nearly as well goes first; the general one can follow it
-        special = [
-            c
-            for c in passed
-            if c.term.effect in get_effect(best.term.effect).replaces
-            and c.gain > SUFFICIENT * best.gain
-        ]
-        return (special[0] if special else best), claims
-
-    def _why(self, c: Claim) -> str:
-        if _none(c):
-            return "cannot be told from none"
-        if c.gain <= MIN_GAIN:
-            return "no more likely than the calibrated model"
-        return (
-            f"does not hold on the held-out recording (z = {c.z:.1f})"
-            if c.z <= MIN_Z
-            else "explains less than the winner"
-        )
 
 
 def missing_over_time(benches: Sequence[Bench], output: Output) -> dict[int, list[Missing]]:
@@ -266,13 +159,13 @@ def _diagnose(
         base = fit_output(train, model, ())
     hunt = Hunt(train, test, tell)
     current, steps = _hunted(hunt, base, train)
-    findings, names = _findings(model, base, current, steps, train)
+    findings, names = findings_of(model, base, current, steps, train)
     tell("looking at what remains")
     before, after = missing_over_time(train, base), missing_over_time(train, current)
     left = _left(after, train)
     floor = _floor(test)
     rest = _rms(test, current.model)
-    open_ = left > UNEXPLAINED and rest > 3 * floor
+    open_ = left > UNEXPLAINED and rest > OVER_NOISE * floor
     verdict = "missing" if findings else "unexplained" if open_ else "complete"
     places, spans = _where(before)
     rejected = tuple(
@@ -292,7 +185,7 @@ def _diagnose(
         heldout=FitTable(_rms(test, model), _rms(test, base.model), rest),
         noise_floor=floor,
         rejected=tuple(sorted(rejected, key=lambda r: -r.score)[:12]),
-        next_recording=_next(findings),
+        next_recording=next_of(findings),
         seconds=time.perf_counter() - begin,
         notes=(
             *notes,
@@ -304,10 +197,7 @@ def _diagnose(
         unexplained=REMAINS.format(100 * left) if open_ else "",
         missing=before,
         remaining=after,
-        details={
-            "charts": lambda: error_charts(test, base.model, current.model),
-            "benches": (train, test),
-        },
+        workings=lambda: _errors_over_time(test[0], base.model, current.model),
     )
 
 
@@ -374,7 +264,7 @@ def _restarts(b: Bench, model: Model) -> bool:
     off = np.sqrt(np.mean((y - b.signals.position[::size]) ** 2, axis=0))
     return bool(
         np.all(
-            off < 0.02 * np.ptp(b.signals.position, axis=0) + 4 * np.array(
+            off < RESTARTS * np.ptp(b.signals.position, axis=0) + START_NOISE * np.array(
                 [sensor_noise(b, i) for i in range(len(b.records))]
             )
         )
@@ -412,108 +302,7 @@ def _where(
     )
 
 
-def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
-    """Effects that a finding cannot be told from, and its confidence."""
-    others = [
-        c
-        for c in rivals
-        if c is not claim and term.effect not in get_effect(c.term.effect).replaces
-    ]
-    same = tuple(
-        c.term.effect
-        for c in others
-        if c.term.joint == claim.term.joint and claim.gain - c.gain < max(5.0, 0.1 * claim.gain)
+def _errors_over_time(b: Bench, calibrated: Model, improved: Model) -> SimulatorErrors:
+    return SimulatorErrors(
+        np.asarray(b.signals.time, dtype=np.float64), b.error(calibrated), b.error(improved)
     )
-    apart = [claim.gain - c.gain for c in others if c.term.effect not in same]
-    margin = min(apart or [claim.gain])
-    # no cases have calibrated this figure for black boxes: kept below 0.9
-    sure = 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8)
-    return same, min(0.9, sure)
-
-
-def _findings(
-    given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
-) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
-    out = []
-    total = max(base.fit.cost - final.fit.cost, 1e-300)
-    for claim, rivals, before in steps:
-        terms = [
-            t
-            for t in new_terms(given, final.model, claim.term.joint)
-            if t.effect == claim.term.effect
-        ]
-        if not terms:
-            continue
-        term, joint = terms[0], claim.term.joint
-        values = estimates(
-            final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint)
-        )
-        same, sure = _apart(claim, rivals, term)
-        had = {t.effect for t in given.at(joint)}
-        replaces = tuple(n for n in get_effect(term.effect).replaces if n in had)
-        text = sentence(term, values)
-        if same:
-            text += f" This recording cannot tell it from {', '.join(same)}."
-        share = float(np.clip((before.fit.cost - claim.output.fit.cost) / total, 0.0, 1.0))
-        out.append(
-            Finding(
-                term.effect,
-                joint,
-                values,
-                sure,
-                share,
-                same,
-                replaces,
-                text,
-                {},
-                mechanism_of(term.effect),
-                {term.effect: 1.0},
-            )
-        )
-    return tuple(out), {(f.effect, f.joint) for f in out}
-
-
-def _next(findings: Sequence[Finding]) -> Next | None:
-    open_ones = [f for f in findings if f.indistinguishable]
-    if not open_ones:
-        return None
-    f = open_ones[0]
-    return Next(
-        f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}:"
-        f" {get_effect(f.effect).experiment}",
-        None,
-        (f.effect, *f.indistinguishable),
-    )
-
-
-def error_charts(test: Sequence[Bench], calibrated: Model, improved: Model) -> list[Chart]:
-    """The held-out recording and both simulations' errors, one chart a joint."""
-    b = test[0]
-    errors_of = [
-        (b.error(m), label, role)
-        for m, label, role in (
-            (calibrated, "calibrated", "before"),
-            (improved, "improved", "after"),
-        )
-    ]
-    time = np.asarray(b.signals.time, dtype=np.float64)
-    return [
-        Chart(
-            "fit",
-            f"Joint {i + 1}: error on the held-out recording",
-            f"error_joint{i + 1}",
-            (
-                Panel(
-                    "time [s]",
-                    f"position error [{'m' if improved.joint_kind(i + 1) == 'linear' else 'rad'}]",
-                    tuple(
-                        Series("line", role, time, error[:, i], label)
-                        for error, label, role in errors_of
-                    ),
-                    f"Joint {i + 1}: held-out recording, measured minus simulated",
-                ),
-            ),
-            joint=i + 1,
-        )
-        for i in range(len(b.records))
-    ]

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.physics.fit import Data, Fit, Handle, fit, residual, residuals
+from zendsp.physics.fit import Data, Fit, fit, joint_handles, residual, residuals
+from zendsp.physics.handles import Handle
 from zendsp.physics.model import Model
 from zendsp.physics.predict import ran_away
 
@@ -177,6 +178,11 @@ def fit_scored(
         data, model = tuned, result.model
     assert best is not None
     return best
+
+
+def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
+    """The given model with the free parameters that act on one joint refitted."""
+    return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs)
 
 
 def rescored(scored: Scored, data: Data, *, jobs: int = 2, iterations: int = 6) -> Scored:

@@ -20,6 +20,8 @@ from zendsp.physics.model import Model, per_joint
 Array = npt.NDArray[np.float64]
 
 VARIABLES = ("velocity", "position", "acceleration", "command")
+SAMPLES = 20  # fewer have no intervals
+CONCENTRATED = 3.0  # times the mean of the energy: there the mismatch concentrates
 
 
 @dataclass(frozen=True)
@@ -136,12 +138,12 @@ def intervals(missing: Missing, most: int = 5) -> list[tuple[float, float, float
     """
     e = energy(missing)
     total = float(e.sum())
-    if total <= 0 or len(e) < 20:
+    if total <= 0 or len(e) < SAMPLES:
         return []
     period = float(missing.time[1] - missing.time[0])
     width = max(3, round(0.1 / period))
     level = uniform_filter1d(e, width)
-    high = level > 3.0 * float(np.mean(e))
+    high = level > CONCENTRATED * float(np.mean(e))
     change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
     spans: list[tuple[int, int]] = []
     for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):

@@ -1,1 +1,1 @@
-"""What a reader gets: the page, its figures, the files, and the next motion."""
+"""What a reader gets: the page, its figures and the files."""

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from zendsp.diagnosis.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.chart import Chart, Panel, Series
 
 COLOURS = {  # apart for colour-blind readers, and in grey
     "before": "#b4451f",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.chart import Chart, Mesh, Panel, Series
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, SimulatorErrors, Workings
 from zendsp.diagnosis.measure.where import Missing, energy, mismatch
 from zendsp.diagnosis.measure.windows import window_error
-from zendsp.diagnosis.result import Diagnosis, Finding
+from zendsp.diagnosis.report.chart import Chart, Mesh, Panel, Series
 from zendsp.physics.effects import library
 from zendsp.physics.fit import Data
 from zendsp.physics.predict import run
@@ -43,12 +43,11 @@ def _thin(count: int, most: int = 6000) -> slice:
     return slice(None, None, max(1, count // most))
 
 
-def error_chart(d: Diagnosis, joint: int) -> Chart:
+def error_chart(d: Diagnosis, w: Workings, joint: int) -> Chart:
     """Does the improved model predict the held-out recording better, and how close is it to the
     noise?
     """
-    test: Data = d.details["test"]
-    whole = d.details["whole"]
+    test, whole = w.test, w.whole
     unit = _units(d, joint)["position"]
     period = test.records[0][joint - 1].sample_time
     errors, blocks = [], []
@@ -162,9 +161,9 @@ def map_chart(d: Diagnosis, joint: int) -> Chart:
     )
 
 
-def law_chart(d: Diagnosis, finding: Finding, index: int) -> Chart:
+def law_chart(d: Diagnosis, w: Workings, finding: Finding, index: int) -> Chart:
     """What does the law that was found look like over the data, and what stays when it is there?"""
-    whole, train = d.details["whole"], d.details["train"]
+    whole, train = w.whole, w.train
     joint, units = finding.joint, _units(d, finding.joint)
     name = axis_of(finding.effect)
     terms = [t for t in whole.improved.at(joint) if t.effect == finding.effect]
@@ -220,12 +219,12 @@ def _torque_label(unit: str) -> str:
     return f"{'force' if unit == 'N' else 'torque'} [{unit}]"
 
 
-def _too_fine(d: Diagnosis, finding: Finding) -> bool:
+def _too_fine(train: Data, finding: Finding) -> bool:
     """Whether a pattern repeats too often over the travel to be drawn, and faster than the torque
     in the figure is seen.
     """
     order = finding.parameters.get("order")
-    travel = max(rec[finding.joint - 1].scale.position for rec in d.details["train"].records)
+    travel = max(rec[finding.joint - 1].scale.position for rec in train.records)
     return order is not None and order.value * travel > 40 * 2 * np.pi
 
 
@@ -242,10 +241,9 @@ def _binned(x: Array, y: Array, count: int = 40) -> tuple[Array, Array, Array]:
     return (0.5 * (edges[1:] + edges[:-1]))[use], mean, spread
 
 
-def white_chart(d: Diagnosis, joint: int) -> Chart:
+def white_chart(w: Workings, joint: int) -> Chart:
     """Is anything predictable left in what the improved model does not predict?"""
-    whole = d.details["whole"]
-    test: Data = d.details["test"]
+    whole, test = w.whole, w.test
     record = test.records[0][joint - 1]
     series = []
     for model, role, label in (
@@ -279,6 +277,31 @@ def white_chart(d: Diagnosis, joint: int) -> Chart:
     )
 
 
+def simulator_charts(d: Diagnosis, errors: SimulatorErrors) -> list[Chart]:
+    """The errors of a simulator on the held-out recording, one chart a joint."""
+    before, after = errors.calibrated, errors.improved
+    return [
+        Chart(
+            "fit",
+            f"Joint {i + 1}: error on the held-out recording",
+            f"error_joint{i + 1}",
+            (
+                Panel(
+                    "time [s]",
+                    f"position error [{_units(d, i + 1)['position']}]",
+                    (
+                        Series("line", "before", errors.time, before[:, i], "calibrated"),
+                        Series("line", "after", errors.time, after[:, i], "improved"),
+                    ),
+                    f"Joint {i + 1}: held-out recording, measured minus simulated",
+                ),
+            ),
+            joint=i + 1,
+        )
+        for i in range(before.shape[1])
+    ]
+
+
 def charts(d: Diagnosis) -> list[Chart]:
     """Every figure of a report, in its order.
 
@@ -290,16 +313,18 @@ def charts(d: Diagnosis) -> list[Chart]:
     -------
     list of Chart
     """
-    if "charts" in d.details:  # of a simulator that can only be called
-        made: list[Chart] = d.details["charts"]()
-        return made
+    w = d.workings
+    if w is None:
+        return []
+    if not isinstance(w, Workings):  # of a simulator that can only be called
+        return simulator_charts(d, w())
     joints = sorted({f.joint for f in d.findings} | {r.joint for r in d.regions[:1]}) or [1]
     joints = joints[:MOST_JOINTS]
-    out = [error_chart(d, j) for j in joints]
+    out = [error_chart(d, w, j) for j in joints]
     for k, f in enumerate(d.findings):
-        known = any(t.effect == f.effect for t in d.details["whole"].improved.at(f.joint))
-        if known and not _too_fine(d, f):
-            out.append(law_chart(d, f, k))
+        known = any(t.effect == f.effect for t in w.whole.improved.at(f.joint))
+        if known and not _too_fine(w.train, f):
+            out.append(law_chart(d, w, f, k))
     for j in joints:
-        out += [torque_chart(d, j), map_chart(d, j), white_chart(d, j)]
+        out += [torque_chart(d, j), map_chart(d, j), white_chart(w, j)]
     return out

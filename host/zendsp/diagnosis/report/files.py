@@ -9,10 +9,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from zendsp.diagnosis.chart import SUFFIX, save_chart
-from zendsp.diagnosis.result import Diagnosis
+from zendsp.diagnosis.decide.result import Diagnosis
+from zendsp.diagnosis.report.chart import SUFFIX, save_chart
 from zendsp.physics.model import Model
-from zendsp.physics.model_file import model_text
+from zendsp.physics.model_text import model_text
 
 
 def write_report(d: Diagnosis, out: str | Path, *, pictures: bool = True) -> Path:

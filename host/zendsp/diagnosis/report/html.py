@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 
 from zendsp.diagnosis.decide.findings import number
+from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable
 from zendsp.diagnosis.report.summary import WORDS, headline, percent
-from zendsp.diagnosis.result import Diagnosis, Finding, FitTable
 
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:54rem;margin:2rem auto;padding:0 1rem}

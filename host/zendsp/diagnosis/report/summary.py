@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from zendsp.diagnosis.result import Detectable, Diagnosis
+    from zendsp.diagnosis.decide.result import Detectable, Diagnosis
 
 LEAST = 1e-4  # of a torque: less is not told from nothing
 MOST = 9.99

@@ -1,1 +1,1 @@
-"""The hypotheses of one joint, screened, fitted and selected forward."""
+"""Hypotheses of one joint, and of the bodies of a machine: screened, fitted, selected."""

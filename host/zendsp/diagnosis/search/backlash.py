@@ -27,6 +27,7 @@ from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
 
 LOSSY = 0.2  # of critical damping
+DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at LOSSY
 ROUNDS = 3
 PROGRESS = 50.0  # deviance below which a round has led nowhere
 GAPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
@@ -141,7 +142,7 @@ def _moderate(values: Mapping[str, float]) -> float:
     critical, damping = math.sqrt(values["stiffness"] * values["load_inertia"]), values.get(
         "damping", 0.0
     )
-    return damping if 0.05 * critical < damping < 0.5 * critical else LOSSY * critical
+    return damping if DAMPED[0] * critical < damping < DAMPED[1] * critical else LOSSY * critical
 
 
 def _refitted(scored: Scored, data: Data, model: Model, joint: int, jobs: int) -> Scored:

@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from zendsp.diagnosis.measure.likelihood import deviances
-from zendsp.diagnosis.search.screen import Candidate, Screen, make_term, usable, with_candidate
+from zendsp.diagnosis.search.screen import Candidate, Screen, with_candidate
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import JointRecord, effective_inertia, facts
 from zendsp.physics.model import Model, Term
+from zendsp.physics.terms import make_term, usable
 
 COARSE = 1e-3  # s
 SAME_INERTIA = 0.05  # change, as a logarithm, that is within the basin of a gap

@@ -22,6 +22,7 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
     tune_bandwidth,
 )
+from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.diagnosis.search.backlash import refine
 from zendsp.diagnosis.search.candidates import first_look, screened, simulated, starts_of
 from zendsp.diagnosis.search.hypothesis import (
@@ -30,9 +31,7 @@ from zendsp.diagnosis.search.hypothesis import (
     JointSearch,
     Rival,
     Step,
-    counterpart,
     price,
-    vanishes,
     with_numbers,
 )
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
@@ -62,11 +61,11 @@ WORTH = 10 * WAIT
 # gain a sample, a tenth of the innovations' energy, below which no second effect is looked for
 # behind a first
 LOOK_AHEAD = 0.1
-
-
-def calibrate_joint(data: Data, model: Model, joint: int, jobs: int = 1) -> Scored:
-    """The given model with the free parameters that act on one joint refitted."""
-    return fit_scored(data, model, joint_handles(data, model, joint), (joint,), jobs=jobs)
+WAITING = 3  # steps that may wait for another at the same time
+FIRST = 0.4  # of the best gain: a runner-up with less is not tried as the first step
+LISTED = 3  # hypotheses of a round that are fitted at least, whatever the screen promises
+REACH = 0.1  # of the best gain: hypotheses with less are not ordered anew
+BLOCK = 4.5  # standard deviations: a block of white innovations is not larger
 
 
 class Searcher:
@@ -159,7 +158,9 @@ class Searcher:
             if holds is not None:
                 found.steps += [*waiting, step]
                 waiting = []
-            elif len(waiting) < 3 and _gain(current, chosen) > max(WORTH, LOOK_AHEAD * self.n):
+            elif len(waiting) < WAITING and (
+                _gain(current, chosen) > max(WORTH, LOOK_AHEAD * self.n)
+            ):
                 waiting.append(replace(step, alone=False))
             else:
                 break
@@ -199,7 +200,7 @@ class Searcher:
         best, total = rivals[0], second[0].value + rivals[0].price
         seen = frozenset(r.effect for r in (*rivals[:GLANCE], *second[:GLANCE]))
         for first in rivals[1:4]:
-            if current.deviance - first.value < 0.4 * gain or _general(first, rivals[0]):
+            if current.deviance - first.value < FIRST * gain or _general(first, rivals[0]):
                 continue
             margin = max(10.0, (1.0 - SUFFICIENT) * (current.deviance - total))
             if self._glance(first.scored, seen) + first.price > total - 0.5 * margin:
@@ -248,8 +249,8 @@ class Searcher:
         listed = [starts_of(c, current.data) for share, c in options if only or share > PROMISING][
             : len(options) if only else SHORTLIST
         ]
-        if len(listed) < 3:
-            listed = [starts_of(c, current.data) for _, c in options[:3]]
+        if len(listed) < LISTED:
+            listed = [starts_of(c, current.data) for _, c in options[:LISTED]]
         if not only:  # the commonest physics is tried whatever the first order says of it
             first = {c.effect for group in listed for c in group}
             listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
@@ -312,7 +313,7 @@ class Searcher:
             jobs=self.jobs,
         )
         level = deviance(slow, base.model, joints)
-        reach = [r for r in ranked[:8] if r.rank > 0.1 * ranked[0].rank and r.rank > WAIT]
+        reach = [r for r in ranked[:8] if r.rank > REACH * ranked[0].rank and r.rank > WAIT]
 
         def slowly(rival: Rival) -> Rival:
             result = fit(
@@ -440,7 +441,7 @@ def is_white(scored: Scored, joint: int) -> bool:
         total += float(r @ r)
         count += len(r)
     sums = np.concatenate(means) / math.sqrt(max(total / max(count, 1), 1e-300))
-    return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < 4.5
+    return float(np.mean(sums**2)) < WHITE and float(np.max(np.abs(sums))) < BLOCK
 
 
 def _gain(before: Scored, rival: Rival) -> float:

@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.effects import get_effect
-from zendsp.physics.fit import Fit
 from zendsp.physics.model import Model, Term
 
 UNSETTLED = 24.0  # rad/s: a model that needs a faster observer still lacks something
-SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
 SUFFICIENT = 0.8  # share of the best gain with which a simpler hypothesis goes first
 
 
@@ -81,11 +79,6 @@ def price(terms: Sequence[Term], n: int, replacing: Sequence[str] = ()) -> float
     return count * math.log(max(n, 10))
 
 
-def _essence(effect: str) -> tuple[str, ...]:
-    entry = get_effect(effect)
-    return entry.essence or (entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
-
-
 def with_numbers(model: Model, effect: str, joint: int, numbers: Mapping[str, float]) -> Model:
     """The model with some numbers of a joint's (1-based) terms of one effect set."""
 
@@ -102,61 +95,3 @@ def with_numbers(model: Model, effect: str, joint: int, numbers: Mapping[str, fl
         )
 
     return model.with_terms(tuple(map(changed, model.terms)))
-
-
-def sizes(effect: str) -> tuple[str, ...]:
-    """Names of the numbers that say how large an effect is."""
-    entry = get_effect(effect)
-    return (
-        _essence(effect) or entry.linear or tuple(p.name for p in entry.parameters if p.fitted)[:1]
-    )
-
-
-def counterpart(terms: Sequence[Term], term: Term) -> Term:
-    """The same term in another fit of the model, where its fitted numbers have moved.
-
-    A joint may have several terms of one effect: they are told apart by what no fit moves (a
-    coupling's law and its joint), then by how often they repeat (a ripple's order, the period of a
-    friction that varies with position).
-
-    Raises
-    ------
-    LookupError
-        No term is of that effect at that joint.
-    """
-    settings = [p.name for p in get_effect(term.effect).parameters if not p.fitted]
-
-    def unlike(t: Term) -> tuple[bool, int, float]:
-        repeats = sum(abs(t.value(n) - term.value(n)) for n in ("order", "period"))
-        return t is not term, sum(t.value(n) != term.value(n) for n in settings), repeats
-
-    alike = [t for t in terms if (t.effect, t.joint) == (term.effect, term.joint)]
-    if not alike:
-        raise LookupError(
-            f"no {term.effect} at joint {term.joint} among"
-            f" {', '.join(t.effect for t in terms) or 'no terms'}"
-        )
-    return min(alike, key=unlike)
-
-
-def vanishes(fitted: Fit, term: Term) -> bool:
-    """Whether a number that makes an effect what it is cannot be told from zero, or from endless,
-    or lies at the bound of what can be seen.
-    """
-    effect, same = term.effect, counterpart(fitted.model.terms, term)
-    own = {
-        handle.key: i
-        for i, handle in enumerate(fitted.handles)
-        if handle.place == "term" and fitted.model.terms[handle.index] is same
-    }
-    for key in _essence(effect):
-        if key not in own:
-            continue
-        i = own[key]
-        variance = float(fitted.covariance[i, i])
-        shape = own.get(get_effect(effect).shape)
-        if shape is not None and fitted.covariance[shape, shape] > 0:
-            variance -= float(fitted.covariance[i, shape] ** 2 / fitted.covariance[shape, shape])
-        if fitted.at_bound[i] or abs(fitted.x[i]) < SIGNIFICANT * math.sqrt(max(variance, 0.0)):
-            return True
-    return False

@@ -17,10 +17,12 @@ import numpy.typing as npt
 
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
 from zendsp.physics.effects.base import Along, Parameter
-from zendsp.physics.fit import Data, Fit, Handle
+from zendsp.physics.fit import Data, Fit
+from zendsp.physics.handles import Handle
 from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
-from zendsp.physics.model import Model, Quantity, Term
+from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import response, sensed, trace
+from zendsp.physics.terms import grid_of, make_term, usable
 
 Array = npt.NDArray[np.float64]
 
@@ -48,15 +50,6 @@ class Candidate:
         return self.effect, self.joint
 
 
-def make_term(effect: Effect, joint: int, values: dict[str, float]) -> Term:
-    """A term with every fitted parameter free; missing ones at their defaults."""
-    out = {}
-    for p in effect.parameters:
-        value = values.get(p.name, p.default if p.default is not None else 0.0)
-        out[p.name] = Quantity(float(value), p.fitted)
-    return Term(effect.name, joint, out)
-
-
 def _phase_of(effect: Effect) -> str:
     """Name of the parameter that is a phase of a sine with a linear amplitude, empty where there is
     none.
@@ -78,30 +71,6 @@ def _first_order(value: float, parameter: Parameter) -> float:
 
 def _unit_values(effect: Effect, values: dict[str, float], linear: str) -> dict[str, float]:
     return {**values, **{name: (1.0 if name == linear else 0.0) for name in effect.linear}}
-
-
-def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str, float]]:
-    """Nonlinear parameter values to screen for one effect, phases left out (they are screened as
-    sine and cosine).
-    """
-    known = facts(record, model)
-    axes: dict[str, list[float]] = {}
-    for name, axis in effect.grid.items():
-        if name not in ("phase", "angle"):
-            unit = record.scale.of(effect.parameter(name).size)
-            axes[name] = list(axis(known)) if callable(axis) else [value * unit for value in axis]
-    return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-
-
-def usable(effect: Effect, records: Sequence[JointRecord]) -> bool:
-    """Whether every recording has the optional columns that an effect reads, and none that shows
-    the effect directly.
-    """
-    return all(
-        all(column in record.columns for column in effect.reads)
-        and not any(column in record.columns for column in effect.shown_by)
-        for record in records
-    )
 
 
 class Screen:

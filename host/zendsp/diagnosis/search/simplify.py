@@ -15,12 +15,13 @@ from zendsp.diagnosis.measure.likelihood import (
     informative,
     tune_bandwidth,
 )
-from zendsp.diagnosis.search.hypothesis import SIGNIFICANT, SUFFICIENT, JointSearch, price, vanishes
-from zendsp.diagnosis.search.screen import make_term
+from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
+from zendsp.diagnosis.search.hypothesis import SUFFICIENT, JointSearch, price
 from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model, Term
+from zendsp.physics.terms import make_term
 
 # deviance a sample, a tenth of the innovations' energy: a term whose absence costs so much is not
 # fitted away any more
@@ -29,6 +30,8 @@ SYMMETRIC = {
     "coulomb_asymmetry": ("coulomb", "level"),
     "viscous_asymmetry": ("viscous", "coefficient"),
 }
+NO_WORSE = 10.0  # deviance that a simpler law may cost
+BENDS = 0.02  # of the travel: hysteresis that slides after less has a soft onset only
 HALVINGS = 2  # of the integration's step at most, in the last fit of a joint
 
 
@@ -57,7 +60,7 @@ def split_asymmetry(found: JointSearch, current: Scored, jobs: int) -> Scored:
     )
     model = current.model.with_terms((*(t for t in current.model.terms if t is not term), *parts))
     other = _refitted(current.data, model, found.joint, jobs, 1)
-    return other if other.deviance < current.deviance + 10.0 else current
+    return other if other.deviance < current.deviance + NO_WORSE else current
 
 
 def _resolved(best: Scored, joint: int, jobs: int) -> Scored:
@@ -89,7 +92,9 @@ def _as_coulomb(best: Scored, joint: int, jobs: int) -> Scored:
     """
     term = next((t for t in best.model.at(joint) if t.effect == "hysteresis"), None)
     record = best.data.records[0][joint - 1]
-    if term is None or term.value("force") > 0.02 * term.value("stiffness") * record.scale.position:
+    if term is None:
+        return best
+    if term.value("force") > BENDS * term.value("stiffness") * record.scale.position:
         return best
     others = tuple(t for t in best.model.terms if t is not term)
     handles = joint_handles(best.data, best.model.with_terms(others), joint)
@@ -136,7 +141,7 @@ def _as_payload(found: JointSearch, best: Scored, jobs: int) -> Scored:
         (*(t for t in best.model.terms if t is not new["torque_gain"]), load)
     )
     other = _refitted(best.data, model, found.joint, jobs, 2)
-    return other if other.deviance < best.deviance + 10.0 else best
+    return other if other.deviance < best.deviance + NO_WORSE else best
 
 
 def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
@@ -171,7 +176,7 @@ def _as_spring(found: JointSearch, best: Scored, jobs: int) -> Scored:
         (*(t for t in best.model.terms if t is not hard and t is not push), spring)
     )
     other = _refitted(best.data, replace(model, mechanism=mechanism), found.joint, jobs, 3)
-    return other if other.deviance < best.deviance + 10.0 else best
+    return other if other.deviance < best.deviance + NO_WORSE else best
 
 
 def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, ...]]:

@@ -1,1 +1,1 @@
-"""What two sensors on the two sides of a transmission show of it."""
+"""What two sensors on the two sides of a transmission, or a torque sensor in it, show of it."""

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.decide.decide import FALSE_DISCOVERIES, PLAIN, SURE
-from zendsp.diagnosis.decide.mechanisms import LAWS_OF
+from zendsp.diagnosis.decide.claims import LAWS_OF
+from zendsp.diagnosis.decide.thresholds import FALSE_DISCOVERIES, PLAIN, SURE
 from zendsp.diagnosis.measure.evidence import Evidence
-from zendsp.diagnosis.measure.torsion import (
+from zendsp.diagnosis.transmission.sets import Sets
+from zendsp.diagnosis.transmission.terms import Chosen, applied, fitted, may_be_off, physical
+from zendsp.diagnosis.transmission.torsion import (
     Array,
     Twist,
     columns_of,
@@ -20,8 +22,6 @@ from zendsp.diagnosis.measure.torsion import (
     regress,
     rms,
 )
-from zendsp.diagnosis.transmission.sets import Sets
-from zendsp.diagnosis.transmission.terms import Chosen, applied, fitted, may_be_off, physical
 from zendsp.physics.model import Model
 
 POWER = 1.28  # standard deviations: nine in ten

@@ -9,13 +9,13 @@ import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.confidence import MOST
-from zendsp.diagnosis.decide.decide import PLAIN
 from zendsp.diagnosis.decide.findings import number, sentence
+from zendsp.diagnosis.decide.result import Estimate, Finding
+from zendsp.diagnosis.decide.thresholds import PLAIN
 from zendsp.diagnosis.measure.evidence import compare
-from zendsp.diagnosis.measure.torsion import has_bodies, joint_inertia
-from zendsp.diagnosis.result import Estimate, Finding
-from zendsp.diagnosis.search.forward import calibrate_joint
+from zendsp.diagnosis.measure.likelihood import calibrate_joint
 from zendsp.diagnosis.transmission.claims import Claim
+from zendsp.diagnosis.transmission.torsion import has_bodies, joint_inertia
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Quantity, Term
 

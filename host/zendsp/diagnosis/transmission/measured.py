@@ -11,7 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.measure.torsion import (
+from zendsp.diagnosis.decide.result import Detectable, Finding
+from zendsp.diagnosis.transmission.claims import claims_of, least_compliance
+from zendsp.diagnosis.transmission.findings import findings_of, helpful, load_behind
+from zendsp.diagnosis.transmission.sets import lag_of, sets_of, torque_scale, torque_unit
+from zendsp.diagnosis.transmission.terms import choose
+from zendsp.diagnosis.transmission.torsion import (
     OF_BODIES,
     OF_MOTOR,
     has_bodies,
@@ -19,11 +24,6 @@ from zendsp.diagnosis.measure.torsion import (
     lowpass,
     moved,
 )
-from zendsp.diagnosis.result import Detectable, Finding
-from zendsp.diagnosis.transmission.claims import claims_of, least_compliance
-from zendsp.diagnosis.transmission.findings import findings_of, helpful, load_behind
-from zendsp.diagnosis.transmission.sets import lag_of, sets_of, torque_scale, torque_unit
-from zendsp.diagnosis.transmission.terms import choose
 from zendsp.diagnosis.transmission.waves import waves_of
 from zendsp.physics.effects import get_effect, unit_of
 from zendsp.physics.model import Model, Term

@@ -10,10 +10,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
-from zendsp.diagnosis.decide.decide import FINEST
-from zendsp.diagnosis.measure.torsion import OF_BODIES, has_bodies, of_bodies
-from zendsp.diagnosis.result import Detectable
+from zendsp.diagnosis.decide.result import Detectable
+from zendsp.diagnosis.decide.thresholds import FINEST
 from zendsp.diagnosis.transmission.sets import torque_unit
+from zendsp.diagnosis.transmission.torsion import OF_BODIES, has_bodies, of_bodies
 from zendsp.physics.effects import unit_of
 from zendsp.physics.model import Model
 

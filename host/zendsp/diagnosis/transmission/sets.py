@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.measure.torsion import Twist, joined, lowpass, rms, twists
+from zendsp.diagnosis.transmission.torsion import Twist, joined, lowpass, rms, twists
 from zendsp.physics.model import Model
 
 

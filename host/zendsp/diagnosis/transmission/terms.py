@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.measure.torsion import (
+from zendsp.diagnosis.transmission.sets import Sets, torque_scale
+from zendsp.diagnosis.transmission.torsion import (
     Array,
     Linear,
     Twist,
@@ -19,7 +20,6 @@ from zendsp.diagnosis.measure.torsion import (
     rms,
     with_motor_torque,
 )
-from zendsp.diagnosis.transmission.sets import Sets, torque_scale
 from zendsp.physics.model import Model
 
 OPEN = 0.3  # of the RMS torque: below, a gap may be open

@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from zendsp.diagnosis.decide.decide import PLAIN, SURE
-from zendsp.diagnosis.measure.torsion import (
+from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
+from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, needed, unexplained
+from zendsp.diagnosis.transmission.sets import Sets
+from zendsp.diagnosis.transmission.torsion import (
     Array,
     Linear,
     Twist,
@@ -20,8 +22,6 @@ from zendsp.diagnosis.measure.torsion import (
     strongest_order,
     wave,
 )
-from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, needed, unexplained
-from zendsp.diagnosis.transmission.sets import Sets
 from zendsp.physics.model import Model
 
 WAVES = 2  # errors over the angle, at most

@@ -14,8 +14,11 @@ from zendsp.physics.effects.axes import (
 )
 from zendsp.physics.effects.base import Effect, Facts, Numbers, Parameter
 
-RESONANCES = (4.0, 8.0, 15.0, 30.0, 60.0)  # Hz
+# Hz: where a lightly damped load swings for many periods, a basin spans a tenth of the frequency to
+# either side, nearly any share of the inertia, and the more the better the start is damped
+RESONANCES = tuple(2.0 * 2 ** (i / 4) for i in range(21))
 SHARES = (0.2, 0.45, 0.75)  # of the inertia, on the load
+DAMPING = 0.3  # of √(stiffness load): a damping ratio of 0.15 of the load on its spring
 
 
 def _starts(facts: Facts) -> Sequence[Numbers]:
@@ -26,7 +29,7 @@ def _starts(facts: Facts) -> Sequence[Numbers]:
             {
                 "stiffness": stiffness,
                 "load_inertia": load,
-                "damping": 0.1 * math.sqrt(stiffness * load),
+                "damping": DAMPING * math.sqrt(stiffness * load),
             }
         )
     return starts

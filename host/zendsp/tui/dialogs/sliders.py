@@ -18,8 +18,8 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from zendsp.tui.dialogs.base import Dialog
-from zendsp.tui.panels.values import show_value
 from zendsp.tui.snapshot import Variable
+from zendsp.tui.values import show_value
 
 STEP, COARSE, FINE = 1 / 200, 1 / 20, 1 / 2000  # of the range
 SEND_S = 0.1  # between writes while a slider moves

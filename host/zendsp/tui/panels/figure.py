@@ -8,7 +8,7 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical
 from textual.widgets import Static
 
-from zendsp.diagnosis.chart import Chart, Panel, Series
+from zendsp.diagnosis.report.chart import Chart, Panel, Series
 from zendsp.tui.scope.path import Axes, Curve, PathPlot, extent
 
 Frame = tuple[float, float, float, float]

@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
-from zendsp.diagnosis.chart import Chart
+from zendsp.diagnosis.report.chart import Chart
 from zendsp.diagnosis.report.summary import verdict_sentence
 from zendsp.tui.diagnoses import Diagnosed
 

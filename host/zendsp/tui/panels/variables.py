@@ -15,8 +15,8 @@ from textual.widgets import Input
 
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.panels.table import Cell, Column, LiveTable
-from zendsp.tui.panels.values import differs, show_limits, show_value
 from zendsp.tui.snapshot import Snapshot, Variable
+from zendsp.tui.values import differs, show_limits, show_value
 
 COLUMNS = (
     Column("", 2),

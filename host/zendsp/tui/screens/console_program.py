@@ -7,7 +7,7 @@ from typing import Any
 
 from zendsp.errors import ZendspError
 from zendsp.tui.dialogs import Choose, Field, Form, Option
-from zendsp.tui.panels.source import SourceView
+from zendsp.tui.dialogs.source import SourceView
 from zendsp.tui.port import Build, Port, Remark, Shot
 from zendsp.tui.runs import store_run
 from zendsp.tui.screens.base import LabScreen

@@ -25,10 +25,10 @@ from zendsp.tui.dialogs import (
     slides,
 )
 from zendsp.tui.panels.table import LiveTable
-from zendsp.tui.panels.values import differs, reader, show_exact, show_limits, show_value
 from zendsp.tui.panels.variables import VariablesPanel
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.snapshot import Variable
+from zendsp.tui.values import differs, reader, show_exact, show_limits, show_value
 
 UNDO_DEPTH = 100
 

@@ -16,7 +16,7 @@ from zendsp_isr.build import build_monitor, source_root
 def _declarations(text: str) -> str:
     """A header without preprocessor lines and static asserts: what cffi can parse."""
     text = re.sub(r"^\s*#.*$", "", text, flags=re.MULTILINE)
-    return re.sub(r"^_Static_assert.*$", "", text, flags=re.MULTILINE)
+    return re.sub(r"^_Static_assert[^;]*;", "", text, flags=re.MULTILINE)
 
 
 @functools.cache

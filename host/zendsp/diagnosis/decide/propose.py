@@ -17,8 +17,8 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.decide.assemble import Assembled
 from zendsp.diagnosis.decide.claims import Decision
+from zendsp.diagnosis.decide.result import Finding, Next
 from zendsp.diagnosis.measure.likelihood import deviance
-from zendsp.diagnosis.result import Finding, Next
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, fit, joint_handles
@@ -30,6 +30,9 @@ Array = npt.NDArray[np.float64]
 
 SECONDS = 10.0
 ROUND_S = 0.1
+WEAK = 0.8  # confidence below which a finding is to be confirmed
+COUNTS = 8  # of the sensor that a proposed motion spans at least
+SEPARATES = 20.0  # deviance by which it tells two hypotheses apart at least
 
 
 def motions(
@@ -155,7 +158,7 @@ def _without_rival(
             None,
         )
     weak = [
-        f for f in findings if f.confidence < 0.8 and f.effect not in ("disturbance", "unknown")
+        f for f in findings if f.confidence < WEAK and f.effect not in ("disturbance", "unknown")
     ]
     if weak:
         return Next(
@@ -203,12 +206,12 @@ def _best_motion(
                 else ROOM
             ),
         )
-        if not np.isfinite(loop.position).all() or np.ptp(loop.position) <= 8 * resolution:
+        if not np.isfinite(loop.position).all() or np.ptp(loop.position) <= COUNTS * resolution:
             continue
         value = _separation(signals, given, truth, rival, joint, loop.position, loop.command)
         if best is None or value > best[2]:
             best = (name, motion, value)
-    return best if best is not None and best[2] > 20.0 else None
+    return best if best is not None and best[2] > SEPARATES else None
 
 
 def _separation(

@@ -39,6 +39,13 @@ class BodyLimits:
     # a free parameter of the mechanism farther off than so much of itself is no calibration
     calibrated: float = 0.15
     rounds: int = 3  # estimates around the one before
+    moves: float = 0.3  # standard deviations: an estimate that moves by less stands
+    # with an inertia of its own beside it, a mass is known still if its standard deviation is less
+    # than so many of that without, or so much of it
+    blurred: float = 3.0
+    of_mass: float = 0.01
+    settled: float = 1e-3  # deviance: a step of the fit that gains less is the last
+    damped: float = 1e6  # at which no step is left
     # m from the link's origin, of a payload's centre to begin with
     starts: tuple[float, ...] = (0.05, 0.15, 0.4)
 

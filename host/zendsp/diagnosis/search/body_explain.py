@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.bodies.hypotheses import LIMITS, BodyLimits, Hypothesis
-from zendsp.diagnosis.bodies.solver import Solver
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.search.body_solver import Solver
 
 Array = npt.NDArray[np.float64]
 

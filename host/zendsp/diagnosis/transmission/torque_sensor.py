@@ -16,10 +16,10 @@ from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.decide import PLAIN, SURE
-from zendsp.diagnosis.measure.torsion import OF_MOTOR, Array, has_bodies, held_drive
-from zendsp.diagnosis.measure.torsion import STILL as STANDING
-from zendsp.diagnosis.result import Finding
+from zendsp.diagnosis.decide.result import Finding
+from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
+from zendsp.diagnosis.transmission.torsion import OF_MOTOR, Array, has_bodies, held_drive
+from zendsp.diagnosis.transmission.torsion import STILL as STANDING
 from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.bodies.hypotheses import LIMITS, OWN, BodyLimits, Hypothesis, calibrated
+from zendsp.diagnosis.search.body_hypotheses import LIMITS, OWN, BodyLimits, Hypothesis, calibrated
 from zendsp.physics.bodies import Links, change_of, turned_gravity
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.decide.assemble import Assembled
+from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.where import Missing, Region
+from zendsp.diagnosis.search.hypothesis import JointSearch
+from zendsp.physics.fit import Data
 from zendsp.physics.model import Model
 from zendsp_protocol.views import html_table, sentence
+
+Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -127,6 +136,28 @@ class Next:
     separates: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Workings:
+    """What a diagnosis worked with, for its figures: searches and decisions of each joint, the
+    whole machine, recordings to fit to and to test on.
+    """
+
+    searches: Sequence[JointSearch]
+    decisions: Sequence[Decision]
+    whole: Assembled
+    train: Data
+    test: Data
+
+
+@dataclass(frozen=True)
+class SimulatorErrors:
+    """Errors of a simulator on the held-out recording, (n, joints) each, over its time, (n,)."""
+
+    time: Array
+    calibrated: Array
+    improved: Array
+
+
 @dataclass(repr=False)
 class Diagnosis:
     """The outcome. ``verdict``: "complete", "missing" or "unexplained"."""
@@ -155,7 +186,8 @@ class Diagnosis:
     discrepancy: tuple[Left, ...] = ()
     detectable: tuple[Detectable, ...] = ()
     test: FitTable | None = None  # on recordings that neither the fit nor any choice has touched
-    details: dict[str, Any] = field(default_factory=dict)
+    # of a simulator that can only be called: its errors, computed when asked for
+    workings: Workings | Callable[[], SimulatorErrors] | None = None
     out: Path | None = None
 
     def report(self) -> dict[str, Any]:

@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zendsp.diagnosis.bodies.columns import Layout, Sums
-from zendsp.diagnosis.bodies.explain import Explained, explain, tied
-from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS, BodyLimits, hypotheses
-from zendsp.diagnosis.bodies.solver import Solver
+from zendsp.diagnosis.search.body_columns import Layout, Sums
+from zendsp.diagnosis.search.body_explain import Explained, explain, tied
+from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, hypotheses
+from zendsp.diagnosis.search.body_solver import Solver
 from zendsp.physics.bodies import Links
 from zendsp.physics.fit import Data
 from zendsp.physics.model import Model, Term
@@ -219,13 +219,13 @@ def refined(
         if len(wider.free) > len(h.free):
             more = solver.estimate(wider, np.append(new, 0.0))
             spread = solver.std(wider, more)
-            told_apart = spread[0] < max(3.0 * std[0], 0.01 * abs(more[0]))
+            told_apart = spread[0] < max(limits.blurred * std[0], limits.of_mass * abs(more[0]))
             if abs(more[-1]) > 2.0 * spread[-1] and told_apart and solver.plausible(wider, more):
                 h, new, std = wider, more, spread
         known = len(values)
         stands = (
             len(new) == known
-            and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < 0.3
+            and float(np.max(np.abs(new - values) / np.maximum(std, 1e-300))) < limits.moves
         )
         last, values = replace(first, hypothesis=h, values=new, std=std), new
         *beside, gain = solver.estimate(replace(h, free=(*h.free, "gain")), np.append(values, 0.0))

@@ -9,8 +9,8 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.diagnosis.bodies.columns import NUISANCE, Layout, Sums
-from zendsp.diagnosis.bodies.hypotheses import COM, LIMITS, BodyLimits, Hypothesis
+from zendsp.diagnosis.search.body_columns import NUISANCE, Layout, Sums
+from zendsp.diagnosis.search.body_hypotheses import COM, LIMITS, BodyLimits, Hypothesis
 
 Array = npt.NDArray[np.float64]
 
@@ -97,7 +97,7 @@ class Solver:
             slope = np.einsum(
                 "j,jap,ja->p", weight, jac, np.einsum("jab,jb->ja", self.rest[:, :-1], tail)
             )
-            while damping < 1e6:
+            while damping < self.limits.damped:
                 trial = values - solve(normal + damping * np.diag(np.diag(normal)), slope)
                 value = self.deviance(self.at(h, trial))
                 if value <= best:
@@ -105,7 +105,7 @@ class Solver:
                 damping *= 10
             else:
                 break
-            done = best - value < 1e-3
+            done = best - value < self.limits.settled
             values, best, damping = trial, value, max(damping / 10, 1e-9)
             if done:
                 break

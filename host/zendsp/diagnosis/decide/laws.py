@@ -1,0 +1,349 @@
+"""By which law a claimed mechanism is named: its rivals, their probabilities, or no law at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
+from zendsp.diagnosis.decide.confidence import STATED, confidence
+from zendsp.diagnosis.decide.findings import new_terms
+from zendsp.diagnosis.decide.pieces import kind_of, may_leave, piece_of, rms_torque
+from zendsp.diagnosis.decide.thresholds import (
+    A_PART,
+    CURVE,
+    DRAWS,
+    EXPLAINS,
+    HARMONIC,
+    LAW_ERROR,
+    NUMERIC,
+    OWN_SHARE,
+    PLAIN,
+    STATED_LAW,
+    SURE,
+    TIED,
+)
+from zendsp.diagnosis.measure.discrepancy import Size, difference, discrepancy
+from zendsp.diagnosis.measure.evidence import block_scores, settling
+from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
+from zendsp.diagnosis.search.forward import Searcher
+from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
+from zendsp.physics.effects import get_effect, library, mechanism_of
+from zendsp.physics.fit import Data
+from zendsp.physics.model import Model, Term
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+def together(*data: Data) -> Data:
+    """Recordings of several parts as one."""
+    return replace(data[0], records=tuple(r for d in data for r in d.records))
+
+
+def named(
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    final: Scored,
+    claimed: Sequence[Piece],
+    rest: Sequence[Piece],
+    before: Size,
+    jobs: int,
+    tell: Progress,
+) -> Decision:
+    joint = search.joint
+    searcher = Searcher(parts.fit, joint, lambda *_: True, jobs, tell)
+    after = discrepancy(parts.test, final.model, joint)
+    state = structure(parts.each, final.model, joint, STRUCTURED)
+    claims: list[Claim] = []
+    refinements: list[Claim] = []
+    for piece in claimed:
+        ranked = _ranked(parts.test, given, final, piece, joint, jobs)
+        first = ranked[0]
+        law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
+        left = (
+            structure(parts.each, final.model, joint, [piece.mechanism])
+            if piece.mechanism in STRUCTURED
+            else None
+        )
+        own = [first]
+        for other in ranked[1:]:
+            second = other.size**2 >= OWN_SHARE * piece.size**2 and other.size > math.hypot(
+                after.value, LAW_ERROR * first.size
+            )
+            if second and other.log_e > 0 and other.evidence.z > PLAIN:
+                own.append(other)
+            else:
+                refinements.append(_plain(other))
+        kind = [p for p in claimed if p.mechanism in kind_of(piece.mechanism)]
+        allowed = max(may_leave(p) for p in kind)  # a larger law's error is no lack of this one
+        # what the law by itself leaves to itself
+        again = [p.size for p in ranked[1:] if _repeats(p, first)]
+        poor = math.hypot(*again) > allowed or (
+            left is not None and _surely_more(left, max(allowed, NUMERIC))
+        )
+        # a constant beside several laws of the position is a part of the curve that they draw
+        level = sum(all(get_effect(t.effect).constant for t in p.terms) for p in claimed) * (
+            len(own) > 1 and piece.mechanism == "position_torque"
+        )
+        drawn = piece.mechanism == "position_torque" and _is_curve(ranked)
+        if poor or drawn or len(own) + level >= CURVE:
+            refinements += [_plain(p) for p in own[1:]]
+            claims.append(
+                replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0})
+            )
+            continue
+        claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
+        claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
+    refinements += [_plain(p) for p in rest]
+    claims.sort(key=lambda c: -c.evidence.gain)
+    claims, more = _beside_unknown(claims)
+    refinements += more
+    best = claims[0].size
+    # more is left that depends on the state than anything claimed explains
+    if state.size > best and state.z > SURE:
+        claims = []
+    return Decision(
+        joint,
+        "missing",
+        tuple(claims),
+        tuple(refinements),
+        search.base,
+        final,
+        before,
+        after,
+        state,
+        rms_torque(parts.test, joint),
+    )
+
+
+def believed(decision: Decision) -> Decision:
+    """The decision without the laws that are too likely wrong; of what is first, the mechanism
+    stays where functions of its variables can be told, the rest refines the fit.
+    """
+    keep, more = [], list(decision.refinements)
+    for claim in decision.claims:
+        if claim.effect == "unknown" or confidence(claim, decision) > STATED:
+            keep.append(claim)
+        elif claim is decision.claims[0] and claim.mechanism in STRUCTURED:
+            keep.append(replace(claim, effect="unknown", laws={**claim.laws, "unknown": 1.0}))
+        else:
+            more.append(claim)
+    return replace(decision, claims=tuple(keep), refinements=tuple(more))
+
+
+def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
+    """Claims, and those that become refinements: beside a mechanism without a law, what is not
+    larger than half of it may be a part of it, and a constant is a part of any curve over position.
+    """
+    unknown = max((c.size for c in claims if c.effect == "unknown"), default=0.0)
+    curve = any(draws_a_curve(c) for c in claims)
+    keep = [
+        c
+        for c in claims
+        if c.effect == "unknown"
+        or (c.size > A_PART * unknown and not (curve and get_effect(c.effect).constant))
+    ]
+    return keep, [c for c in claims if not any(c is k for k in keep)]
+
+
+def draws_a_curve(claim: Claim) -> bool:
+    """Whether a claim is of a torque over position without a law, of whatever shape."""
+    return claim.effect == "unknown" and claim.mechanism == "position_torque"
+
+
+def _surely_more(left: Structure, allowed: float) -> bool:
+    """Whether what is left has more than the energy that is allowed, by two standard deviations."""
+    return left.size > allowed and left.z * (1.0 - (allowed / left.size) ** 2) > PLAIN
+
+
+def _repeats(other: Piece, first: Piece) -> bool:
+    """Whether a law had to be taken once more: two of one shape draw a curve, where the law is not
+    a sum of such shapes by itself.
+    """
+    effect = get_effect(first.terms[0].effect)
+    # a sum of harmonics is one law; settings choose one
+    several = "order" in effect.names or not all(p.fitted for p in effect.parameters)
+    return (
+        other.effects == first.effects
+        and not several
+        and other.log_e > 0
+        and other.evidence.z > PLAIN
+    )
+
+
+def _is_curve(ranked: Sequence[Piece]) -> bool:
+    """Whether laws of the position, none of which can be left out, are the pieces of a curve: more
+    than one of them, and ripples that are no harmonics of one.
+    """
+    held = [p for p in ranked if p.log_e > 0 and p.evidence.z > PLAIN]
+    if len(held) < CURVE:
+        return False
+    orders = [p.terms[0].value("order") for p in held if "order" in p.terms[0].parameters]
+    if len(orders) < len(held):
+        return True
+    ratios = np.array(orders) / min(orders)
+    return bool(np.any(np.abs(ratios - np.round(ratios)) > HARMONIC))
+
+
+def _ranked(
+    test: Data, given: Model, final: Scored, piece: Piece, joint: int, jobs: int
+) -> list[Piece]:
+    """Each law of a mechanism by itself, the one whose removal costs most first."""
+    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
+    if len(laws) == 1:
+        return [replace(piece, terms=tuple(laws))]
+    each = [piece_of(test, given, final, joint, (piece.mechanism, 0), (t,), jobs) for t in laws]
+    return sorted(each, key=lambda p: -p.size)
+
+
+def _plain(piece: Piece) -> Claim:
+    term = piece.terms[0]
+    return Claim(
+        term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, {}, (), (), ()
+    )
+
+
+def _law(
+    parts: Parts,
+    given: Model,
+    search: JointSearch,
+    searcher: Searcher,
+    final: Scored,
+    piece: Piece,
+    first: Piece,
+    jobs: int,
+    tell: Progress,
+) -> Claim:
+    """The law of a mechanism with its probability: laws that could stand in its place are fitted,
+    and compete block by block.
+    """
+    joint, term = search.joint, first.terms[0]
+    tell(f"joint {joint}: what could stand in for {term.effect}")
+    known = library()
+    mates = {e for e in LAWS_OF.get(piece.mechanism, ()) if e in known}
+    names = frozenset(mates | set(get_effect(term.effect).rivals)) - {"coupling"} | {term.effect}
+    rivals = [
+        r
+        for r in searcher.stand_ins(first.without, names)
+        if r.effect != term.effect and not contains(r, term)
+    ]
+    learn = together(parts.fit, parts.choose)
+    settle = max(settling(x, joint) for x in (final, *[r.scored for r in rivals]))
+    scores = np.stack(
+        [block_scores(x, learn, joint, settle) for x in (final, *[r.scored for r in rivals])]
+    )
+    own = price((term,), informative(parts.fit, joint))
+    scores += np.array([own, *[r.price for r in rivals]])[:, None] / scores.shape[1]
+    weights = _weights(scores)
+    after = discrepancy(parts.choose, final.model, joint).value
+    same, lost = [], []
+    for rival, weight, score in zip(rivals, weights[1:], scores[1:], strict=True):
+        behind = float(score.sum() - scores[0].sum())
+        near = (
+            behind < 0.5 * first.evidence.gain
+            and difference(parts.choose, rival.scored.model, final.model, joint) < after
+        )
+        if weight > TIED or near or rival.effect in get_effect(term.effect).aliases:
+            same.append(rival.effect)
+        else:
+            share = 1.0 - behind / max(rival_gain(first, final), 1e-9)
+            why = (
+                f"explains {100 * max(0.0, min(share, 0.99)):.0f} % of it"
+                if share > EXPLAINS
+                else "does not explain the mismatch"
+            )
+            lost.append((rival.effect, why, -0.5 * behind))
+    laws: dict[str, float] = {}
+    for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
+        if mechanism_of(name) == piece.mechanism:
+            laws[name] = laws.get(name, 0.0) + float(weight)
+    total = sum(laws.values())
+    laws = (
+        {n: w / total for n, w in laws.items() if w / total > STATED_LAW}
+        if total > 0
+        else {term.effect: 1.0}
+    )
+    gone = replaced(given, final.model, term)
+    return Claim(
+        term.effect,
+        piece.mechanism,
+        term,
+        piece.size,
+        piece.evidence,
+        piece.log_e,
+        laws,
+        tuple(dict.fromkeys(same)),
+        gone,
+        tuple(lost[:6]),
+    )
+
+
+def rival_gain(piece: Piece, final: Scored) -> float:
+    """Deviance that a law gains on the recordings of the fit."""
+    return piece.without.deviance - final.deviance
+
+
+def _weights(scores: Array) -> Array:
+    """Probability of each law (a row of scores of blocks) to predict best, by the Bayesian
+    bootstrap (pseudo-BMA+, Yao et al. 2018).
+    """
+    n = scores.shape[1]
+    draws = np.random.default_rng(0).dirichlet(np.ones(n), DRAWS) * n
+    totals = -0.5 * draws @ scores.T
+    totals -= totals.max(axis=1, keepdims=True)
+    weight = np.exp(totals)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(weight.mean(axis=0))
+
+
+def contains(rival: Rival, term: Term) -> bool:
+    """Whether the rival is the same effect with more freedom: a special case of it, or with a
+    parameter at its bound.
+    """
+    if term.effect in get_effect(rival.effect).replaces:
+        return True
+    own = sum(p.fitted for p in get_effect(term.effect).parameters)
+    more = sum(p.fitted for p in get_effect(rival.effect).parameters) > own
+    fitted = rival.scored.fit
+
+    def is_row(index: int) -> bool:
+        t = rival.scored.model.terms[index]
+        return t.joint == rival.joint and t.effect == rival.effect
+
+    bounded = (
+        fitted.at_bound[i]
+        for i, h in enumerate(fitted.handles)
+        if h.place == "term" and is_row(h.index)
+    )
+    return more and any(bounded)
+
+
+def replaced(given: Model, final: Model, term: Term) -> tuple[str, ...]:
+    """Effects of the given model that are gone, and that this term stands for: laws of its own kind
+    of friction, or of its mechanism.
+    """
+    joint = term.joint
+    have = [t.effect for t in final.at(joint)]
+    gone = []
+    for old in given.at(joint):
+        if old.effect in have:
+            have.remove(old.effect)
+        else:
+            gone.append(old.effect)
+    own = mechanism_of(term.effect)
+    kind = kind_of(own)
+    rubs = [t for t in new_terms(given, final, joint) if mechanism_of(t.effect) in kind]
+    mine = [e for e in gone if mechanism_of(e) in kind]
+    if len(kind) > 1 and len(rubs) > 1:  # each stands for its own kind where both are new
+        exact = [e for e in mine if mechanism_of(e) == own]
+        others = {mechanism_of(t.effect) for t in rubs if t is not term}
+        mine = exact + [e for e in mine if mechanism_of(e) not in others and e not in exact]
+    return tuple(sorted(set(mine)))

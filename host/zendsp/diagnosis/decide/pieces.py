@@ -1,0 +1,212 @@
+"""Which mechanisms: each taken away, the rest fitted again, and what that costs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.data.series import repeats
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.decide.claims import LAWS_OF, Piece
+from zendsp.diagnosis.decide.findings import new_terms
+from zendsp.diagnosis.decide.thresholds import (
+    CLAIMED,
+    FALSE_DISCOVERIES,
+    FINEST,
+    HANGING,
+    LAW_ERROR,
+    LEFT_BY_A_LAW,
+)
+from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
+from zendsp.diagnosis.measure.evidence import compare
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
+from zendsp.diagnosis.measure.structure import STRUCTURED, structure
+from zendsp.diagnosis.search.hypothesis import JointSearch
+from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.fit import Data, joint_handles
+from zendsp.physics.model import Model, Term
+from zendsp.physics.predict import run
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+def grouped(
+    given: Model, final: Model, terms: Sequence[Term]
+) -> dict[tuple[str, int], tuple[Term, ...]]:
+    """Terms by mechanism; couplings by the joint that they come from."""
+    out: dict[tuple[str, int], tuple[Term, ...]] = {}
+    for term in terms:
+        if weight_of_payload(given, final, term):
+            out["inertia", 0] = (*out.get(("inertia", 0), ()), term)
+            continue
+        key = (
+            mechanism_of(term.effect),
+            int(term.value("from_joint")) if term.effect == "coupling" else 0,
+        )
+        out[key] = (*out.get(key, ()), term)
+    return out
+
+
+def weight_of_payload(given: Model, final: Model, term: Term) -> bool:
+    """Whether a gravity term is the weight of an inertia that was found with it: a payload is one
+    finding, not two.
+    """
+    found = {t.effect for t in new_terms(given, final, term.joint)}
+    hangs = any(q.value for q in given.mechanism.get("gravity", ()))
+    return (
+        term.effect == "gravity"
+        and "inertia" in found
+        and hangs
+        and abs(math.sin(term.value("angle"))) < HANGING
+    )
+
+
+def _without(given: Model, final: Scored, joint: int, terms: Sequence[Term], jobs: int) -> Scored:
+    """The model without some terms, with those of the given model that they had replaced, fitted
+    again.
+    """
+    gone = {id(t) for t in terms}
+    kept = tuple(t for t in final.model.terms if id(t) not in gone)
+    wanted = {m for t in terms for m in kind_of(mechanism_of(t.effect))}
+    have = [t.effect for t in kept if t.joint == joint]
+    back = []
+    for term in given.at(joint):
+        if term.effect in have:
+            have.remove(term.effect)
+        elif mechanism_of(term.effect) in wanted:
+            back.append(term)
+    model = final.model.with_terms((*kept, *back))
+    return fit_scored(
+        final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=jobs, rounds=3
+    )
+
+
+def worth_choosing(parts: Parts, given: Model, search: JointSearch, jobs: int) -> Scored:
+    """The proposed model without the terms that do not help on the recordings to choose by."""
+    joint, final = search.joint, search.final
+    while True:
+        new = new_terms(given, final.model, joint)
+        if len(new) < 2:
+            return final
+        worst: tuple[float, Scored] | None = None
+        for term in new:
+            if any(
+                term.effect in get_effect(t.effect).needs
+                for t in final.model.at(joint)
+                if t is not term
+            ):
+                continue
+            without = _without(given, final, joint, (term,), jobs)
+            held = compare(without, final, parts.choose, joint)
+            if held.gain < 0 and (worst is None or held.gain < worst[0]):
+                worst = held.gain, without
+        if worst is None:
+            return final
+        final = worst[1]
+
+
+def piece_of(
+    test: Data,
+    given: Model,
+    final: Scored,
+    joint: int,
+    key: tuple[str, int],
+    terms: tuple[Term, ...],
+    jobs: int,
+) -> Piece:
+    without = _without(given, final, joint, terms, jobs)
+    held = compare(without, final, test, joint)
+    size = difference(test, without.model, final.model, joint)
+    return Piece(
+        key[0], terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
+    )
+
+
+def dependence(scored: Scored, test: Data, joint: int) -> float:
+    """By how much fewer independent samples a recording has than samples, from the innovations'
+    correlation in time; 1 or more.
+    """
+    worst = 1.0
+    for rec in test.records:
+        record = rec[joint - 1]
+        r = run(
+            record, scored.model, scored.data.bandwidth[joint - 1], inner=test.inner
+        ).innovations
+        r = np.clip(r[record.counted], -1e3, 1e3)
+        worst = max(worst, repeats(r, record.sample_time))
+    return worst
+
+
+def held_apart(
+    parts: Parts, given: Model, final: Scored, joint: int, pieces: Sequence[Piece]
+) -> tuple[list[Piece], list[Piece]]:
+    """Mechanisms that are claimed, and those that only refine the fit: pieces come in the order of
+    their size.
+
+    What a mechanism gives must be more than what stays unexplained in its own variables, and more
+    than the laws of the larger ones of its kind, found or given, may be wrong by.
+    """
+    needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
+    after = discrepancy(parts.test, final.model, joint).value
+    claimed: list[Piece] = []
+    rest: list[Piece] = []
+    for piece in pieces:
+        left = after
+        if piece.mechanism in STRUCTURED:
+            left = min(after, structure(parts.each, final.model, joint, [piece.mechanism]).size)
+        larger = max((p.size for p in claimed), default=0.0)
+        kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
+        if kept_laws:
+            apart = final.model.with_terms(
+                tuple(t for t in final.model.terms if t not in kept_laws)
+            )
+            larger = max(larger, difference(parts.test, apart, final.model, joint))
+        # an error of a larger law is not taken up whole by the law of something else, and not with
+        # time
+        own = after <= may_leave(piece) or all(get_effect(e).over == "time" for e in piece.effects)
+        error = 0.0 if own else LAW_ERROR * larger
+        sure = piece.log_e > needed and piece.evidence.z > CLAIMED
+        (
+            claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
+        ).append(piece)
+    return claimed, rest
+
+
+def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:
+    """Terms of the given model at a joint that are of a mechanism's kind and still stand in the
+    final one.
+    """
+    new = new_terms(given, final, joint)
+    return [
+        t
+        for t in final.at(joint)
+        if not any(t is n for n in new) and mechanism_of(t.effect) in kind_of(mechanism)
+    ]
+
+
+def kind_of(mechanism: str) -> frozenset[str]:
+    """Mechanisms that are functions of the same variables."""
+    friction = frozenset({"dry_friction", "fluid_friction"})
+    return friction if mechanism in friction else frozenset({mechanism})
+
+
+def may_leave(piece: Piece) -> float:
+    """What a mechanism's laws may leave in its own variables, as a part of the RMS torque.
+
+    A law of several free numbers can be bent to resemble what it is not, and leaves the less for
+    it.
+    """
+    laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism] or list(
+        piece.terms
+    )
+    freedom = min(sum(q.free for q in t.parameters.values()) for t in laws)
+    return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
+
+
+def rms_torque(data: Data, joint: int) -> float:
+    """RMS torque at a joint over recordings, N m or N."""
+    return float(np.sqrt(mean_square(data, joint)))

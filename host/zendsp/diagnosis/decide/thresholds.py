@@ -1,0 +1,34 @@
+"""The numbers that decide, each with what it means; docs/diagnosis.md has the measurement."""
+
+from __future__ import annotations
+
+# of what is claimed, at most so much is nothing: e-values, over joints and mechanisms
+FALSE_DISCOVERIES = 0.05
+LAW_ERROR = 0.03  # no law describes its own mechanism better than to so much of its size
+# of a mechanism's size, as a function of its own variables: a law of one number that leaves more is
+# none
+LEFT_BY_A_LAW = 0.2
+NUMERIC = 0.001  # of the RMS torque: where two simulators differ by so much, it is no lack of a law
+FINEST = 0.0003  # of the RMS torque: what is less is never a finding, however likely
+OWN_SHARE = 0.1  # of the explainable mismatch: a second law of one mechanism below is a refinement
+MACHINE = 0.03  # of the RMS torque: below, slow random torques that every machine has
+# of the RMS torque: a function of state above is missing physics, whatever its name; in 96 complete
+# models it was at most 0.001
+OF_STATE = 0.0025
+# the same, of what comes and goes, follows from the motion before, or repeats itself; at most 0.008
+LAWFUL = 0.01
+TIED = 0.05  # probability above which a law is still in the race
+DRAWS = 400  # of the Bayesian bootstrap
+STATED_LAW = 0.001  # probability: a less likely law is not listed
+EXPLAINS = 0.1  # of a gain: a rival that reaches less does not explain the mismatch
+HANGING = 0.2  # sine of a gravity term's angle: nearer to 0 or pi it is a payload's weight
+SURE = 3.0  # standard deviations over blocks of time
+CLAIMED = 2.5  # the same, of a claim, beside its e-value; right ones had 2.8 and more
+PLAIN = 2.0  # the same, of what has another measure beside it
+MOST = 0.5  # of a lacking torque's energy: a mechanism whose variables predict less is not claimed
+RIVAL = 0.5  # of that again: where another mechanism's variables predict so much, neither is
+# of the size of a mechanism without a law: what is not larger beside it may be a part of it;
+# chosen on one case (docs/diagnosis.md)
+A_PART = 0.5
+CURVE = 3  # so many laws of one mechanism at one joint draw a curve
+HARMONIC = 0.05  # of a whole number: a ripple's order over the lowest

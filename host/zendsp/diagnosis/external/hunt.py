@@ -1,0 +1,207 @@
+"""Forward selection of effects on a simulator's input, and what is said of those that passed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zendsp.diagnosis.decide.findings import estimates, new_terms, sentence
+from zendsp.diagnosis.decide.result import Finding, Next
+from zendsp.diagnosis.external.output_error import (
+    BLOCK,
+    Output,
+    errors,
+    fit_output,
+    gain,
+    held_z,
+    late_candidates,
+    screen,
+    with_term,
+)
+from zendsp.diagnosis.external.simulator import Bench
+from zendsp.diagnosis.measure.significance import SIGNIFICANT, vanishes
+from zendsp.physics.effects import get_effect, mechanism_of
+from zendsp.physics.handles import free_handles
+from zendsp.physics.model import Model, Term
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+# of log-likelihood ratio with the effective number of samples, beyond the price of the parameters
+MIN_GAIN = 20.0
+MIN_Z = 2.5
+SUFFICIENT = 0.85  # share of the best gain with which a special case goes first
+SHORTLIST = 5
+PROMISING = 0.01  # share of the cost that a screen must promise
+SAME, SAME_SHARE = 5.0, 0.1  # cost, and of the gain: rivals nearer cannot be told apart
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A fitted hypothesis with its evidence."""
+
+    term: Term
+    output: Output
+    gain: float
+    z: float
+
+
+def _none(claim: Claim) -> bool:
+    """Whether an effect cannot be told from none: what it is by, or every number of it, is zero
+    within its uncertainty. A free parameter of the simulator may be the same thing.
+    """
+    done = claim.output.fit
+    own = [
+        abs(done.x[i]) < SIGNIFICANT * done.std[i]
+        for i, h in enumerate(done.handles)
+        if h.place == "term" and done.model.terms[h.index] is claim.term
+    ]
+    return vanishes(done, claim.term) or (bool(own) and all(own))
+
+
+class Hunt:
+    """Forward selection over all joints."""
+
+    def __init__(self, train: Sequence[Bench], test: Sequence[Bench], tell: Progress) -> None:
+        self.train, self.test, self.tell = train, test, tell
+        self.block = max(10, round(BLOCK / train[0].signals.sample_time))
+        self.tried: dict[tuple[str, int], tuple[float, float, str]] = {}
+
+    def step(self, current: Output) -> tuple[Claim | None, list[Claim]]:
+        """The best hypothesis that passes, and the fitted rivals."""
+        options: list[tuple[float, Term]] = []
+        for joint in range(1, len(self.train[0].records) + 1):
+            options += [
+                *screen(self.train, current, joint, self.tell),
+                *late_candidates(self.train, current, joint),
+            ]
+        options.sort(key=lambda item: -item[0])
+        before = errors(self.test, current.model)
+        claims = []
+        for promise, term in options[:SHORTLIST]:
+            if promise < PROMISING:
+                continue
+            self.tell(f"joint {term.joint}: fitting {term.effect}")
+            model = with_term(current.model, term)
+            output = fit_output(self.train, model, free_handles(model, offsets=False))
+            after = errors(self.test, output.model)
+            fitted = sum(p.fitted for p in get_effect(term.effect).parameters)
+            claim = Claim(
+                output.model.terms[-1],
+                output,
+                gain(current.error, output.error, fitted),
+                held_z(before, after, self.block),
+            )
+            claims.append(claim)
+            self.tried[(term.effect, term.joint)] = (claim.gain, claim.z, self._why(claim))
+        for promise, term in options[SHORTLIST:]:
+            self.tried.setdefault(
+                (term.effect, term.joint),
+                (0.0, 0.0, f"promises only {100 * promise:.1f} % of the error"),
+            )
+        passed = [
+            c
+            for c in claims
+            if c.gain > MIN_GAIN and c.z > MIN_Z and not _none(c)
+        ]
+        if not passed:
+            return None, claims
+        best = max(passed, key=lambda c: c.gain)
+        # a special case that does nearly as well goes first; the general one can follow it
+        special = [
+            c
+            for c in passed
+            if c.term.effect in get_effect(best.term.effect).replaces
+            and c.gain > SUFFICIENT * best.gain
+        ]
+        return (special[0] if special else best), claims
+
+    def _why(self, c: Claim) -> str:
+        if _none(c):
+            return "cannot be told from none"
+        if c.gain <= MIN_GAIN:
+            return "no more likely than the calibrated model"
+        return (
+            f"does not hold on the held-out recording (z = {c.z:.1f})"
+            if c.z <= MIN_Z
+            else "explains less than the winner"
+        )
+
+
+def _apart(claim: Any, rivals: Sequence[Any], term: Term) -> tuple[tuple[str, ...], float]:
+    """Effects that a finding cannot be told from, and its confidence."""
+    others = [
+        c
+        for c in rivals
+        if c is not claim and term.effect not in get_effect(c.term.effect).replaces
+    ]
+    near = max(SAME, SAME_SHARE * claim.gain)
+    same = tuple(
+        c.term.effect
+        for c in others
+        if c.term.joint == claim.term.joint and claim.gain - c.gain < near
+    )
+    apart = [claim.gain - c.gain for c in others if c.term.effect not in same]
+    margin = min(apart or [claim.gain])
+    # no cases have calibrated this figure for black boxes: kept below 0.9
+    sure = 0.5 + 0.25 * min(1.0, margin / max(claim.gain, 1e-9)) + 0.15 * min(1.0, claim.z / 8)
+    return same, min(0.9, sure)
+
+
+def findings_of(
+    given: Model, base: Output, final: Output, steps: list[Any], train: Sequence[Bench]
+) -> tuple[tuple[Finding, ...], set[tuple[str, int]]]:
+    out = []
+    total = max(base.fit.cost - final.fit.cost, 1e-300)
+    for claim, rivals, before in steps:
+        terms = [
+            t
+            for t in new_terms(given, final.model, claim.term.joint)
+            if t.effect == claim.term.effect
+        ]
+        if not terms:
+            continue
+        term, joint = terms[0], claim.term.joint
+        values = estimates(
+            final.fit, term, given.joint_kind(joint), given.actuator.unit, given.torque_unit(joint)
+        )
+        same, sure = _apart(claim, rivals, term)
+        had = {t.effect for t in given.at(joint)}
+        replaces = tuple(n for n in get_effect(term.effect).replaces if n in had)
+        text = sentence(term, values)
+        if same:
+            text += f" This recording cannot tell it from {', '.join(same)}."
+        share = float(np.clip((before.fit.cost - claim.output.fit.cost) / total, 0.0, 1.0))
+        out.append(
+            Finding(
+                term.effect,
+                joint,
+                values,
+                sure,
+                share,
+                same,
+                replaces,
+                text,
+                {},
+                mechanism_of(term.effect),
+                {term.effect: 1.0},
+            )
+        )
+    return tuple(out), {(f.effect, f.joint) for f in out}
+
+
+def next_of(findings: Sequence[Finding]) -> Next | None:
+    open_ones = [f for f in findings if f.indistinguishable]
+    if not open_ones:
+        return None
+    f = open_ones[0]
+    return Next(
+        f"To separate {f.effect} from {', '.join(f.indistinguishable)} on joint {f.joint}:"
+        f" {get_effect(f.effect).experiment}",
+        None,
+        (f.effect, *f.indistinguishable),
+    )

@@ -1,0 +1,67 @@
+"""What a fit says of one term of its model: its numbers, and whether they differ from nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Fit
+from zendsp.physics.model import Term
+
+SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
+
+
+def _essence(effect: str) -> tuple[str, ...]:
+    entry = get_effect(effect)
+    return entry.essence or (entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
+
+
+def counterpart(terms: Sequence[Term], term: Term) -> Term:
+    """The same term in another fit of the model, where its fitted numbers have moved.
+
+    A joint may have several terms of one effect: they are told apart by what no fit moves (a
+    coupling's law and its joint), then by how often they repeat (a ripple's order, the period of a
+    friction that varies with position).
+
+    Raises
+    ------
+    LookupError
+        No term is of that effect at that joint.
+    """
+    settings = [p.name for p in get_effect(term.effect).parameters if not p.fitted]
+
+    def unlike(t: Term) -> tuple[bool, int, float]:
+        repeats = sum(abs(t.value(n) - term.value(n)) for n in ("order", "period"))
+        return t is not term, sum(t.value(n) != term.value(n) for n in settings), repeats
+
+    alike = [t for t in terms if (t.effect, t.joint) == (term.effect, term.joint)]
+    if not alike:
+        raise LookupError(
+            f"no {term.effect} at joint {term.joint} among"
+            f" {', '.join(t.effect for t in terms) or 'no terms'}"
+        )
+    return min(alike, key=unlike)
+
+
+def vanishes(fitted: Fit, term: Term) -> bool:
+    """Whether a number that makes an effect what it is cannot be told from zero, or from endless,
+    or lies at the bound of what can be seen.
+    """
+    effect, same = term.effect, counterpart(fitted.model.terms, term)
+    own = {
+        handle.key: i
+        for i, handle in enumerate(fitted.handles)
+        if handle.place == "term" and fitted.model.terms[handle.index] is same
+    }
+    for key in _essence(effect):
+        if key not in own:
+            continue
+        i = own[key]
+        variance = float(fitted.covariance[i, i])
+        shape = own.get(get_effect(effect).shape)
+        if shape is not None and fitted.covariance[shape, shape] > 0:
+            variance -= float(fitted.covariance[i, shape] ** 2 / fitted.covariance[shape, shape])
+        if fitted.at_bound[i] or abs(fitted.x[i]) < SIGNIFICANT * math.sqrt(max(variance, 0.0)):
+            return True
+    return False

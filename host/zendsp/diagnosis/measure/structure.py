@@ -1,0 +1,250 @@
+"""What a lacking torque depends on: how much of it a mechanism's own variables predict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BSpline
+from scipy.signal import lfilter
+
+from zendsp.diagnosis.measure.discrepancy import (
+    BANDS,
+    as_torque,
+    band_of,
+    deviation,
+    energy_blocks,
+    kept,
+    lacking,
+    mean_square,
+    noise,
+)
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import JointRecord, effective_inertia
+from zendsp.physics.model import Model
+from zendsp.physics.predict import response
+
+Array = npt.NDArray[np.float64]
+
+ROWS = 8000  # rows of a regression
+# pieces of a function of state, as multiples: broad shapes, and narrow ones
+DETAILS = (1, 3)
+MEMORY = "memory"  # not a mechanism: any of them may remember
+SWINGING = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)  # Hz
+SWINGS = 0.15  # damping ratio: neighbours among these overlap
+SLOWER = 0.1  # of the sampling: a swing that the recording shows
+
+
+def _splines(u: Array, count: int) -> Array:
+    """Quadratic B-splines over [0, 1], (count, n)."""
+    degree = 2
+    knots = np.r_[np.zeros(degree), np.linspace(0, 1, count - degree + 1), np.ones(degree)]
+    matrix: Array = BSpline.design_matrix(np.clip(u, 0.0, 1.0 - 1e-9), knots, degree).toarray().T
+    return matrix
+
+
+def _products(a: Array, b: Array) -> Array:
+    return np.asarray((a[:, None, :] * b[None, :, :]).reshape(-1, a.shape[1]))
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Where a joint's variables lie: limits of position, of speed and of command, and of the other
+    joints' positions.
+    """
+
+    position: tuple[float, float]
+    speed: float
+    command: tuple[float, float]
+    others: dict[int, tuple[float, float]]
+
+
+def ranges_of(data: Data, joint: int) -> Ranges:
+    """Ranges over all recordings."""
+    records = [rec[joint - 1] for rec in data.records]
+    q = np.concatenate([r.motion.states[0] for r in records])
+    v = np.concatenate([np.abs(r.motion.states[1]) for r in records])
+    u = np.concatenate([r.command for r in records])
+    others = {}
+    for other in (joint - 1, joint + 1):
+        if 1 <= other <= data.joints:
+            p = np.concatenate([rec[other - 1].motion.states[0] for rec in data.records])
+            others[other] = (float(p.min()), float(p.max()))
+    return Ranges(
+        (float(q.min()), float(q.max())),
+        max(float(np.quantile(v, 0.98)), 1e-12),
+        (float(np.quantile(u, 0.005)), float(np.quantile(u, 0.995))),
+        others,
+    )
+
+
+def unit(x: Array, limits: tuple[float, float]) -> Array:
+    return np.asarray((x - limits[0]) / max(limits[1] - limits[0], 1e-300))
+
+
+def shapes(
+    rec: Sequence[JointRecord], joint: int, mechanism: str, ranges: Ranges, detail: int = 1
+) -> Array:
+    """Torques over time, (columns, n), whose sums are all that a mechanism may do, whatever its
+    law: functions of its own variables, with ``detail`` times as many pieces along each.
+    """
+    record = rec[joint - 1]
+    q, v, _ = record.motion.states
+    place = unit(q, ranges.position)
+    sign = np.tanh(v / (0.02 * ranges.speed))
+    fast = np.sqrt(np.clip(np.abs(v) / ranges.speed, 0.0, 1.0))
+    if mechanism == "position_torque":
+        columns = [_splines(place, 14 * detail)]
+        for other, limits in ranges.others.items():
+            there = unit(rec[other - 1].motion.states[0], limits)
+            columns.append(_products(_splines(place, 5), _splines(there, 5)))
+        return np.concatenate(columns)
+    if mechanism == "dry_friction":
+        level = sign * _splines(fast, 6 * detail)
+        return np.concatenate([level, _products(sign * _splines(place, 8), _splines(fast, 3))])
+    if mechanism == "fluid_friction":
+        return _splines(0.5 + 0.5 * np.clip(v / ranges.speed, -1, 1), 8 * detail)
+    if mechanism == "actuator":
+        command = unit(record.command, ranges.command)
+        return np.concatenate([_splines(command, 10 * detail), command * _splines(place, 6)])
+    if mechanism == MEMORY:
+        return _swung(record)
+    return np.zeros((0, record.n))
+
+
+def _swung(record: JointRecord) -> Array:
+    """What hangs on the joint and swings: position and speed of damped masses on springs of several
+    frequencies, carried along, (columns, n). Any linear law with a memory is near a sum of them.
+    """
+    a, h = record.motion.states[2], record.sample_time
+    columns = []
+    for hertz in SWINGING:
+        if hertz * h < SLOWER:
+            w = 2 * np.pi * hertz
+            decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
+            behind = [1.0, -2 * decay * turn, decay**2]
+            place = lfilter([0.0, h * h], behind, a)
+            columns += [w**2 * place, w * np.gradient(place, h)]
+    return np.array(columns).reshape(-1, record.n)
+
+
+STRUCTURED = ("position_torque", "dry_friction", "fluid_friction", "actuator")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a mechanism's own variables predict of the torque that a model lacks, on recordings that
+    the prediction was not fitted to.
+
+    ``size`` is its RMS as a part of the RMS torque, ``share`` its part of the lacking energy beyond
+    the noise, ``z`` its evidence in standard deviations over blocks of time.
+    """
+
+    size: float
+    share: float
+    z: float
+
+
+def structure(
+    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str]
+) -> Structure:
+    """How much of what a model lacks is a function of the own variables of some mechanisms.
+
+    Parameters
+    ----------
+    parts : sequence of Data
+        Each part is predicted by a function that was fitted to all the others (cross-fitting).
+    model : Model
+    joint : int
+        1-based.
+    mechanisms : sequence of str
+        Of ``STRUCTURED``.
+
+    Returns
+    -------
+    Structure
+    """
+    best = Structure(0.0, 0.0, 0.0)
+    whole = replace(parts[0], records=tuple(r for part in parts for r in part.records))
+    scale = mean_square(whole, joint)
+    ranges = ranges_of(whole, joint)
+    stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
+    for band, detail in product(BANDS[:3], DETAILS):
+        made = [_seen(part, model, joint, mechanisms, ranges, band, detail) for part in parts]
+        if not made[0][0][0].shape[0]:
+            return best
+        normals = [
+            _normal(part, seen, joint, band, stride) for part, seen in zip(parts, made, strict=True)
+        ]
+        sums, counts, excess = [], [], 0.0
+        for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
+            others = [n for i, n in enumerate(normals) if i != k]
+            square = np.sum([n[0] for n in others], axis=0)
+            level = float(np.trace(square)) / len(square)
+            theta = np.linalg.solve(
+                square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
+            )
+            gains = [lack**2 - (lack - theta @ columns) ** 2 for columns, lack in seen]
+            for (_, lack), rec in zip(seen, part.records, strict=True):
+                use = kept(rec[joint - 1], band)
+                excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
+            found = energy_blocks(part, gains, joint, band)
+            sums.append(found[0])
+            counts.append(found[1])
+        gained = np.concatenate(sums)
+        total, error = float(gained.sum()), deviation(gained)
+        z = total / error if error > 0 else 0.0
+        size = float(np.sqrt(max(0.0, total) / np.concatenate(counts).sum() / scale))
+        if size > best.size and z > 1.0:
+            best = Structure(size, min(1.0, total / excess) if excess > 0 else 1.0, z)
+    return best
+
+
+def _seen(
+    data: Data,
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    ranges: Ranges,
+    band: float,
+    detail: int,
+) -> list[tuple[Array, Array]]:
+    """Columns (m, n) and lacking torque (n,), one pair a recording."""
+    lacks = lacking(data, model, joint, band)
+    return [
+        (_columns(rec, model, joint, mechanisms, ranges, band, detail), lack)
+        for rec, lack in zip(data.records, lacks, strict=True)
+    ]
+
+
+def _normal(
+    data: Data, seen: Sequence[tuple[Array, Array]], joint: int, band: float, stride: int
+) -> tuple[Array, Array]:
+    """Normal equations of a part, thinned: squares (m, m), products (m,)."""
+    m = seen[0][0].shape[0]
+    square, product = np.zeros((m, m)), np.zeros(m)
+    for (columns, lack), rec in zip(seen, data.records, strict=True):
+        use = kept(rec[joint - 1], band)
+        a, d = columns[:, use][:, ::stride], lack[use][::stride]
+        square += a @ a.T
+        product += a @ d
+    return square, product
+
+
+def _columns(
+    rec: Sequence[JointRecord],
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    ranges: Ranges,
+    band: float,
+    detail: int,
+) -> Array:
+    record = rec[joint - 1]
+    here = band_of(record, band)
+    raw = np.concatenate([shapes(rec, joint, m, ranges, detail) for m in mechanisms])
+    r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
+    return as_torque(record, model, r, here)

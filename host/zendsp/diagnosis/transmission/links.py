@@ -1,0 +1,87 @@
+"""Where a transmission stands between a motor, whose position is recorded, and its link: the other
+joints feel the link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from zendsp.diagnosis.data.prepare import within_samples
+from zendsp.diagnosis.data.signals import Parts
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Data
+from zendsp.physics.joint import JointRecord
+from zendsp.physics.model import Model
+from zendsp.physics.predict import run
+from zendsp.physics.rigid import bases
+
+Records = tuple[JointRecord, ...]
+
+
+def divided(model: Model) -> frozenset[int]:
+    """Joints (1-based) of a model whose links the recorded positions do not show."""
+    if model.joints == 1 or model.sensor.side == "load":
+        return frozenset()
+    return frozenset(t.joint for t in model.terms if get_effect(t.effect).family == "transmission")
+
+
+def with_links(parts: Parts, model: Model, joints: Collection[int]) -> Parts:
+    """The same recordings, in which every joint feels the links of some others, not their motors.
+
+    A link moves as the observer of its joint says, by the transmission that ``model`` has there.
+
+    Parameters
+    ----------
+    parts : Parts
+        As they were read: all joints feel what was measured.
+    model : Model
+        In kernel form.
+    joints : collection of int
+        1-based; those of ``divided(model)`` or some of them.
+
+    Returns
+    -------
+    Parts
+    """
+    if not joints:
+        return parts
+    done = {id(data): _with_links(data, model, joints) for data in parts.each}
+    return Parts(*(done[id(data)] for data in (parts.fit, parts.choose, parts.test)))
+
+
+def _with_links(data: Data, model: Model, joints: Collection[int]) -> Data:
+    return replace(data, records=tuple(_felt(rec, data, model, joints) for rec in data.records))
+
+
+def _felt(rec: Records, data: Data, model: Model, joints: Collection[int]) -> Records:
+    """One recording; a joint's own motor stays what it was."""
+    links = rec[0].others.copy()
+    for joint in joints:
+        record = rec[joint - 1]
+        beyond = run(
+            record, model, data.bandwidth[joint - 1], inner=data.inner, states=True, beyond=True
+        )
+        if beyond.diverged:
+            continue
+        assert beyond.q is not None and beyond.qd is not None
+        rate = np.gradient(beyond.qd, record.sample_time)
+        links[joint - 1] = within_samples(np.stack([beyond.q, beyond.qd, rate]), record.sample_time)
+    out = []
+    for j, record in enumerate(rec):
+        others = links.copy()
+        others[j] = record.others[j]
+        out.append(
+            replace(
+                record,
+                others=np.ascontiguousarray(others),
+                basis=bases(model, list(others))[j],
+                links=None if record.links is None else replace(record.links, motion=others),
+                _thinned=None,
+            )
+            if not set(joints) <= {j + 1}
+            else record
+        )
+    return tuple(out)

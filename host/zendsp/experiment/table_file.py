@@ -1,0 +1,48 @@
+"""Writes rows as CSV, for any tool."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from zendsp.errors import RecordingError
+
+
+def write_rows(
+    path: str | Path, what: str, header: Sequence[str], rows: Iterable[Mapping[str, Any]]
+) -> Path:
+    """Write rows as CSV.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.csv``.
+    what : str
+        Of the message, where it cannot be: "a sweep".
+    header : sequence of str
+        Names of the columns, in their order.
+    rows : iterable of mapping
+        Values by column.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    RecordingError
+        The name ends otherwise, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".csv":
+        raise RecordingError(f"{path}: {what} is written as .csv")
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, header, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
+    return path

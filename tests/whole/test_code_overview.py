@@ -1,0 +1,39 @@
+"""The newcomer's map names files and functions that are there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("host", "target", "protocol", "c_isr", "benchmarks", "docs", "tests", "examples")
+PAGE = (ROOT / "docs" / "code_overview.md").read_text(encoding="utf-8")
+FILES = {
+    path.relative_to(ROOT).as_posix(): path
+    for folder in FOLDERS
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".c", ".h")
+}
+
+
+def called(name: str) -> list[Path]:
+    """The files that a name on the page may mean: its path, or the end of it."""
+    return [path for whole, path in FILES.items() if f"/{whole}".endswith(f"/{name}")]
+
+
+def test_every_file_of_the_map_is_there() -> None:
+    names = set(re.findall(r"`([\w./]+\.(?:py|c|h))`", PAGE))
+    assert len(names) > 50
+    assert [name for name in sorted(names) if not called(name)] == []
+
+
+def test_every_function_of_the_map_stands_in_the_file_beside_it() -> None:
+    beside = re.findall(r"`(\w+)`(?: \([^)]*\))?\s(?:in|of)\s`([\w./]+\.(?:py|c|h))`", PAGE)
+    beside += [(b, a) for a, b in re.findall(r"`([\w./]+\.(?:py|c|h))`, `(\w+)`", PAGE)]
+    assert len(beside) > 15
+    lost = [
+        f"{name} in {file}"
+        for name, file in beside
+        if not any(re.search(rf"\b{name}\b", path.read_text()) for path in called(file))
+    ]
+    assert lost == []
