@@ -96,7 +96,7 @@ def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
     # More than the target can answer, about 4000 a second, so that its queues overflow.
     assert rate > 6000.0, rate
     # Measured: 9 ms in the middle, 50 at most, on two processors with four times as much to do.
-    # Behind the flood it would be 200. Without a flood it takes a millisecond, or tens of them where
+    # Behind the flood it would be 200. Without one it takes a millisecond, or tens of them where
     # others take the processors: then it may take longer here too.
     assert sorted(took)[5] < max(0.1, 20.0 * quiet) and max(took) < 0.7, (quiet, took)
 
