@@ -1,7 +1,7 @@
 """The terminal, measured: what a picture costs, how long a key takes, whether memory grows.
 
-    python benchmarks/tui.py [--only picture key lost terminal] [--seconds 20] [--soak 300] [--trace
-    soak.csv] [--json]
+    python benchmarks/tui.py [--only first picture key lost terminal] [--seconds 20] [--soak 300]
+        [--trace soak.csv] [--json]
 
 Everything is measured on a real ``zendsp tui`` in a pseudo-terminal of 160 × 48 against a real
 target process (planar arm, 1 kHz, real clock), with eight curves, except the cost of one picture,
@@ -31,16 +31,23 @@ import numpy as np
 CURVES = "q[0],q[1],tau[0],tau[1],e[0],e[1],qd1,qd2"
 TICK = os.sysconf("SC_CLK_TCK")
 CALL = "from zendsp.cli import main; main()"
+EMPTY = (  # the least that Textual can show: what no terminal on it can be quicker than
+    "from textual.app import App; from textual.widgets import Static\n"
+    "class A(App):\n    def compose(self): yield Static('Reference')\n"
+    "A().run()"
+)
 
 
 class Terminal:
     """A command in a pseudo-terminal, its output read and counted."""
 
-    def __init__(self, arguments: list[str], columns: int = 160, rows: int = 48) -> None:
+    def __init__(
+        self, arguments: list[str], columns: int = 160, rows: int = 48, call: str = CALL
+    ) -> None:
         self.pid, self._fd = pty.fork()
         if self.pid == 0:
             os.environ |= {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
-            os.execv(sys.executable, [sys.executable, "-c", CALL, *arguments])
+            os.execv(sys.executable, [sys.executable, "-c", call, *arguments])
         fcntl.ioctl(self._fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         self.bytes = 0
         self.seen = b""
@@ -73,6 +80,35 @@ class Terminal:
     def close(self) -> None:
         os.kill(self.pid, signal.SIGTERM)
         os.waitpid(self.pid, 0)
+
+
+def first_picture(n: int = 7) -> dict[str, float]:
+    """From the command to its first picture, by turns with an empty Textual application."""
+    found: dict[str, list[float]] = {"zendsp": [], "empty": []}
+    cpu: dict[str, list[float]] = {"zendsp": [], "empty": []}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(n):
+            for name, arguments, call in (
+                ("zendsp", ["tui", "--folder", folder], CALL),
+                ("empty", [], EMPTY),
+            ):
+                begin = time.perf_counter()
+                t = Terminal(arguments, call=call)
+                try:
+                    _wait(t, b"Reference", 0.002)
+                    found[name].append(time.perf_counter() - begin)
+                    cpu[name].append(t.cpu())
+                finally:
+                    t.close()
+    ours, empty = (float(np.median(found[name])) for name in ("zendsp", "empty"))
+    return {
+        "median_s": ours,
+        "largest_s": max(found["zendsp"]),
+        "empty_textual_s": empty,
+        "ratio": ours / empty,
+        "cpu_s": float(np.median(cpu["zendsp"])),
+        "empty_cpu_s": float(np.median(cpu["empty"])),
+    }
 
 
 def one_picture() -> dict[str, float]:
@@ -260,12 +296,12 @@ def _soak(t: Terminal, soak: float, trace: Path | None) -> dict[str, float]:
     }
 
 
-def _wait(t: Terminal, words: bytes) -> None:
+def _wait(t: Terminal, words: bytes, step: float = 0.05) -> None:
     deadline = time.monotonic() + 60.0
     while words not in t.seen:
         if time.monotonic() > deadline:
             raise TimeoutError(f"{words!r} did not appear")
-        time.sleep(0.05)
+        time.sleep(step)
 
 
 def _press(t: Terminal, key: str, words: bytes) -> None:
@@ -294,7 +330,7 @@ def main() -> None:
     p.add_argument(
         "--only",
         nargs="+",
-        choices=("picture", "key", "lost", "terminal"),
+        choices=("first", "picture", "key", "lost", "terminal"),
         help="leave out the others",
     )
     p.add_argument("--seconds", type=float, default=20.0)
@@ -305,6 +341,7 @@ def main() -> None:
     p.add_argument("--json", action="store_true")
     args = p.parse_args()
     parts: dict[str, tuple[str, Callable[[], dict[str, float]]]] = {
+        "first": ("first_picture", first_picture),
         "picture": ("picture_ms", one_picture),
         "key": ("key_to_applied_ms", key_to_applied),
         "lost": ("host_lost_ms", host_lost),

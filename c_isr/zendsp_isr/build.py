@@ -341,6 +341,31 @@ def build_monitor() -> Path:
     return _trusted("monitor", built)
 
 
+def machine_source(machine: str) -> Path:
+    """Return the C file of a machine: a shipped one by its name, or a path.
+
+    Raises
+    ------
+    CompileFailed
+        No such machine.
+
+    Examples
+    --------
+    >>> machine_source("imi_planar").name
+    'imi_planar.c'
+    """
+    path = Path(machine)
+    if not machine.endswith(".c"):
+        path = source_root() / "machines" / f"{machine}.c"
+    if not path.is_file():
+        names = ", ".join(machine_names())
+        raise CompileFailed(
+            f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a"
+            " MuJoCo model (.xml)"
+        )
+    return path
+
+
 def build_machine(machine: str) -> Path:
     """A machine as a shared object: a shipped one by name, or a user's own by the path of its
     ``.c`` file.
@@ -368,13 +393,7 @@ def build_machine(machine: str) -> Path:
     root = source_root()
     if is_model(machine):
         return _build_mujoco(machine)
-    path = Path(machine) if machine.endswith(".c") else root / "machines" / f"{machine}.c"
-    if not path.is_file():
-        names = ", ".join(machine_names())
-        raise CompileFailed(
-            f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a"
-            " MuJoCo model (.xml)"
-        )
+    path = machine_source(machine)
     include = [root / "include", root / "machines"]
     if path.parent.resolve() != (root / "machines").resolve():
         include.append(path.parent.resolve())

@@ -10,6 +10,7 @@ import threading
 import time
 import weakref
 
+import msgspec
 import numpy as np
 import pytest
 import zenoh
@@ -48,6 +49,25 @@ def test_a_target_is_found_by_name_alone(target: Target) -> None:
         LinkError, match=r"no target named 'other' at unixsock-stream/.*; there is fake"
     ):
         connect("other", connect=target.link.endpoints[0])
+
+
+def test_a_target_that_connect_waits_for_is_found_too(target: Target) -> None:
+    """A busy machine or a slow line: what it is answers after 1.5 s; connect() waits 3 s."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        place = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    slow = zenoh.Config()
+    slow.insert_json5("mode", '"peer"')
+    slow.insert_json5("scouting/multicast/enabled", "false")
+    slow.insert_json5("listen/endpoints", f'["{place}"]')
+    said = codec.encode(msgspec.structs.replace(target.info, name="slow"))
+
+    def answer(query: zenoh.Query) -> None:
+        time.sleep(1.5)
+        query.reply(keys.info("slow"), said)
+
+    with zenoh.open(slow) as session:
+        session.declare_queryable(keys.info("slow"), answer)
+        assert "slow" in [found.name for found in discover("*", place)]
 
 
 def test_silent_places_are_waited_for_together(monitor: Monitor) -> None:

@@ -39,6 +39,15 @@ def test_ctrl_c_keeps_what_was_recorded(installed: Installed) -> None:
     assert "running" in installed.script(STATE).stdout, "the program is not the recording's"
 
 
+def test_ctrl_c_pauses_a_run_of_some_seconds(installed: Installed) -> None:
+    installed.target("imi")
+    process = installed.start("zendsp", "run", "pd.c", "-t", "imi", "--seconds", "600")
+    until(lambda: "running" in installed.script(STATE).stdout, "it runs", alive=process)
+    os.kill(process.pid, signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 130
+    assert "paused" in installed.script(STATE).stdout
+
+
 def test_ctrl_c_pauses_what_the_recording_started(installed: Installed) -> None:
     installed.target("imi")
     assert installed.run("load", "pd.c", "-t", "imi").returncode == 0

@@ -74,6 +74,7 @@ def test_load_loads_without_starting(user: Installed) -> None:
     said = user.run("run")
     assert said.returncode == 0 and "running" in said.stdout, said.stderr
     assert "Kp1 = 1500" in user.run("get", "Kp1").stdout
+    assert "program    pd.c (" in user.run("info").stdout
 
 
 def test_true_is_no_number_on_any_way(user: Installed) -> None:

@@ -129,6 +129,16 @@ def test_degrees_without_a_unit_are_suspected() -> None:
     assert not any("degrees" in question for question in draft.questions)
 
 
+def test_an_unknown_unit_is_asked_about_and_time_backwards_names_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    rows = [f"{k * 0.01:.2f},{np.sin(k / 9):.5f}" for k in range(200)]
+    file.write_text("\n".join(["t [s],angle [furlong]", *rows]))
+    assert any("'furlong' is not known" in ask for ask in draft_model(read_table(file)).questions)
+    file.write_text("\n".join(["t [s],angle [rad]", *reversed(rows)]))
+    with pytest.raises(RecordingError, match=r"run\.csv: column 't'.*sort the rows"):
+        draft_model(read_table(file))
+
+
 def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> None:
     columns = recording()
     columns["q"][5000:5003] = np.nan

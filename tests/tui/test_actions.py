@@ -322,3 +322,18 @@ async def test_a_list_filters_while_one_types_and_the_arrows_stay(app: ZendspApp
         assert [o.id for o in rows.options] == ["tau 2"]
         await pilot.press("backspace", "backspace", "backspace", "k", "down", "enter")
         assert chosen == [["Kp2"]]
+
+
+async def test_the_name_that_was_typed_whole_comes_first(app: ZendspApp) -> None:
+    """Who types pd.c means pd.c, not joint_pd.c, which stands before it."""
+    chosen: list[object] = []
+    names = ("a.c", "joint_pd.c", "pd.c", "pd.cpp")
+    async with app.run_test(size=(100, 30)) as pilot:
+        await app.push_screen(Choose("Source", [Option(n, n) for n in names]), chosen.append)
+        await pilot.pause()
+        await pilot.press("down", "down", "d", ".", "c")
+        rows = app.screen.query_one(OptionList)
+        assert [o.id for o in rows.options] == ["joint_pd.c", "pd.c", "pd.cpp"]
+        assert rows.highlighted == 0, "the first of what is left"
+        await pilot.press("backspace", "backspace", "backspace", "p", "d", ".", "c", "enter")
+        assert chosen == [["pd.c"]]

@@ -19,6 +19,7 @@ from zendsp.cli.tui import command
         ([], {"ZENDSP_TARGET": "other"}, "other"),
         (["imi"], {"ZENDSP_TARGET": "other"}, "imi"),
         (["--local", "imi_planar"], {"ZENDSP_TARGET": "other"}, ""),
+        (["--machine", "imi_planar"], {"ZENDSP_TARGET": "other"}, ""),
         ([], {}, ""),
     ],
 )
@@ -29,8 +30,10 @@ def test_the_target_is_named_as_of_any_command(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("ZENDSP_TARGET", raising=False)
-    asked: list[str] = []
-    monkeypatch.setattr("zendsp.cli.tui._serve", lambda name, *_: asked.append(name))
+    asked: list[tuple[str, str | None]] = []
+    monkeypatch.setattr(
+        "zendsp.cli.tui._serve", lambda name, machine, *_: asked.append((name, machine))
+    )
     done = CliRunner().invoke(command, ["--web", *options], env=environment)
     assert done.exit_code == 0, done.output
-    assert asked == [target]
+    assert asked == [(target, None if target or not options else "imi_planar")]

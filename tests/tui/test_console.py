@@ -258,6 +258,50 @@ async def test_parameter_sets_save_diff_and_stage(
         await pilot.press("escape")
 
 
+MATRIX = """#include "isr.h"
+static double K[2][4] = {{1.0, 2.0, 3.0, 4.0}, {5.0, 6.0, 7.0, 8.0}}, r[2], wide[40], q[2];
+void UserInit(void) {
+    PARAMETER_ARRAY(K, "N m/rad", -100.0, 100.0, "gains");
+    PARAMETER_ARRAY(r, "rad", -1.0, 1.0, "reference");
+    PARAMETER_ARRAY(wide, "", -1.0, 1.0, "too many to show");
+    SIGNAL(q, "rad", "positions");
+}
+void UserISR_INT2(void) { q[0] = READ_POSITION(0); }
+"""
+
+
+async def test_a_matrix_has_a_slider_for_each_element_and_says_where_the_scope_is_full(
+    lab: ZendspApp, target: Target, until: Until
+) -> None:
+    target.download({"matrix.c": MATRIX})
+    async with lab.run_test(size=(140, 50)) as pilot:
+        await until(pilot, lambda: "r" in lab.session.snapshot.values, "values")
+        await _mark(lab, pilot, "K")
+        await pilot.press("k")
+        await pilot.pause()
+        dialog = lab.screen
+        assert isinstance(dialog, Sliders)
+        sliders = {s.variable.name: s for s in dialog.query(Slider)}
+        assert len(sliders) == 10 and next(iter(sliders)) == "K[0,0]"
+        assert sliders["K[1,2]"].value == 7.0 and sliders["r[1]"].value == 0.0
+        await pilot.press("right")
+        await until(pilot, lambda: target["K[0,0]"] == 2.0, "written, and nothing else")
+        assert target["K[1,2]"] == 7.0
+        await pilot.press("z")
+        await until(pilot, lambda: target["K[0,0]"] == 1.0, "back")
+        await pilot.press("right", "escape")
+        await until(pilot, lambda: target["K[0,0]"] == 2.0, "written")
+        await pilot.press("z")
+        await until(pilot, lambda: target["K[0,0]"] == 1.0, "undone")
+        console = _console(lab)
+        console.plot_names(["r[0]", "r[1]", "q[0]"])
+        await _mark(lab, pilot, "K")
+        await pilot.press("space")
+        assert "K has 8 curves, 5 of 8 are free: K[5], K[6], K[7] are left out" in _events(lab)
+        await pilot.press("l", "l")
+        assert "over one another: the axis is that of r[0], y chooses another" in _events(lab)
+
+
 @pytest.mark.covers("console.sliders")
 async def test_sliders_move_parameters_by_key_and_mouse(
     lab: ZendspApp, target: Target, built: Step, until: Until
@@ -409,6 +453,7 @@ async def test_every_key_of_the_scope(
         assert scope.settings.auto and scope.settings.lanes == "curve"
         await pilot.press("l")
         assert scope.settings.lanes == "over"
+        assert "scope: over one another" in _events(lab)
         await pilot.press("y")
         assert scope.settings.selected == 1
         await pilot.press("x")

@@ -69,6 +69,10 @@ def _drawn(screen: DiagnoseScreen) -> None:
         assert len(dots) > 20
 
 
+def _model_line(screen: DiagnoseScreen) -> str:
+    return screen.query_one("#given-model").render_line(0).text
+
+
 def _alone(folder: Path) -> ZendspApp:
     """The application without a target."""
     return ZendspApp(open_port, folder=folder, first="diagnose", frames=4.0)
@@ -93,6 +97,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
         await pilot.press("enter")  # the model that lies here
         await pilot.pause()
         assert screen.model == str(model)
+        await until(pilot, lambda: "in /" in _model_line(screen), "its folder, cut at the border")
         await pilot.press("s")
         assert screen.busy
         await until(pilot, lambda: len(screen.said) > 2, "stages are shown as they begin")

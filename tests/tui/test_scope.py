@@ -168,6 +168,8 @@ def test_a_restarted_target_begins_a_new_history() -> None:
 
 def test_numbers_on_axes_are_round_and_short() -> None:
     assert ticks(-0.3, 2.1, 4) == [0.0, 1.0, 2.0]
+    assert len(ticks(-0.6, 0.6, 2)) >= 2, "an axis with one number has no scale"
+    assert len(ticks(-4.9e-5, 4.9e-5, 2)) >= 2
     assert [label(v, 0.5) for v in (-0.5, 0.0, 1.5)] == ["-0.5", "0", "1.5"]
     assert label(123456.0, 1000.0) == "1.23e5"
     assert (duration(0.25), duration(2e-5), duration(300.0)) == ("250 ms", "20 µs", "5 min")

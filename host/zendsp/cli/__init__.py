@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ except ModuleNotFoundError:
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-from zendsp.errors import ZendspError
+from zendsp.errors import ZendspError, did_you_mean
 from zendsp_protocol.texts import shown
 
 # name -> (module:attribute, one-line help shown by `zendsp --help`)
@@ -136,8 +137,11 @@ def main() -> None:
         sys.exit(status if isinstance(status, int) else 0)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
+        sys.exit(2)
+    except click.ClickException as error:
+        click.echo(f"zendsp: {shown(_wrong_use(error))}", err=True)
         sys.exit(2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
@@ -150,6 +154,27 @@ def main() -> None:
         click.echo(f"zendsp: {shown(f'{where}{error.strerror or error}')}", err=True)
         _let_go_of_output()
         sys.exit(2)
+
+
+def _wrong_use(error: click.ClickException) -> str:
+    """One line on a command that was typed wrongly, as of every other error."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is not None and isinstance(error, click.exceptions.NoSuchCommand):
+        group = context.command
+        known = group.list_commands(context) if isinstance(group, click.Group) else []
+        near = did_you_mean(error.command_name, known).partition(" Allowed: ")[0]
+        near = f"{near} " if near.startswith("did you mean") else ""
+        return (
+            f"no command {error.command_name!r}; {near}'{context.command_path} --help' lists them"
+        )
+    words = error.format_message()
+    if type(error) is click.BadParameter:  # it is its own sentence
+        words = error.message
+    words = re.sub(r"\s+", " ", words).rstrip(".")
+    words = (words[:1].lower() + words[1:]).replace(". Did you mean", "; did you mean")
+    if context is None:
+        return words
+    return f"{words}{'' if words.endswith('?') else ';'} '{context.command_path} --help' says more"
 
 
 def _let_go_of_output() -> None:

@@ -20,7 +20,13 @@ def command() -> None:
 
 @command.command("foxglove")
 @click.argument("channels", nargs=-1, shell_complete=variables)
-@click.option("--port", type=int, default=8765, show_default=True, help="On the loopback.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8765,
+    show_default=True,
+    help="On the loopback; 0: any that is free.",
+)
 @click.option("--rate", type=float, default=100.0, show_default=True, help="Rows a second.")
 @click.option("--write", is_flag=True, help="Viewers may write parameters.")
 @target_options
@@ -43,9 +49,10 @@ def foxglove(
     """
     from zendsp.bridge import foxglove as serve
 
-    with open_target(target, connect) as t, serve(
-        t, channels, port=port, rate=rate, writable=write
-    ) as bridge:
+    with (
+        open_target(target, connect) as t,
+        serve(t, channels, port=port, rate=rate, writable=write) as bridge,
+    ):
         words = f"{t.name} at {bridge.url} (Foxglove: Open connection, Foxglove WebSocket)"
         emit({"url": bridge.url, "target": t.name}, as_json, words)
         threading.Event().wait()  # until Ctrl-C

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -119,6 +121,21 @@ def table(rows: list[list[str]], header: list[str]) -> str:
     return "\n".join(lines)
 
 
+def wrapped(text: str, head: str) -> str:
+    """Set ``text`` after ``head`` in lines of the terminal's width, 80 where there is none; further
+    lines begin below the first.
+    """
+    width = shutil.get_terminal_size((80, 24)).columns
+    return textwrap.fill(
+        text,
+        max(width, len(head) + 20),
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
 def _looks_numeric(text: str) -> bool:
     return text[:1] in "0123456789-+.–" and text not in ("-", "")
 
@@ -174,11 +191,13 @@ def parse_names(text: str) -> list[str]:
 
 def parse_assignments(pairs: tuple[str, ...]) -> dict[str, Any]:
     """Read ``NAME=VALUE …``."""
-    values = {}
+    values: dict[str, Any] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals or not name:
             raise click.BadParameter(f"{pair!r}: expected NAME=VALUE")
+        if name in values:
+            raise click.BadParameter(f"{pair!r}: {name} has a value already")
         values[name] = parse_value(text)
     return values
 

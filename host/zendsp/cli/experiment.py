@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from zendsp.cli.common import wrapped
+
 if TYPE_CHECKING:
     from zendsp.experiment import Result
 
@@ -108,8 +110,8 @@ def _list() -> None:
 
     width = max(len(name) for name in EXPERIMENTS)
     for experiment in EXPERIMENTS.values():
-        machine = experiment.machine or "any"
-        click.echo(f"{experiment.name:<{width}}  {machine:<10}  {experiment.title}")
+        head = f"{experiment.name:<{width}}  {experiment.machine or 'any':<10}  "
+        click.echo(wrapped(experiment.title, head))
 
 
 def _print(result: Result, folder: Path, as_json: bool) -> None:
@@ -136,9 +138,9 @@ def _print(result: Result, folder: Path, as_json: bool) -> None:
     for key, estimate in result.values.items():
         click.echo(f"  {key.replace('_', ' '):<44} {estimate}")
     for text in result.findings:
-        click.echo(f"  {text}")
+        click.echo(wrapped(text, "  "))
     for text in result.warnings:
-        click.echo(f"  warning: {text}")
+        click.echo(wrapped(text, "  warning: "))
     click.echo(
         f"  {folder / 'result.toml'}, {folder / result.figure}, {len(result.recordings)} recordings"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import click
@@ -20,13 +21,14 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
         status = t.status()
         # what there is to say of machine and variables comes from the code that runs
         variables, machine = ({}, None) if status.state == "empty" else (t.variables(), t.machine())
+        sources = t.program().sources if status.program else {}
         body = {
             "info": t.info,
             "status": status,
             "machine": machine,
             "variables": list(variables.values()),
         }
-        emit(body, as_json, lambda: _text(t.info, status, machine, variables))
+        emit(body, as_json, lambda: _text(t.info, status, machine, variables, sources))
 
 
 def _sizes(v: Any) -> str:
@@ -35,7 +37,17 @@ def _sizes(v: Any) -> str:
     return f"[{v.length}]" if v.length > 1 else ""
 
 
-def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> str:
+def _program(key: str, sources: Collection[str]) -> str:
+    """The program by the names of its C files, and the start of the key of what was compiled."""
+    if not key:
+        return "none: load one with zendsp run, or zendsp compile --help"
+    named = ", ".join(name for name in sources if name.endswith(".c"))
+    return f"{named or 'without its source'} ({key[:12]})"
+
+
+def _text(
+    info: Any, status: Any, machine: Any, variables: dict[str, Any], sources: Collection[str]
+) -> str:
     if machine is None:
         described = f"{status.machine} (joints and variables are known when a program is loaded)"
     else:
@@ -50,10 +62,7 @@ def _text(info: Any, status: Any, machine: Any, variables: dict[str, Any]) -> st
         f"machine    {described}",
         f"loop       {status.rate_hz:g} Hz, {status.clock} clock; {status.scheduling}",
         f"state      {status.state}, tick {status.tick}, drive {status.drive}",
-        (
-            "program   "
-            f" {status.program or 'none: load one with zendsp run, or zendsp compile --help'}"
-        ),
+        f"program    {_program(status.program, sources)}",
         f"hosts      {', '.join(status.hosts) or 'none'}",
     ]
     if status.crash:

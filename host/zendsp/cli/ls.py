@@ -35,7 +35,8 @@ def command(pattern: str, connect: str | None, as_json: bool) -> None:
     text = (
         table(rows, ["NAME", "MACHINE", "HZ", "CLOCK", "PID", "ENDPOINT"])
         if found
-        else "no target answers"
+        else "no target answers: 'zendsp target' starts one here; --connect or $ZENDSP_CONNECT"
+        " finds one elsewhere"
     )
     emit(body, as_json, text)
     if not found:

@@ -18,7 +18,11 @@ from zendsp.cli.completing import programs
     metavar="NAME=VALUE",
     help="Before it starts; may be repeated.",
 )
-@click.option("--seconds", type=float, help="Pause after this time of the target and wait for it.")
+@click.option(
+    "--seconds",
+    type=float,
+    help="Pause after this time of the target, and wait for it; Ctrl-C pauses at once.",
+)
 @click.option("--flag", "flags", multiple=True, help="Further flag for the compiler.")
 @target_options
 def command(
@@ -58,6 +62,10 @@ def command(
                         2.0 * seconds + 10.0,
                         on_status=lambda s: set_fraction((s.t - first.t) / seconds),
                     )
+                except KeyboardInterrupt:
+                    t.pause()
+                    click.echo(f"zendsp: {t.name}: paused before its end", err=True)
+                    raise
                 except RunnerDied:  # open_target says how
                     status = t.status()
         going = status.state == "running"

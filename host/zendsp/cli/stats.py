@@ -10,6 +10,7 @@ import numpy as np
 from zendsp.cli.common import emit, open_target, target_options
 
 WIDTH = 40  # of the longest bar
+MOST_LINES = 18  # both pictures and what stands above them are a screenful
 
 
 @click.command("stats")
@@ -48,8 +49,8 @@ def _text(status: Any, timing: dict[str, Any]) -> str:
         if counts.ndim == 1 and len(edges) == len(counts) + 1 and counts.sum():
             lines += [
                 "",
-                f"{'execution' if name == 'exec' else 'lateness'}, µs",
-                *_bars(counts, edges),
+                f"{'execution' if name == 'exec' else 'lateness'}, µs; bars: log of the samples",
+                *bars(counts, edges),
             ]
     return "\n".join(lines)
 
@@ -62,15 +63,27 @@ def _summary(name: str, mean_ns: float, max_ns: float, period_us: float) -> str:
     )
 
 
-def _bars(counts: np.ndarray[Any, Any], edges: np.ndarray[Any, Any]) -> list[str]:
-    """One line per bin that holds anything; the length of the bar is the logarithm of the count."""
+def bars(counts: np.ndarray[Any, Any], edges: np.ndarray[Any, Any]) -> list[str]:
+    """One line per factor of two, or of four or more where that would be over 18 lines; the length
+    of the bar is the logarithm of the count.
+    """
     used = np.flatnonzero(counts)
-    top = np.log1p(counts.max())
-    bars = [round(WIDTH * np.log1p(count) / top) for count in counts]
+    first, last = int(used[0]), int(used[-1])
+    smallest = edges[edges > 0].min()
+    octaves = np.round(np.log2(np.maximum(edges, smallest) / smallest), 6)
+    span = 1
+    while len(groups := np.unique(octaves[first : last + 1] // span)) > MOST_LINES:
+        span *= 2
+    lines = []
+    for group in groups:
+        bins = np.flatnonzero(octaves[:-1] // span == group)
+        bins = bins[(bins >= first) & (bins <= last)]
+        lines.append((edges[bins[0]], edges[bins[-1] + 1], int(counts[bins].sum())))
+    top = np.log1p(max(count for _, _, count in lines))
     return [
-        f"{_short(edges[k])} … {_short(edges[k + 1])}  {counts[k]:10d} "
-        f" {'█' * max(min(1, counts[k]), bars[k])}".rstrip()
-        for k in range(used[0], used[-1] + 1)
+        f"{_short(low)} … {_short(high)}  {count:10d} "
+        f" {'█' * max(min(1, count), round(WIDTH * np.log1p(count) / top))}".rstrip()
+        for low, high, count in lines
     ]
 
 

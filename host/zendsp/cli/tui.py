@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shlex
 import signal
 import sys
@@ -12,6 +13,7 @@ import click
 
 from zendsp.cli.common import parse_names
 from zendsp.errors import LinkError
+from zendsp_isr.build import is_model, machine_source
 
 
 @click.command("tui")
@@ -72,7 +74,13 @@ from zendsp.errors import LinkError
     help="Pictures a second; fewer over a slow line.",
 )
 @click.option("--web", is_flag=True, help="Serve the same screens in a browser on loopback.")
-@click.option("--port", type=int, default=8000, show_default=True, help="Port of --web.")
+@click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    default=8000,
+    show_default=True,
+    help="Port of --web.",
+)
 @click.option(
     "--screenshots",
     type=click.Path(path_type=Path, file_okay=False),
@@ -112,11 +120,18 @@ def command(
             click.echo(picture)
         return
     path = found(source) if source else None
+    if machine and not is_model(machine):
+        machine_source(machine)  # refuses one that is not there before the screen is taken
     if not machine:  # a machine that is started here is the target
         target = target or named
     if web:
         _serve(target, machine, clock, path, folder, screen, theme, channels, frames, port)
         return
+    if "TEXTUAL_DRIVER" not in os.environ and not sys.stderr.isatty():
+        raise LinkError(
+            "the screens need a terminal, and the output goes elsewhere: leave out the pipe, or"
+            " see them in a browser with --web"
+        )
     from zendsp.tui.memory import keep_one_heap
 
     keep_one_heap()  # before anything of the link starts a thread

@@ -95,12 +95,14 @@ def compare_loop(recording: Recording, simulated: Recording) -> Hidden:
 @dataclass(frozen=True)
 class Tracking:
     """RMS tracking error of each joint before and after the update, rad, and the sample of the
-    update.
+    update; counted while the machine works.
     """
 
     tick: int
     before: tuple[float, ...]
     after: tuple[float, ...]
+    first_s: float  # between which it works
+    last_s: float
 
     def fell(self, joints: Sequence[int]) -> bool:
         """Whether the error of every one of these joints (1-based) fell."""
@@ -128,7 +130,9 @@ def compare_tracking(recording: Recording, tick: int, first_s: float, last_s: fl
     e = columns(recording, "e")
     before = e[(t >= first_s) & (t < at)]
     after = e[(t >= at + BOUNDARY_S) & (t < last_s)]
-    return Tracking(tick, tuple(rms(before).tolist()), tuple(rms(after).tolist()))
+    return Tracking(
+        tick, tuple(rms(before).tolist()), tuple(rms(after).tolist()), first_s, last_s
+    )
 
 
 def matches(finding: Finding, truth: Mapping[str, Any]) -> bool:

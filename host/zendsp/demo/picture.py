@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # Okabe and Ito 2008: told apart by readers with any kind of colour vision, and in grey.
 MACHINE, MODEL, FOUND, QUIET = "#0072B2", "#D55E00", "#009E73", "0.55"
 ONE_LINE = 75  # characters of the headline that fit beside one another
+BINS, FEWEST = 80, 5  # of a curve of medians, and rows in one of them
 LEAD_S = 0.2  # the first moment is the leap from rest and would set the scale
 
 
@@ -182,9 +183,9 @@ def _joints(axis: Axes, tracking: Tracking) -> None:
 
 
 def _middle(axis: Axes, x: Array, y: Array, colour: str) -> None:
-    """Median over bins of equal counts."""
-    order = np.argsort(x)
-    parts = [part for part in np.array_split(order, 60) if len(part)]
+    """Median over bins of equal width: where the machine stands, many rows share one place."""
+    bins = np.clip(((x - x.min()) / max(float(np.ptp(x)), 1e-12) * BINS).astype(int), 0, BINS - 1)
+    parts = [part for k in range(BINS) if len(part := np.flatnonzero(bins == k)) >= FEWEST]
     axis.plot(
         [np.median(x[p]) for p in parts], [np.median(y[p]) for p in parts], color=colour, lw=1.8
     )
@@ -207,20 +208,18 @@ def _error(axis: Axes, told: Told, joint: int) -> None:
     at = (told.tracking.tick - told.work.start_tick) * told.work.sample_time
     t = np.arange(len(told.work)) * told.work.sample_time
     e = 1e3 * columns(told.work, "e")[:, joint - 1]
-    before, after = t < at, t >= at
-    axis.plot(t[before], e[before], color=MODEL, lw=0.7)
-    axis.plot(t[after], e[after], color=FOUND, lw=0.7)
+    counted = (t >= told.tracking.first_s) & (t < told.tracking.last_s)
+    axis.plot(t, np.where(counted, np.nan, e), color=QUIET, lw=0.7)
+    axis.plot(t, np.where(counted & (t < at), e, np.nan), color=MODEL, lw=0.7)
+    axis.plot(t, np.where(counted & (t >= at), e, np.nan), color=FOUND, lw=0.7)
     low = _scale(axis, e[t > LEAD_S], 0.3)
     axis.axvline(at, color="0.2", lw=1.0, ls="--")
     b, a = 1e3 * told.tracking.before[joint - 1], 1e3 * told.tracking.after[joint - 1]
-    axis.text(
-        at,
-        low,
-        f" one synchronous update, sample {told.tracking.tick}",
-        fontsize=8,
-        va="bottom",
-        color="0.2",
-    )
+    for x, words, colour in (
+        (0.0, " grey: setting out and at rest, not counted", QUIET),
+        (at, f" one synchronous update, sample {told.tracking.tick}", "0.2"),
+    ):
+        axis.text(x, low, words, fontsize=8, va="bottom", color=colour)
     for x, value, colour in ((0.25, b, MODEL), (0.78, a, FOUND)):
         axis.text(
             x,

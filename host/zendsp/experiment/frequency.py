@@ -135,17 +135,23 @@ class FrequencyResponse:
             Also write the figure there (PNG, SVG, PDF by suffix).
         """
         from matplotlib.figure import Figure
+        from matplotlib.ticker import LogLocator, NullFormatter
 
         figure = Figure((7.0, 6.5), layout="constrained")
         axes = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1))
         spread = self.std / np.abs(self.gain)
         axes[0].errorbar(self.f, self.magnitude_db, 2 * 8.686 * spread, fmt=".-", lw=1.0)
-        axes[0].set_ylabel(f"magnitude [dB, {self.unit}]")
+        pure = self.unit in ("", "1")
+        axes[0].set_ylabel("magnitude [dB]" if pure else f"magnitude [dB of {self.unit}]")
         axes[1].errorbar(self.f, self.phase_deg, 2 * np.degrees(spread), fmt=".-", lw=1.0)
         axes[1].set_ylabel("phase [deg]")
         axes[2].plot(self.f, self.coherence, ".-", lw=1.0)
         axes[2].axhline(SURE, color="#888888", lw=0.8, ls="--")
         axes[2].set(ylabel="coherence", xlabel="f [Hz]", ylim=(0.0, 1.05), xscale="log")
+        # three numbers a decade: a response rarely spans more than two
+        axes[2].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes[2].xaxis.set_major_formatter("{x:g}")
+        axes[2].xaxis.set_minor_formatter(NullFormatter())
         for axis in axes:
             axis.grid(True, which="both", alpha=0.3)
         figure.suptitle(f"{self.output} over {self.input}", fontsize=10)

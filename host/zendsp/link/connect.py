@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 else:  # only local() starts anything
     select, subprocess, tempfile = map(Lazily, ("select", "subprocess", "tempfile"))
 
+WHERE = f"by --connect, by the endpoint that connect() takes, or by {CONNECT}"
 # for a target to come up, on a machine that is busy with everything else and has to compile it
 # first; one that ends is told at once
 START_S = 150.0
@@ -108,8 +109,8 @@ def locate(
     if not name:
         if not entries:
             raise LinkError(
-                "no target runs on this machine. Start one with 'zendsp target', or say where it is"
-                " with connect= or ZENDSP_CONNECT"
+                "no target runs on this machine. Start one with 'zendsp target', or say where it"
+                f" is: {WHERE}"
             )
         if len(entries) > 1:
             raise LinkError(f"name the target: on this machine there run {running}")
@@ -117,7 +118,7 @@ def locate(
     if name not in entries:
         raise LinkError(
             f"no target named {name!r} runs on this machine (there runs {running}). Start one with "
-            f"'zendsp target --name {name}', or say where it is with connect= or {CONNECT}"
+            f"'zendsp target --name {name}', or say where it is: {WHERE}"
         )
     return name, *reach(entries[name])
 

@@ -53,7 +53,7 @@ def remote_endpoints(connect: str | Sequence[str] | None) -> list[str]:
 
 
 def discover(
-    pattern: str = "*", connect: str | Sequence[str] | None = None, timeout: float = 1.0
+    pattern: str = "*", connect: str | Sequence[str] | None = None, timeout: float = 3.0
 ) -> list[Found]:
     """List the targets that answer.
 
@@ -64,7 +64,7 @@ def discover(
     connect : str or sequence of str, optional
         Endpoints of targets or routers elsewhere; default ``$ZENDSP_CONNECT``.
     timeout : float, s
-        For those elsewhere to answer.
+        For each to answer, as long as :func:`zendsp.connect` waits; all are asked at once.
 
     Returns
     -------

@@ -88,7 +88,10 @@ class ParameterSet:
                 body.get("target", ""),
                 body.get("note", ""),
             )
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except OSError as error:
+            why = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
+            raise VariableError(f"{path}: {why}; 'zendsp params save' writes one") from error
+        except (ValueError, KeyError, TypeError) as error:
             if isinstance(error, VariableError):
                 raise
             raise VariableError(

@@ -127,7 +127,7 @@ def draft_model(table: Table, name: str = "") -> Draft:
         f" {json.dumps(name or table.path.name.partition('.')[0] or 'machine', ensure_ascii=False)}"
     )
     clock = _best(groups, Role.TIME)
-    step = _sample_time(page, clock)
+    step = _sample_time(page, clock, table.path.name)
     page.line()
     linear = position.unit == "m"
     _mechanism(page, position, command, step, linear)
@@ -197,7 +197,7 @@ def _behind(group: Group) -> bool:
     return bool({*LOAD} & set(re.findall(r"[a-z]+", group.names[0].lower())))
 
 
-def _sample_time(page: _Page, clock: Group | None) -> float:
+def _sample_time(page: _Page, clock: Group | None, file: str) -> float:
     if clock is None:
         page.line(
             "sample_time = 0.001", "s", ask="there is no time column: how far are two rows apart?"
@@ -206,7 +206,10 @@ def _sample_time(page: _Page, clock: Group | None) -> float:
     steps = np.diff(clock.values[:, 0])
     step = float(np.median(steps))
     if not np.isfinite(step) or step <= 0:
-        raise RecordingError(f"column {clock.names[0]!r} looks like time and does not run forwards")
+        raise RecordingError(
+            f"{file}: column {clock.names[0]!r} looks like time and does not run forwards: sort the"
+            " rows, or give two runs as two files"
+        )
     shown, even = float(f"{step:.6g}"), float(f"{step:.3g}")
     shown = even if abs(even / step - 1) < 1e-3 else shown
     jitter = float(np.max(np.abs(steps - step))) / step
@@ -285,6 +288,8 @@ def _unit_asked(position: Group) -> str:
             f"{name} has no unit and looks like degrees: write '{name} [deg]' in its head, and"
             " begin anew"
         )
+    if position.unit:
+        return f"{name}: the unit {position.unit!r} is not known: how many rad or m is one?"
     return f"{name} has no unit: does it turn (rad) or slide (m)?"
 
 

@@ -116,15 +116,27 @@ class ZendspApp(App[None]):
         for name, maker in makers.items():
             self.add_mode(name, lambda name=name,
                 maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
-        # All are built before the first picture: none has to be built when its key is pressed.
-        for name in sorted(makers, key=lambda name: name == self._first):
-            await self.switch_mode(name)
+        await self.switch_mode(self._first)
+        if self.is_headless:  # nobody waits for a picture
+            await self._build_others(makers)
+        else:  # in the queue of the keys: those that are pressed meanwhile wait
+            self.call_after_refresh(self.call_later, self._build_others, makers)
         if self._target:
             self.session.connect(self._target)
         elif self._begin:
             self._connect([f"machine {self._begin}"])
         elif self._find is not None:
             self.run_worker(self._look_around, thread=True, group="discovery")
+
+    async def _build_others(self, names: Iterable[str]) -> None:
+        """Build the other screens behind the first picture: none has to be built when its key is
+        pressed.
+        """
+        shown = self.current_mode
+        with self.batch_update():
+            for name in names:
+                await self.switch_mode(name)
+            await self.switch_mode(shown)
 
     def on_unmount(self) -> None:
         self.session.close()

@@ -277,6 +277,7 @@ class Searcher:
             r
             for r in (*full, *quick[len(finalists) :])
             if not any(vanishes(r.scored.fit, t) or self._too_small(r, t) for t in r.terms)
+            and self._possible(r)
         ]
         return self.order(current, sorted(rivals, key=lambda r: r.value)) if rivals else []
 
@@ -288,6 +289,16 @@ class Searcher:
         record = max((rec[self.joint - 1] for rec in self.data.records), key=lambda r: r.n)
         fitted = counterpart(rival.scored.model.terms, term)
         return any(abs(fitted.value(name)) < size for name, size in least(facts(record)).items())
+
+    def _possible(self, rival: Rival) -> bool:
+        """Whether a machine can have the numbers of all terms that were found so far."""
+        for term in rival.scored.model.at(self.joint):
+            possible = get_effect(term.effect).possible
+            if possible is not None and not possible(
+                {name: q.value for name, q in term.parameters.items()}
+            ):
+                return False
+        return True
 
     def order(self, current: Scored, rivals: list[Rival]) -> list[Rival]:
         """Order hypotheses by what they gain.

@@ -10,6 +10,9 @@ import numpy as np
 from zendsp.physics.effects.base import Along, Array, Facts, Numbers
 
 HARMONICS = 60
+# damping ratio of a load: rubber has 0.1, MuJoCo's constraints 1; a fit that needs more stands in
+# for something else
+OVERDAMPED = 2.0
 SLOWEST, FASTEST = 0.5, 200.0  # Hz: a resonance beyond is not seen in a recording
 
 Limits = Callable[[Facts], tuple[float, float]]
@@ -103,6 +106,11 @@ def transmission_limits(facts: Facts) -> tuple[float, float]:
 def transmission_damping_limits(facts: Facts) -> tuple[float, float]:
     """Up to what lets nothing swing."""
     return 0.0, 0.4 * facts.scale.inertia * _fastest(facts)
+
+
+def swings(p: Numbers) -> bool:
+    """Whether a load hangs on a spring, not on a dashpot: damped at most twice critically."""
+    return p["damping"] < OVERDAMPED * 2.0 * math.sqrt(p["stiffness"] * p["load_inertia"])
 
 
 def load_limits(facts: Facts) -> tuple[float, float]:

@@ -279,6 +279,8 @@ class Effect:
         Parameter that is judged as known when the essence is: without any size there is no shape.
     least : callable or None
         Sizes below which it is not itself, but the way in which a recording was sampled.
+    possible : callable or None
+        Whether a machine can have these numbers, where their limits depend on each other.
     odds : float
         Of hypotheses that explain a recording alike the commoner goes first: what this one counts
         less (or, below 0, more), in parameters.
@@ -341,6 +343,7 @@ class Effect:
     essence: tuple[str, ...] = ()
     shape: str = ""
     least: Callable[[Facts], Numbers] | None = None
+    possible: Callable[[Numbers], bool] | None = None
     odds: float = 0.0
     slow: bool = False
     rough: bool = False

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from zendsp.physics.effects.axes import (
     load_limits,
     resonance,
+    swings,
     transmission_damping_limits,
     transmission_limits,
 )
@@ -54,6 +55,7 @@ EFFECT = Effect(
     scan=_starts,
     hidden=True,
     essence=("stiffness", "load_inertia"),  # with infinite stiffness it is none
+    possible=swings,
     loosens_inertia=True,
     family="transmission",
     sole=True,

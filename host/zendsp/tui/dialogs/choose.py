@@ -75,6 +75,8 @@ class Choose(Dialog[list[str]]):
         at = rows.highlighted
         rows.clear_options()
         shown = [o for o in self._options if words.lower() in f"{o.text} {o.detail}".lower()]
+        if words:  # who typed a name whole, or its beginning, means that one
+            shown.sort(key=lambda o: _far(o.text.lower(), words.lower()))
         width = max((len(o.text) for o in shown), default=0)
         for o in shown:
             text = Text(no_wrap=True, overflow="ellipsis")
@@ -90,6 +92,7 @@ class Choose(Dialog[list[str]]):
 
     @on(Input.Changed)
     def _filter(self, event: Input.Changed) -> None:
+        self.query_one(OptionList).highlighted = None
         self._fill(event.value)
 
     @on(Input.Submitted)
@@ -139,3 +142,7 @@ class Choose(Dialog[list[str]]):
     @on(Button.Pressed, "#ok")
     def _accept(self) -> None:
         self.dismiss(self._marked)
+
+
+def _far(text: str, words: str) -> int:
+    return 0 if text == words else 1 if text.startswith(words) else 2

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+import numpy as np
 from rich.style import Style
 from rich.text import Text
 from textual import events
@@ -24,6 +25,7 @@ from zendsp.tui.values import show_value
 STEP, COARSE, FINE = 1 / 200, 1 / 20, 1 / 2000  # of the range
 SEND_S = 0.1  # between writes while a slider moves
 NAME, VALUE = 14, 22  # columns
+MOST_ELEMENTS = 16  # of an array that has sliders
 
 
 @dataclass(frozen=True)
@@ -45,10 +47,34 @@ class Range:
 
 
 def slides(v: Variable) -> bool:
-    """Whether a parameter can have a slider: one number between finite limits."""
+    """Whether a parameter can have sliders: numbers between finite limits, not too many."""
     ends = (v.minimum, v.maximum)
-    number = v.type in ("double", "float", "int32") and v.kind == "parameter" and v.length == 1
-    return number and all(map(math.isfinite, ends)) and v.maximum > v.minimum
+    number = v.type in ("double", "float", "int32") and v.kind == "parameter"
+    few = 1 <= v.length <= MOST_ELEMENTS
+    return number and few and all(map(math.isfinite, ends)) and v.maximum > v.minimum
+
+
+def elements(v: Variable) -> list[Variable]:
+    """The elements of an array or a matrix as parameters of their own, ``K[1,2]``."""
+    if v.length == 1:
+        return [v]
+    initial = np.ravel(v.initial).tolist() if v.initial is not None else [v.minimum]
+    found = []
+    for k in range(v.length):
+        at = f"{k // v.columns},{k % v.columns}" if v.columns > 1 else str(k)
+        first = initial[min(k, len(initial) - 1)]
+        found.append(replace(v, name=f"{v.name}[{at}]", length=1, columns=1, initial=first))
+    return found
+
+
+def numbers(variables: Sequence[Variable], values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of all elements by their names; what the target does not say is left out."""
+    return {
+        part.name: value
+        for v in variables
+        if v.name in values
+        for part, value in zip(elements(v), np.ravel(values[v.name]).tolist(), strict=True)
+    }
 
 
 class Slider(Widget, can_focus=True):
@@ -176,9 +202,11 @@ class Sliders(Dialog[None]):
         write: Callable[[dict[str, Any], bool], None],
     ) -> None:
         super().__init__()
-        self._variables, self._values, self._write = tuple(variables), values, write
-        now = values()
-        self._before = {v.name: now.get(v.name, v.initial) for v in variables}
+        self._write = write
+        self._values: Callable[[], dict[str, Any]] = lambda: numbers(variables, values())
+        self._variables = tuple(part for v in variables for part in elements(v))
+        now = self._values()
+        self._before = {v.name: now.get(v.name, v.initial) for v in self._variables}
         self._moved: dict[str, Any] = {}  # not handed on yet
         self.before: dict[str, Any] = {}  # of what was moved and is not back again
         self._quiet = 0  # ticks since something was handed on

@@ -24,14 +24,25 @@ def round_down(value: float) -> float:
 
 
 def ticks(bottom: float, top: float, most: int) -> list[float]:
-    """Return at most ``most`` round numbers within [bottom, top]."""
+    """Return some ``most`` round numbers within [bottom, top], and two at the least where two are
+    asked for: one alone is no scale.
+    """
     span = top - bottom
     if not (math.isfinite(span) and span > 0.0) or most < 1:
         return []
     step = round_up(span / max(most, 1))
-    first = math.ceil(bottom / step - 1e-9)
-    last = math.floor(top / step + 1e-9)
-    return [k * step for k in range(first, last + 1)][: most + 1]
+    found = _multiples(bottom, top, step)[: most + 1]
+    while len(found) < 2 <= most:
+        step = round_down(0.6 * step)
+        found = _multiples(bottom, top, step)
+        if len(found) > most + 1:
+            found = [found[0], found[-1]]
+    return found
+
+
+def _multiples(bottom: float, top: float, step: float) -> list[float]:
+    first, last = math.ceil(bottom / step - 1e-9), math.floor(top / step + 1e-9)
+    return [k * step for k in range(first, last + 1)]
 
 
 def label(value: float, step: float) -> str:

@@ -11,6 +11,7 @@ from textual import events
 from zendsp.tui.dialogs import Choose, Field, Form, Option
 from zendsp.tui.scope import Channel, Scope
 from zendsp.tui.scope.formula import sources
+from zendsp.tui.scope.picture import arrange
 from zendsp.tui.scope.settings import LANES, MOST_CHANNELS
 from zendsp.tui.screens.base import LabScreen
 
@@ -99,6 +100,14 @@ class ScopeActions(LabScreen):
                 f"the scope shows {MOST_CHANNELS} curves already: take one away first", "warning"
             )
         else:
+            free = MOST_CHANNELS - len(have)
+            if len(mine) > free:
+                self.say(
+                    f"{name} has {len(mine)} curves, {free} of {MOST_CHANNELS} are free:"
+                    f" {', '.join(mine[free:])} {'are' if len(mine) > free + 1 else 'is'} left out;"
+                    " c chooses",
+                    "warning",
+                )
             self.plot_names([*have, *mine])
 
     def action_mode(self) -> None:
@@ -163,7 +172,20 @@ class ScopeActions(LabScreen):
     def action_lanes(self) -> None:
         """A lane for each unit, for each curve, or none."""
         s = self.scope.settings
-        self.scope.set(replace(s, lanes=LANES[(LANES.index(s.lanes) + 1) % len(LANES)]))
+        s = replace(s, lanes=LANES[(LANES.index(s.lanes) + 1) % len(LANES)])
+        self.scope.set(s)
+        if self.scope.picture is None or not self.scope.channels:
+            return
+        height = len(self.scope.picture.codes)
+        lanes = arrange(self.scope.channels, s, height)
+        said = "over one another" if s.lanes == "over" else f"a lane for each {s.lanes}"
+        if len(lanes) > 1 and lanes[0].row == lanes[1].row:
+            if s.lanes != "over":
+                said += f": no room for {len(lanes)}, so over one another"
+            chosen = self.scope.channels[s.selected].name
+            said += f": the axis is that of {chosen}, y chooses another"
+        self.lab.toast(said)
+        self.say(f"scope: {said}")
 
     def action_cursors(self) -> None:
         """Show or hide the cursors."""

@@ -1,0 +1,114 @@
+"""What the command line says to somebody who types wrong things: one style, and what to do next."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from zendsp.cli import COMMANDS, LazyGroup, cli, main
+from zendsp.cli.stats import bars
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    """Exit status of ``zendsp words``, and what it wrote on standard error."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["zendsp", *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    return int(str(ended.value.code)), capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["set"], "missing argument 'NAME=VALUE...'; 'zendsp set --help' says more"),
+        (["set", "Kp1"], "'Kp1': expected NAME=VALUE; 'zendsp set --help'"),
+        (["set", "Kp1=abc"], "'abc' is not a value; write 3"),
+        (["set", "Kp1=1", "Kp1=2"], "'Kp1=2': Kp1 has a value already"),
+        (["model", "new"], "missing argument 'RECORDING'; 'zendsp model new --help' says more"),
+        (["diagnose", "a.csv"], "missing option '--model'; 'zendsp diagnose --help' says more"),
+        (
+            ["diagnose", "a.csv", "--modle", "m.toml"],
+            "no such option '--modle'; did you mean '--model'? 'zendsp diagnose --help'",
+        ),
+        (["completion", "tcsh"], "'tcsh' is not one of"),
+        (["bridge", "foxglove", "--port", "99999"], "99999 is not in the range"),
+        (["tui", "--web", "--port", "99999"], "99999 is not in the range"),
+        (["gett"], "no command 'gett'; did you mean get? 'zendsp --help' lists them"),
+        (["params", "sav"], "no command 'sav'; did you mean save? 'zendsp params --help'"),
+        (["tui", "--machine", "imi_plaanr"], "imi_planar"),
+        (["params", "diff", "no-such.json", "b.json"], "no-such.json: no such file"),
+    ],
+)
+def test_every_wrong_use_is_one_line_that_says_what_to_do(
+    capsys: pytest.CaptureFixture[str], words: list[str], expected: str
+) -> None:
+    status, text = said(capsys, *words)
+    assert status == 2
+    assert expected in text
+    assert text.startswith("zendsp: ") and len(text.splitlines()) == 1, text
+
+
+def test_the_terminal_is_refused_where_there_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+    status, text = said(capsys, "tui")  # pytest's standard output is a file
+    assert status == 2 and "--web" in text and len(text.splitlines()) == 1
+
+
+def test_ls_says_how_to_start_a_target_where_there_is_none(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("ZENDSP_CONNECT", raising=False)
+    monkeypatch.setattr(sys, "argv", ["zendsp", "ls"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "zendsp target" in capsys.readouterr().out
+    status, text = said(capsys, "get")
+    assert status == 2 and "--connect" in text and "connect=" not in text
+
+
+def test_a_group_without_a_word_shows_its_help(capsys: pytest.CaptureFixture[str]) -> None:
+    status, text = said(capsys, "params")
+    assert status == 2 and "Commands:" in text and "restore" in text
+
+
+def test_the_names_of_commands_are_those_of_the_table() -> None:
+    assert isinstance(cli, LazyGroup) and "get" in COMMANDS
+
+
+def test_the_timing_is_shown_in_a_screenful() -> None:
+    """The target counts in quarter octaves, from 1 ns to seconds; nobody reads a hundred lines."""
+    edges = np.concatenate([[0.0], 0.001 * 2.0 ** (np.arange(120) / 4)])
+    counts = np.arange(120)
+    lines = bars(counts, edges)
+    assert len(lines) <= 18
+    shown = [int(line.split("…")[1].split()[1]) for line in lines]
+    assert sum(shown) == counts.sum()
+    few = bars(np.array([0, 3, 4, 0]), np.array([0.0, 1.0, 1.25, 1.5, 2.0]))
+    assert len(few) == 1 and "7" in few[0]
+
+
+def test_ctrl_c_while_the_command_is_being_imported_ends_it_without_a_traceback() -> None:
+    """A module that interrupts its own import is Ctrl-C at that moment."""
+    code = (
+        "import os, signal, sys, importlib.abc\n"
+        "class Finder(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'zendsp.errors':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from zendsp.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=dict(os.environ)
+    )
+    assert done.returncode in (130, -signal.SIGINT)
+    assert "Traceback" not in done.stderr
