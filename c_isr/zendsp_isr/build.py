@@ -8,6 +8,7 @@ name (``dlopen`` of one path twice gives the old code).
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import importlib.resources
 import importlib.util
@@ -16,7 +17,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -93,8 +94,27 @@ def _prune(folder: Path) -> None:
         path.unlink(missing_ok=True)
         path.with_suffix(".json").unlink(missing_ok=True)
     for path in folder.glob("build-*"):
+        # by its age as well: one is not locked yet for a moment after it was made
         if time.time() - path.stat().st_mtime > _ABANDONED_S:
-            shutil.rmtree(path, ignore_errors=True)
+            with contextlib.suppress(BlockingIOError), _locked(path):
+                shutil.rmtree(path, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a folder, that no other process takes it for abandoned: a clock may jump by years.
+
+    Raises
+    ------
+    BlockingIOError
+        Somebody works in it.
+    """
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(file)
 
 
 def _headers(folders: Sequence[Path]) -> dict[str, bytes]:
@@ -200,6 +220,17 @@ def build(
     )
 
 
+@contextlib.contextmanager
+def _workplace(folder: Path) -> Iterator[Path]:
+    """A folder for the length of one compilation."""
+    work = Path(tempfile.mkdtemp(prefix="build-", dir=folder))
+    try:
+        with _locked(work):
+            yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
 def _compile(
     compiler: Compiler,
     sources: Mapping[str, bytes],
@@ -210,8 +241,7 @@ def _compile(
     target: Path,
 ) -> tuple[bool, tuple[Message, ...]]:
     """Make ``target``, and its notes beside it."""
-    work = Path(tempfile.mkdtemp(prefix="build-", dir=target.parent))
-    try:
+    with _workplace(target.parent) as work:
         for name, content in sources.items():
             (work / name).write_bytes(content)
         units = [name for name in sources if name.endswith(".c")]
@@ -236,8 +266,6 @@ def _compile(
             os.replace(scratch, target.with_suffix(".json"))
             os.replace(output, target)
         return outcome.ok, outcome.messages
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
 
 
 def _trusted(kind: str, built: Built) -> Path:

@@ -5,9 +5,11 @@ nothing else.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import logging
 import os
+import resource
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -151,12 +153,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
 
 
+def _take_files() -> None:
+    """Allow as many open files as the system does: whoever knocks at a port takes one, also one who
+    is not let in.
+    """
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    with contextlib.suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
 def _serve(args: argparse.Namespace, listen: Sequence[str], security: Security) -> int:
     from zendsp_target.monitor import Monitor, Options
     from zendsp_target.runtime import Runtime
     from zendsp_target.serving.malloc import keep_large_buffers
 
     keep_large_buffers()
+    _take_files()
     name = args.name or machine_title(args.machine)
     ideal = ["ideal=1"] if args.ideal else []
     runtime = Runtime(

@@ -13,7 +13,7 @@ import reality
 
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
-from zendsp.diagnosis.decide import pieces
+from zendsp.diagnosis.decide import laws, pieces
 from zendsp.diagnosis.decide.claims import Piece
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
@@ -144,3 +144,12 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
     search = SimpleNamespace(joint=1, base=SimpleNamespace(model=None))
     outcome = decision.decide(parts, None, search, 1, lambda _: None)  # type: ignore[arg-type]
     assert outcome == "nothing" and asked == ["test"]
+
+
+@pytest.mark.parametrize(
+    ("size", "z", "much"),
+    [(0.1, 9.0, True), (0.1, 2.0, False), (0.05, 9.0, False), (0.052, 9.0, False)],
+)
+def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, much: bool) -> None:
+    """Of 5 % that are allowed; the evidence is that for what is beyond them."""
+    assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much

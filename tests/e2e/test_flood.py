@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from helpers import kill, python
+from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.link import Target
@@ -47,6 +48,7 @@ sys.stdin.read()
 def endpoint(tmp_path: Path) -> Iterator[str]:
     users = tmp_path / "users"
     users.write_text("anna:a\nmallory:m\n")
+    users.chmod(0o600)
     target = subprocess.Popen(
         [
             sys.executable,
@@ -66,7 +68,7 @@ def endpoint(tmp_path: Path) -> Iterator[str]:
     assert target.stdout is not None
     yield json.loads(target.stdout.readline())["endpoints"][0]
     target.terminate()
-    target.communicate(timeout=30)
+    target.communicate(timeout=PATIENCE_S)
 
 
 def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
@@ -77,6 +79,9 @@ def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
     anna = Credentials(user="anna", password="a")
     with zendsp.connect("imi", endpoint, anna) as target:
         target.download("pd.c")
+        target.start()
+        quiet = sorted(stop(target) for _ in range(10))[5]
+        target.acknowledge()
         target.start()
         flood = python(FLOOD, endpoint)
         try:
@@ -91,8 +96,9 @@ def test_a_flood_of_requests_keeps_nobody_else_from_stopping_the_machine(
     # More than the target can answer, about 4000 a second, so that its queues overflow.
     assert rate > 6000.0, rate
     # Measured: 9 ms in the middle, 50 at most, on two processors with four times as much to do.
-    # Behind the flood it would be 200.
-    assert sorted(took)[5] < 0.1 and max(took) < 0.7, took
+    # Behind the flood it would be 200. Without one it takes a millisecond, or tens of them where
+    # others take the processors: then it may take longer here too.
+    assert sorted(took)[5] < max(0.1, 20.0 * quiet) and max(took) < 0.7, (quiet, took)
 
 
 def stop(target: Target) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -23,7 +24,7 @@ import zendsp
 from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link import Target
 from zendsp.link.settings import Credentials
-from zendsp_protocol import codec
+from zendsp_protocol import codec, registry
 
 HEAD = (
     '#include "isr.h"\nstatic int32_t n;\nvoid UserBackground(void) {}\nvoid UserInit(void) {'
@@ -266,6 +267,31 @@ def test_connecting_again_and_again_leaves_nothing_open(fast: Target) -> None:
     )
 
 
+def test_a_target_may_open_as_many_files_as_the_system_allows(start: Callable[..., Target]) -> None:
+    """Whoever knocks takes one, also one who is not let in."""
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, most[1]))
+    try:
+        target = start(clock="fast")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, most)
+    files = resource.prlimit(target.info.pid, resource.RLIMIT_NOFILE)
+    assert files == (most[1], most[1])
+
+
+def test_a_planted_entry_leads_nowhere(
+    fast: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "shared"
+    folder.mkdir(mode=0o700)
+    entry = Path(registry.folder()) / registry.file_name(fast.name)
+    shutil.copy(entry, folder / entry.name)
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(folder))
+    assert [found.name for found in zendsp.discover()] == [fast.name]
+    folder.chmod(0o777)
+    assert zendsp.discover() == []
+
+
 def test_two_targets_of_one_name_are_refused(start: Callable[..., Target]) -> None:
     first = start(clock="fast", name="same")
     with pytest.raises(LinkError, match=f"'same' runs here already \\(process {first.info.pid}\\)"):
@@ -292,6 +318,7 @@ def test_tls_with_a_password_or_a_certificate_lets_in_who_has_it_and_nobody_else
     make_certificates(tmp_path)
     ca, users = str(tmp_path / "ca.pem"), tmp_path / "users"
     users.write_text("anna:secret\n")
+    users.chmod(0o600)
     roles = tmp_path / "roles.toml"
     roles.write_text('[roles]\ntwo = "observe"\n')
     own = ["--tls-cert", str(tmp_path / "one.pem"), "--tls-key", str(tmp_path / "one.key")]

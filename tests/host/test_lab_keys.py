@@ -232,6 +232,7 @@ def test_a_router_is_never_taken_for_a_host(lab: Lab) -> None:
             settle("imi", [listen], ["tls/127.0.0.1:7447"], files)
     users = lab.folder / "passwords"
     users.write_text("anna:secret\n")
+    users.chmod(0o600)
     files = Security(str(imi.certificate), str(imi.key), str(lab.authority), str(users))
     with pytest.raises(Refused, match="could not be told from the router"):
         settle("imi", ["tls/127.0.0.1:0"], ["tls/127.0.0.1:7447"], files)

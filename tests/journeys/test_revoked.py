@@ -152,7 +152,7 @@ def test_the_log_names_who_the_password_or_the_certificate_says(
         name = "two"
     else:
         make_certificates(tmp_path)
-        installed.write("users", "anna:secret\n")
+        installed.write("users", "anna:secret\n").chmod(0o600)
         process = installed.start(
             "zendsp", "target", "--name", "imi", "--listen", "tcp/127.0.0.1:0", "--users", "users"
         )

@@ -46,7 +46,9 @@ def test_a_users_file_that_is_empty_cut_or_doubtful_is_refused(
 def test_a_users_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(Refused, match="cannot be read"):
         read_users(str(tmp_path / "none"))
-    assert read_users(write(tmp_path / "users", "anna:secret\nbo:x:y\n")) == {
+    path = write(tmp_path / "users", "anna:secret\nbo:x:y\n")
+    os.chmod(path, 0o640)
+    assert read_users(path) == {
         "anna": "secret",
         "bo": "x:y",
     }
@@ -76,6 +78,26 @@ def test_a_roles_file_that_others_may_write_is_refused(tmp_path: Path) -> None:
         read_roles(path)
     os.chmod(path, 0o644)
     assert read_roles(path) == {"anna": "tune"}
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o620, 0o602, 0o604])
+def test_passwords_that_others_may_read_or_write_are_refused(tmp_path: Path, mode: int) -> None:
+    path = write(tmp_path / "users", "anna:secret\n")
+    os.chmod(path, mode)
+    with pytest.raises(Refused, match=r"others may read or write it.*chmod 600"):
+        read_users(path)
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o602])
+def test_a_private_key_that_others_may_read_or_write_is_refused(tmp_path: Path, mode: int) -> None:
+    certificate, key, users = (write(tmp_path / n, "anna:secret\n") for n in ("c", "k", "u"))
+    os.chmod(users, 0o600)
+    os.chmod(key, mode)
+    security = Security(certificate, key, users=users)
+    with pytest.raises(Refused, match=r"others may read or write it.*chmod 600"):
+        settle("imi", ["tls/127.0.0.1:0"], [], security)
+    os.chmod(key, 0o640)
+    assert settle("imi", ["tls/127.0.0.1:0"], [], security).users["anna"] == "secret"
 
 
 def test_every_verb_needs_a_role() -> None:
@@ -182,6 +204,7 @@ def test_a_loopback_port_beside_one_for_certificates_is_refused_without_users(
     tmp_path: Path,
 ) -> None:
     pems = [write(tmp_path / name, "") for name in ("one.pem", "one.key", "ca.pem")]
+    os.chmod(pems[1], 0o600)
     with pytest.raises(
         Refused,
         match=r"--tls-ca without --roles: whoever has a certificate.*'zendsp keys' makes it",

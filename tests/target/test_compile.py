@@ -9,11 +9,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from zendsp_isr.build import build, content_key
-from zendsp_isr.compiler import find_compiler, parse_messages
+from zendsp_isr.compiler import find_compiler, parse_messages, run_compiler
 from zendsp_protocol.errors import CompileFailed, Refused
 from zendsp_target.runtime import Runtime, program_text
 from zendsp_target.runtime.compile_service import compile_program, program_path
@@ -247,3 +248,24 @@ def test_the_target_imports_neither_textual_nor_scipy_nor_matplotlib() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_a_clock_that_jumps_takes_no_folder_in_which_a_compiler_works(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A computer without a battery learns the time by the network, years later in one step."""
+    monkeypatch.setenv("ZENDSP_CACHE", str(tmp_path))
+    other = '#include "isr.h"\nvoid UserInit(void) {}\nvoid UserISR_INT2(void) {}\n/* %d */\n'
+    left = tmp_path / "program" / "build-left"
+
+    def slow(*arguments: Any) -> Any:
+        monkeypatch.setattr("zendsp_isr.build.run_compiler", run_compiler)
+        left.mkdir()
+        now = time.time()
+        monkeypatch.setattr(time, "time", lambda: now + 1e8)
+        assert compile_program({"b.c": other % 2}).ok
+        return run_compiler(*arguments)
+
+    monkeypatch.setattr("zendsp_isr.build.run_compiler", slow)
+    assert compile_program({"a.c": other % 1}).ok
+    assert not left.exists(), "what a compiler that was killed left behind goes"

@@ -146,7 +146,8 @@ def test_user_code_ends_no_other_process(make_runtime: Make, mark: str) -> None:
         other.wait()
 
 
-REACHES = {  # how a program could end another process without a signal of its own
+# how a program could end another process, or take its time, without a signal of its own
+REACHES = {
     "limit": (
         "const struct rlimit none = {{1, 1}}; return prlimit({other}, RLIMIT_CPU, &none, NULL);"
     ),
@@ -165,19 +166,43 @@ REACHES = {  # how a program could end another process without a signal of its o
         " 1; ioctl(s[0], FIOASYNC, &on); fcntl(s[0], F_SETSIG, SIGKILL); if (ioctl(s[0],"
         ' FIOSETOWN, &who) != 0) return -1; return write(s[1], "x", 1);'
     ),
+    "scheduling": (
+        "const struct sched_param none = {{0}}; return sched_setscheduler({other}, SCHED_IDLE,"
+        " &none);"
+    ),
+    "attributes": (
+        "unsigned long a[6] = {{48 | 5ul << 32}}; return syscall(SYS_sched_setattr, {other}, a, 0);"
+    ),
+    "processors": (
+        "const unsigned long first = 1; return sched_setaffinity({other}, 8, (cpu_set_t *)&first);"
+    ),
+    "priority": "return setpriority(PRIO_PROCESS, {other}, 19);",
+    # of a user without processes: where nothing holds this program, it lowers every one of a user
+    "priority_of_a_user": "return setpriority(PRIO_USER, 54321, 19);",
+    "disk": "return syscall(SYS_ioprio_set, 1, {other}, 3 << 13);",
     "ring": "char none[120] = {{0}}; return syscall(SYS_io_uring_setup, 1, none);",
 }
+
+
+def _treated(pid: int) -> tuple[object, ...]:
+    """How the kernel treats a process."""
+    return (
+        resource.prlimit(pid, resource.RLIMIT_CPU),
+        os.sched_getscheduler(pid),
+        os.sched_getaffinity(pid),
+        os.getpriority(os.PRIO_PROCESS, pid),
+    )
 
 
 @pytest.mark.parametrize("way", list(REACHES))
 def test_user_code_reaches_no_other_process(make_runtime: Make, way: str, mark: str) -> None:
     other = subprocess.Popen(["sleep", "300"])
     try:
-        before = resource.prlimit(other.pid, resource.RLIMIT_CPU)
+        before = _treated(other.pid)
         runtime = make_runtime(_program(REACHES[way].format(other=other.pid), mark, "init"))
         assert runtime.read(["answer", "refused"])[1] == {"answer": -1.0, "refused": 1.0}
         assert other.poll() is None
-        assert resource.prlimit(other.pid, resource.RLIMIT_CPU) == before
+        assert _treated(other.pid) == before
     finally:
         other.kill()
         other.wait()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -172,6 +173,13 @@ const machine_ops zendsp_machine = {.abi = MACHINE_ABI, .open = open_it, .read =
 """  # noqa: E501
 
 
+# as a card that another program has taken meanwhile: it does not open while this file is there
+ONCE = """#include <unistd.h>
+static char path[256];
+#define machine_config_text(c, k, p, n) machine_config_text(c, k, p, n); if (access(p, F_OK) == 0) return 1
+"""  # noqa: E501
+
+
 def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
     make_runtime: Make, wait_for: Wait, tmp_path: Path
 ) -> None:
@@ -190,6 +198,51 @@ def test_hardware_is_made_safe_by_a_fresh_process_after_a_crash(
     wait_for(lambda: runtime.status().crash != "", runtime.status)
     assert "SIGSEGV" in runtime.status().crash
     assert said.read_text() == "safe\n"
+
+
+def test_hardware_is_made_safe_where_no_file_can_be_opened_any_more(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
+    """Strangers that connect again and again take a target's files; so does a full computer."""
+    source, said = tmp_path / "fake.c", tmp_path / "said"
+    source.write_text(HARDWARE)
+    runtime = make_runtime(
+        CRASHING.format(how="*nowhere = 1;"),
+        machine=str(source),
+        clock="real",
+        machine_config={"path": str(said)},
+    )
+    wait_for(said.exists)
+    said.unlink()
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, most[1]))
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            os.dup(0)
+        runtime.start()
+        wait_for(lambda: runtime.status().crash != "", runtime.status)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, most)
+    assert "SIGSEGV" in runtime.status().crash
+    assert said.read_text() == "safe\n"
+
+
+def test_a_machine_that_cannot_be_made_safe_is_told(
+    make_runtime: Make, wait_for: Wait, tmp_path: Path
+) -> None:
+    source, said = tmp_path / "fake.c", tmp_path / "said"
+    source.write_text(HARDWARE.replace("static char path[256];", ONCE))
+    runtime = make_runtime(
+        CRASHING.format(how="*nowhere = 1;"),
+        machine=str(source),
+        clock="real",
+        machine_config={"path": str(said)},
+    )
+    wait_for(said.exists)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert "SIGSEGV" in runtime.status().crash
+    assert "NOT SAFE: use the machine's emergency stop" in runtime.status().crash
 
 
 def test_the_fast_clock_refuses_hardware(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ _STATUS = Status(
 
 @pytest.fixture(scope="module")
 def process() -> Iterator[Target]:
-    target = local("imi_planar", clock="fast", options=["--speed", "20"], timeout=60.0)
+    target = local("imi_planar", clock="fast", options=["--speed", "20"])
     yield target
     target.close()
 
@@ -227,9 +227,7 @@ def test_the_right_falls_free_when_its_holder_leaves(target: Target) -> None:
 
 
 def test_managed_targets_enforce_the_sequence() -> None:
-    with local(
-        "imi_planar", clock="fast", options=["--speed", "20", "--managed"], timeout=60.0
-    ) as target:
+    with local("imi_planar", clock="fast", options=["--speed", "20", "--managed"]) as target:
         target.download("pd.c")
         assert target.drive_status().state == "off"
         with pytest.raises(Refused, match="starting is refused: power"):

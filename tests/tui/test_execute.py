@@ -208,7 +208,7 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
     path = save_reference(
         make_reference("lspb", machine, duration=2.0), tmp_path / "references" / "lspb.mat"
     )
-    with local("wam7", clock="fast", options=["--speed", "20"], timeout=60.0) as target:
+    with local("wam7", clock="fast", options=["--speed", "20"]) as target:
         app = ZendspApp(open_port, target=target.name, folder=tmp_path, frames=4.0)
         app.source = next(p for p in app.examples() if p.name == "wam_pd_gravity.c")
         async with app.run_test(size=(100, 30)) as pilot:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S
 
 COUNT = """
 import ctypes, threading
@@ -31,7 +32,8 @@ libc.fclose(stream)
 
 
 def _heaps(ask: bool, path: str) -> int:
-    subprocess.run([sys.executable, "-c", COUNT.format(ask=ask, path=path)], check=True, timeout=60)
+    command = [sys.executable, "-c", COUNT.format(ask=ask, path=path)]
+    subprocess.run(command, check=True, timeout=PATIENCE_S)
     with open(path, encoding="utf-8") as stream:
         return stream.read().count("<heap nr=")
 

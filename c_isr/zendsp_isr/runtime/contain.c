@@ -1,8 +1,8 @@
-/* contain.c: user code starts nothing, ends nobody else, and nothing that it might start could
- * reach the machine.
+/* contain.c: user code starts nothing, ends and slows nobody else, and nothing that it might start
+ * could reach the machine.
  *
- * A filter of system calls (seccomp) refuses new processes, new threads, other programs and signals
- * to others, with EPERM. Where the system has no filter, what is left: no process may be added for
+ * A filter of system calls (seccomp) refuses new processes, new threads, other programs, signals to
+ * others and their scheduling, with EPERM. Where the system has no filter, what is left: no process may be added for
  * this user (RLIMIT_NPROC), a child of fork() ends at once, has none of the shared memory and none
  * of the open files after an exec, and is not real-time. What is started all the same stays beneath
  * the runner (subreaper), also in a session of its own, and ends with it.
@@ -59,10 +59,15 @@ static int refused; /* errno of the filter, 0: it holds */
 #define ARGUMENT(index)                                                                            \
     BPF_STMT(BPF_LD | BPF_W | BPF_ABS,                                                             \
              (uint32_t)offsetof(struct seccomp_data, args[index]) + LOW_WORD)
-/* A signal: to this process, or its group. */
+/* A call whose first argument is a process: this one, or by 0 (of a signal: its group). */
 #define OWN_ONLY(number, own)                                                                      \
     BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 5), ARGUMENT(0),                              \
         BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (own), 2, 0),                                          \
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), ALLOW
+/* The priority of the calling thread, of nothing else. */
+#define OWN_PRIORITY(number)                                                                       \
+    BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, (number), 0, 6), ARGUMENT(0),                              \
+        BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, PRIO_PROCESS, 0, 2), ARGUMENT(1),                      \
         BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 1, 0), DENY(EPERM), ALLOW
 /* One command of a call that has many. */
 #define DENY_COMMAND(number, command)                                                     \
@@ -122,6 +127,13 @@ static int filter_calls(void) {
         DENY_COMMAND(__NR_ioctl, FIOSETOWN),
         DENY_COMMAND(__NR_ioctl, SIOCSPGRP),
         OWN_ONLY(__NR_prlimit64, own), /* a process beyond its limit of CPU time is killed */
+        /* a loop without its priority is late, and a target without time hears no STOP */
+        OWN_ONLY(__NR_sched_setscheduler, own),
+        OWN_ONLY(__NR_sched_setparam, own),
+        OWN_ONLY(__NR_sched_setattr, own),
+        OWN_ONLY(__NR_sched_setaffinity, own),
+        OWN_PRIORITY(__NR_setpriority),
+        DENY_CALL(__NR_ioprio_set),
         OWN_ONLY(__NR_kill, own),
         OWN_ONLY(__NR_tgkill, own),
         ALLOW,

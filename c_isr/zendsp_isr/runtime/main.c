@@ -2,7 +2,7 @@
  * the loop.
  *
  *     runner CONTROL          run
- *     runner --safe CONTROL   put the machine of a crashed runner into its safe state, and end
+ *     runner --safe CONTROL   wait for a byte, then put the machine into its safe state, and end
  *     runner --look CONTROL   open the machine, leave what it says of itself in CONTROL, and end
  */
 #define _GNU_SOURCE
@@ -190,14 +190,17 @@ static void catch_signals(void) {
     sigaction(SIGTERM, &end, NULL);
 }
 
-/* In a fresh process, since the memory of the crashed one is not to be trusted. */
+/* In a process of its own, since the memory of one that crashed is not to be trusted; it begins
+ * with the runner, and waits for a byte: without one, it is not wanted. */
 static int make_safe(const char *path) {
-    control *crashed = map_control(path);
+    const control *given = map_control(path);
     static control copy;
-    if (!crashed)
+    char wanted;
+    if (!given)
         return 1;
-    copy = *crashed;
-    copy.error[0] = 0;
+    copy = *given;
+    if (read(STDIN_FILENO, &wanted, 1) != 1)
+        return 0;
     the_runner.control = &copy;
     if (open_machine(&the_runner) != 0) {
         fprintf(stderr, "runner: %s\n", copy.error);

@@ -9,7 +9,6 @@
 #include <sys/mman.h>     /* mmap */
 #include <sys/resource.h> /* setpriority */
 #include <sys/stat.h>     /* fstat */
-#include <sys/syscall.h>  /* gettid */
 #include <unistd.h>       /* getppid, close */
 
 #include "runner.h"
@@ -133,7 +132,7 @@ static void *background(void *argument) {
     const stack_t stack = {.ss_sp = own_stack, .ss_size = sizeof own_stack};
     sigaltstack(&stack, NULL);
     this_thread_is = WITHIN_BACKGROUND;
-    setpriority(PRIO_PROCESS, (id_t)syscall(SYS_gettid), 10);
+    setpriority(PRIO_PROCESS, 0, 10); /* of this thread alone */
     while (load32(&r->control->phase) < PHASE_READY)
         sleep_ns(1000000);
     if (!r->config.background)

@@ -57,6 +57,43 @@ class LiveBlock:
     gap: int
 
 
+class _Window:
+    """The last rows of a view, in two arrays; what is missing between them is a row of NaN.
+
+    A block of one row takes ten times the memory of its numbers, and a thousand come each second.
+    """
+
+    def __init__(self, rows: int, columns: int) -> None:
+        self._rows, self._end = rows, 0
+        self._t, self._data = np.empty(0), np.empty((0, columns))
+
+    def append(self, block: LiveBlock) -> None:
+        """Take up a block; only its last rows where it is longer than the window."""
+        if block.gap and self._end:
+            self._put(block.t[:1], np.nan)
+        self._put(block.t[-self._rows :], block.data[-self._rows :])
+
+    def _put(self, t: FloatArray, data: FloatArray | float) -> None:
+        if self._end + len(t) > len(self._t):  # room for as many rows again
+            old_t, old = self.rows()
+            self._end = len(old_t)
+            room = min(2 * (self._end + len(t)), 2 * self._rows)
+            self._t, self._data = np.empty(room), np.empty((room, old.shape[1]))
+            self._t[: self._end], self._data[: self._end] = old_t, old
+        new = slice(self._end, self._end + len(t))
+        self._t[new], self._data[new] = t, data
+        self._end = new.stop
+
+    def newest(self) -> tuple[float, list[float]]:
+        """Time and values of the last row."""
+        return float(self._t[self._end - 1]), list(self._data[self._end - 1].tolist())
+
+    def rows(self) -> tuple[FloatArray, FloatArray]:
+        """Times (N,) and data (N, columns), copied."""
+        kept = slice(max(0, self._end - self._rows), self._end)
+        return self._t[kept].copy(), self._data[kept].copy()
+
+
 class LiveView:
     """A subscription to the newest samples; close it, or use it in a ``with``.
 
@@ -85,8 +122,7 @@ class LiveView:
 
     def _reset(self) -> None:
         self._blocks: deque[LiveBlock] = deque(maxlen=BACKLOG)
-        self._kept: deque[LiveBlock] = deque()
-        self._kept_rows = 0
+        self._window: _Window | None = None  # of the session that runs
         self._session = -1
         self._next_row = 0
         self.lost = 0
@@ -136,14 +172,10 @@ class LiveView:
             self.lost += gap
             self.received += header.rows
             block = LiveBlock(t, data, header.tick, gap)
-            if fresh:
-                self._kept.clear()
-                self._kept_rows = 0
+            if fresh or self._window is None:
+                self._window = _Window(self._rows_kept, len(header.columns))
             self._blocks.append(block)
-            self._kept.append(block)
-            self._kept_rows += header.rows
-            while self._kept_rows - len(self._kept[0].t) >= self._rows_kept:
-                self._kept_rows -= len(self._kept.popleft().t)
+            self._window.append(block)
             self._lock.notify_all()
         if self._callback is not None:
             self._callback(block)
@@ -167,30 +199,18 @@ class LiveView:
     def latest(self) -> dict[str, float]:
         """Newest value of each column, with the time as ``t``; empty before the first sample."""
         with self._lock:
-            if not self._kept:
+            if self._window is None:
                 return {}
-            block = self._kept[-1]
-        return {
-            "t": float(block.t[-1]),
-            **dict(zip(self.columns, block.data[-1].tolist(), strict=True)),
-        }
+            t, row = self._window.newest()
+        return {"t": t, **dict(zip(self.columns, row, strict=True))}
 
     def window(self) -> tuple[FloatArray, FloatArray]:
         """Return the last ``history`` s: times (N,) and data (N, columns); gaps are one row of NaN.
         """
         with self._lock:
-            blocks = list(self._kept)
-        times: list[FloatArray] = []
-        rows: list[FloatArray] = []
-        for block in blocks:
-            if block.gap and rows:
-                times.append(block.t[:1])
-                rows.append(np.full((1, block.data.shape[1]), np.nan))
-            times.append(block.t)
-            rows.append(block.data)
-        if not rows:
-            return np.empty(0), np.empty((0, len(self.columns)))
-        return np.concatenate(times)[-self._rows_kept :], np.concatenate(rows)[-self._rows_kept :]
+            if self._window is None:
+                return np.empty(0), np.empty((0, len(self.columns)))
+            return self._window.rows()
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else f"{self.received} rows, {self.lost} lost"

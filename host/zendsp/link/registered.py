@@ -14,8 +14,9 @@ def local_entries() -> list[registry.Entry]:
     """Targets of this user on this machine whose process lives."""
     entries = []
     try:
-        if os.stat(registry.folder()).st_uid != os.getuid():
-            return []  # somebody else's: what stands there may lead anywhere
+        found = os.stat(registry.folder())
+        if found.st_uid != os.getuid() or found.st_mode & 0o022:
+            return []  # somebody else's, or written by others: what stands there may lead anywhere
     except OSError:
         return []
     for path in sorted(Path(registry.folder()).glob("*.json")):

@@ -20,7 +20,7 @@ from zendsp_protocol import keys, registry
 from zendsp_protocol.errors import Refused
 from zendsp_protocol.verbs import ROLES, Verb
 from zendsp_target.access.endpoints import Security, check, check_connect, is_local
-from zendsp_target.access.lists import OWNER, RolesFile, read_users
+from zendsp_target.access.lists import OWNER, RolesFile, check_secret, read_users
 
 LONGEST_SOCKET = 107  # bytes of its path, sockaddr_un of Linux
 # need no role: without the others, nobody could connect to stop it, and see that it stopped
@@ -172,6 +172,8 @@ def settle(name: str, listen: Sequence[str], connect: Sequence[str], security: S
                 f"--tls-{option} {file}: cannot be read; expected a PEM file ('zendsp keys' makes"
                 " them)"
             )
+    if security.key:
+        check_secret("--tls-key", security.key)
     users = read_users(security.users) if security.users else {}
     roles = RolesFile(security.roles) if security.roles else None
     both = {_protocol(e) for e in connect} & {_protocol(e) for e in endpoints}

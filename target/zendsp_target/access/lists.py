@@ -18,6 +18,21 @@ _USER = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 OWNER = "owner"  # name that goes with the token of a loopback port
 
 
+def check_secret(option: str, path: str) -> None:
+    """Refuse a file of secrets that others may read or write; a group may read it.
+
+    Raises
+    ------
+    Refused
+        With the command that mends it.
+    """
+    if Path(path).stat().st_mode & 0o026:
+        raise Refused(
+            f"{option} {path}: others may read or write it, and come in with what stands there:"
+            f" chmod 600 {path}"
+        )
+
+
 def read_users(path: str) -> dict[str, str]:
     """Users and passwords of a file of lines ``user:password``.
 
@@ -25,7 +40,7 @@ def read_users(path: str) -> dict[str, str]:
     ------
     Refused
         The file cannot be read, is empty or cut, names a user twice, or one that cannot stand in a
-        key. Zenoh would let everybody in on an empty file.
+        key; or others may read it. Zenoh would let everybody in on an empty file.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -56,6 +71,7 @@ def read_users(path: str) -> dict[str, str]:
             f"--users {path}: the last line does not end: was the file cut off? End it with a new"
             " line"
         )
+    check_secret("--users", path)
     return users
 
 

@@ -19,6 +19,7 @@ from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.runtime.memory.layout import layout, set_text, text_of
 from zendsp_target.runtime.memory.shm import SharedFile
+from zendsp_target.runtime.process.rescue import Rescue
 from zendsp_target.runtime.process.settings import Settings
 from zendsp_target.runtime.process.strays import MARK, Strays
 
@@ -64,6 +65,20 @@ def _fill(control: Any, settings: Settings, program: Path, data: Path, number: i
             raise Refused(f"{name.replace('_', ' ')}: {error}") from None
 
 
+def _control_file(
+    path: Path, settings: Settings, program: Path, data: Path, number: int = 1
+) -> SharedFile:
+    """A control file, filled in."""
+    ffi, _ = layout()
+    file = SharedFile(path, ffi.sizeof("control"))
+    try:
+        _fill(file.pointer("control")[0], settings, program, data, number)
+    except BaseException:
+        file.unlink()
+        raise
+    return file
+
+
 def look_at(settings: Settings, folder: Path) -> str:
     """Open a machine in a process of its own and close it again: what is wrong with it is said
     before a program is loaded.
@@ -84,11 +99,10 @@ def look_at(settings: Settings, folder: Path) -> str:
     Refused
         It does not open.
     """
-    ffi, _ = layout()
-    file = SharedFile(folder / "control-look", ffi.sizeof("control"))
+    path = folder / "control-look"
+    file = _control_file(path, settings, Path("/dev/null"), path)
+    control: Any = file.pointer("control")[0]
     try:
-        control: Any = file.pointer("control")[0]
-        _fill(control, settings, Path("/dev/null"), file.path)
         command = [str(build_runner()), "--look", str(file.path)]
         status = subprocess.run(command, timeout=settings.load_s, check=False).returncode
         if status != 0:
@@ -128,19 +142,24 @@ class RunnerProcess:
     """
 
     def __init__(self, settings: Settings, program: Path, folder: Path, number: int) -> None:
-        ffi, lib = layout()
+        _, lib = layout()
         self._ended = lib.monitor_ended
         self.settings = settings
-        self.control_file = SharedFile(folder / f"control-{number}", ffi.sizeof("control"))
+        path, data_path = folder / f"control-{number}", folder / f"data-{number}"
+        self.control_file = _control_file(path, settings, program, data_path, number)
         self.control: Any = self.control_file.pointer("control")[0]
-        data_path = folder / f"data-{number}"
         self._program = program
         self._contained = False  # not known yet
         # not known yet: a crash while loading makes even a simulated machine safe, which does no
         # harm
         self.simulated = False
         try:
-            _fill(self.control, settings, program, data_path, number)
+            own = path.with_name(f"{path.name}-safe")
+            self._rescue = Rescue(_control_file(own, settings, program, data_path, number))
+        except BaseException:
+            self.control_file.unlink()
+            raise
+        try:
             mark = uuid.uuid4().hex
             self._process = subprocess.Popen(
                 [str(build_runner()), str(self.control_file.path)],
@@ -151,6 +170,7 @@ class RunnerProcess:
                 env={**os.environ, MARK: mark},
             )
         except BaseException:
+            self._rescue.dismiss()
             self.control_file.unlink()
             raise
         self._strays = Strays(self.pid, mark)
@@ -166,9 +186,12 @@ class RunnerProcess:
             self._contained = bool(self.control.contained)
             self.look()
             self.simulated = bool(self.control.info.simulated)
+            if self.simulated:
+                self._rescue.dismiss()
         except BaseException:
             self.kill()
             self.make_safe()
+            self._rescue.dismiss()
             data_path.unlink(missing_ok=True)
             self.control_file.unlink()
             raise
@@ -318,25 +341,18 @@ class RunnerProcess:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
 
-    def make_safe(self) -> None:
-        """Bring real hardware into its safe state from a fresh process; a simulated machine ended
-        with its runner.
-
-        The control file is made anew: the old one may be full of what a wild pointer wrote.
+    def make_safe(self) -> str:
+        """Bring real hardware into its safe state by the process that waits for that; a simulated
+        machine ended with its runner. Returns what to tell where it failed, else nothing.
         """
-        if self.simulated:
-            return
-        ffi, _ = layout()
-        path = self.control_file.path.with_name(self.control_file.path.name + "-safe")
-        fresh = SharedFile(path, ffi.sizeof("control"))
-        try:
-            _fill(fresh.pointer("control")[0], self.settings, self._program, path)
-            subprocess.run([str(build_runner()), "--safe", str(path)], timeout=10.0, check=False)
-        finally:
-            fresh.unlink()
+        return "" if self.simulated else self._rescue.act()
 
     def unlink(self) -> None:
-        """Remove the names of the files; what was mapped stays readable."""
+        """Remove the names of the files, and who waits to make the machine safe; what was mapped
+        stays readable.
+        """
+        if not self.simulated:
+            self._rescue.dismiss()
         self.control_file.unlink()
         if hasattr(self, "data_file"):
             self.data_file.unlink()

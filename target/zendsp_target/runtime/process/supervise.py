@@ -77,11 +77,10 @@ class Supervisor:
         self._process.end_group()
         each_round()
         if not self._expected.is_set():
-            self._process.make_safe()
-            on_death(self._process.death())
+            unsafe = self._process.make_safe()
+            on_death("; ".join(filter(None, (self._process.death(), unsafe))))
 
     def _end_hung(self) -> str:
         sentence = self._process.death(hung=True)
         self._process.kill()
-        self._process.make_safe()
-        return sentence
+        return "; ".join(filter(None, (sentence, self._process.make_safe())))

@@ -1,0 +1,77 @@
+"""A process that waits to bring the machine into its safe state.
+
+It begins with the runner. Once something has gone wrong there may be no file, no memory and no
+process left to make one with: strangers that connect again and again take a target's files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import subprocess
+
+from zendsp_isr.build import build_runner
+from zendsp_target.runtime.memory.shm import SharedFile
+
+log = logging.getLogger(__name__)
+
+LIMIT_S = 10.0  # for the machine to open and be made safe
+NOT_SAFE = "the machine is NOT SAFE: use the machine's emergency stop"
+
+
+class Rescue:
+    """Waits until it is wanted, or dismissed; it ends with this process.
+
+    Parameters
+    ----------
+    control : SharedFile
+        Its own: what stands in the runner's may be what a wild pointer wrote.
+    """
+
+    def __init__(self, control: SharedFile) -> None:
+        self._control = control
+        try:
+            self._process = self._begin()
+        except BaseException:
+            control.unlink()
+            raise
+
+    def _begin(self) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [str(build_runner()), "--safe", str(self._control.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+            cwd="/",
+            bufsize=0,
+        )
+
+    def act(self) -> str:
+        """Make the machine safe, now; returns what to tell where that failed, else nothing."""
+        try:
+            if self._process.poll() is not None:  # it has been wanted before, or was ended
+                self._process = self._begin()
+            assert self._process.stdin is not None
+            self._process.stdin.write(b"\n")
+            status = self._process.wait(LIMIT_S)
+            why = f"its process ended with status {status}" if status else ""
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            why = f"it did not answer within {LIMIT_S:g} s"
+        except OSError as error:
+            why = str(error)
+        if why:
+            log.error("%s: %s", NOT_SAFE, why)
+        return why and f"{NOT_SAFE} ({why})"
+
+    def dismiss(self) -> None:
+        """End it: it is not wanted any more."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(LIMIT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._control.unlink()
