@@ -9,6 +9,8 @@ import pytest
 from zendsp.diagnosis.data.signals import Signals
 from zendsp.diagnosis.data.split import split
 from zendsp.diagnosis.decide.findings import estimates
+from zendsp.diagnosis.decide.naming import between
+from zendsp.diagnosis.decide.result import Estimate
 from zendsp.diagnosis.measure.significance import counterpart, vanishes
 from zendsp.physics.fit import Fit
 from zendsp.physics.handles import Handle
@@ -100,3 +102,11 @@ def test_what_is_held_out_is_the_last_third_of_the_motion_whenever_the_machine_c
         assert len(train[0].time) + len(test[0].time) == len(t)
         assert len(train[0].time) == pytest.approx(share * len(t), rel=0.05)
         assert "the last third of its motion" in notes[0]
+
+
+def test_a_refinement_takes_no_part_of_a_laws_number() -> None:
+    refined = {"level": Estimate(0.015, 0.002, "N m"), "other": Estimate(1.0, 0.1, "")}
+    alone = {"level": Estimate(0.030, 0.001, "N m"), "other": Estimate(1.1, 0.2, "")}
+    stated = between(refined, alone)
+    assert stated["level"].value == 0.030 and 0.0075 < stated["level"].std < 0.008
+    assert stated["other"] == refined["other"]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from zendsp.diagnosis.decide.absorbed import shifted
 from zendsp.diagnosis.decide.assemble import Assembled
@@ -17,7 +18,10 @@ from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.decide.thresholds import OF_STATE
-from zendsp.physics.fit import Data
+from zendsp.diagnosis.measure.likelihood import fit_scored
+from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.physics.effects import get_effect
+from zendsp.physics.fit import Data, Fit, joint_handles
 from zendsp.physics.model import Model
 
 # stated of a disturbance; not learned: the cases have too few of them
@@ -109,6 +113,8 @@ def _finding(
             laws,
         )
     values = estimates(whole.fits[joint], term, kind, given.actuator.unit, unit)
+    if (alone := _unrefined(decision, claim)) is not None:
+        values = between(values, estimates(alone, term, kind, given.actuator.unit, unit))
     text = sentence(term, values)
     if term.effect == "inertia":
         weight = [
@@ -142,6 +148,40 @@ def _finding(
         claim.mechanism,
         claim.laws,
     )
+
+
+def _unrefined(decision: Decision, claim: Claim) -> Fit | None:
+    """The law as it is claimed: fitted without the refinements of its own mechanism, which may have
+    taken a part of its numbers; None where it has none, or needs them.
+    """
+    final, joint = decision.final, decision.joint
+    if not any(claim is c for c in decision.claims) or get_effect(claim.effect).needs:
+        return None
+    beside = [
+        counterpart(final.model.terms, r.term)
+        for r in decision.refinements
+        if r.mechanism == claim.mechanism and not get_effect(r.effect).needs
+    ]
+    if not beside:
+        return None
+    model = final.model.with_terms(
+        tuple(t for t in final.model.terms if not any(t is b for b in beside))
+    )
+    return fit_scored(
+        final.data, model, joint_handles(final.data, model, joint), (joint,), jobs=1, rounds=1
+    ).fit
+
+
+def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[str, Estimate]:
+    """The numbers of the law alone where its refinements changed them by more than they are sure;
+    half of the change is in their uncertainty.
+    """
+    out = dict(refined)
+    for name, other in alone.items():
+        change = abs(other.value - refined[name].value)
+        if change > 2.0 * refined[name].std:
+            out[name] = replace(other, std=math.hypot(other.std, 0.5 * change))
+    return out
 
 
 def _disturbance(decision: Decision, given: Model) -> Finding:
