@@ -14,7 +14,7 @@ from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
 from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.measure.bursts import periodic
-from zendsp.diagnosis.measure.discrepancy import deviation
+from zendsp.diagnosis.measure.discrepancy import deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import (
     Scored,
@@ -214,3 +214,12 @@ def test_the_other_joint_feels_the_link_behind_a_spring() -> None:
     off = [np.sqrt(np.mean(residual(d, model, [2]) ** 2)) for d in (data, links)]
     assert off[1] < 0.25 * off[0]
     assert np.allclose(residual(links, model, [1]), residual(data, model, [1]))
+
+
+@pytest.mark.parametrize("rows", [60, 120])
+def test_of_a_recording_shorter_than_an_observer_remembers_little_is_said(rows: int) -> None:
+    columns = reality.simulate(reality.Machine(), reality.multisine(1.0, RATE, 3), RATE)
+    model = model_of(VISCOUS, COULOMB)
+    data = data_of({key: x[:rows] for key, x in columns.items()}, model)
+    assert discrepancy(data, model, 1).low == 0.0
+    assert structure([data, data], model, 1, ["position_torque"]).z < 3.0

@@ -142,7 +142,7 @@ def _diagnose(
     notes += [note for m in found.measured for note in m.notes]
     findings, refinements, rejected = _name(found, given)
     kinds = {d.kind for d in decisions}
-    verdict = "missing" if findings else "unexplained" if "unexplained" in kinds else "complete"
+    verdict = "missing" if findings else "complete" if kinds == {"complete"} else "unexplained"
     improved = whole.improved if findings else whole.calibrated
     joints = range(1, given.joints + 1)
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}

@@ -19,7 +19,7 @@ from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
 from zendsp.diagnosis.decide.thresholds import OF_STATE
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.diagnosis.measure.significance import counterpart
+from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.physics.effects import get_effect
 from zendsp.physics.fit import Data, Fit, joint_handles
 from zendsp.physics.model import Model
@@ -57,12 +57,11 @@ def name_findings(
         if decision.bursts is not None:
             ranked.append((math.inf, _disturbance(decision, given)))
         for claim in decision.claims:
-            ranked.append(
-                (
-                    claim.evidence.gain,
-                    _finding(given, decision, whole, claim, claim.size**2 / everything),
-                )
-            )
+            finding = _finding(given, decision, whole, claim, claim.size**2 / everything)
+            if may_be_nothing(finding):
+                refinements.append(finding)
+            else:
+                ranked.append((claim.evidence.gain, finding))
             rejected += [
                 Rejected(effect, decision.joint, why, score) for effect, why, score in claim.lost
             ]
@@ -147,6 +146,17 @@ def _finding(
         numbers,
         claim.mechanism,
         claim.laws,
+    )
+
+
+def may_be_nothing(finding: Finding) -> bool:
+    """Whether a number that makes a law what it is lies within two deviations of nothing."""
+    if finding.effect == "unknown":
+        return False
+    return any(
+        abs(estimate.value) < 2.0 * estimate.std
+        for key in essence_of(finding.effect)
+        if (estimate := finding.parameters.get(key)) is not None
     )
 
 

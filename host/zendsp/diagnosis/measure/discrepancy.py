@@ -56,8 +56,8 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
         * effective_inertia(record, model)
         / record.sample_time
     )
-    lag = round(np.sqrt(2) / band / record.sample_time)
     out = -innovations * factor
+    lag = min(out.shape[-1], round(np.sqrt(2) / band / record.sample_time))
     moved = np.zeros_like(out)
     moved[..., : out.shape[-1] - lag] = out[..., lag:]
     return moved

@@ -12,7 +12,7 @@ from zendsp.physics.model import Term
 SIGNIFICANT = 3.0  # standard deviations: a score of hypotheses is tried in every round
 
 
-def _essence(effect: str) -> tuple[str, ...]:
+def essence_of(effect: str) -> tuple[str, ...]:
     entry = get_effect(effect)
     return entry.essence or (entry.linear if len(entry.linear) == 1 and not entry.replaces else ())
 
@@ -54,7 +54,7 @@ def vanishes(fitted: Fit, term: Term) -> bool:
         for i, handle in enumerate(fitted.handles)
         if handle.place == "term" and fitted.model.terms[handle.index] is same
     }
-    for key in _essence(effect):
+    for key in essence_of(effect):
         if key not in own:
             continue
         i = own[key]
