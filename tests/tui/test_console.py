@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -37,8 +38,10 @@ def _events(app: ZendspApp) -> str:
 
 
 async def _mark(app: ZendspApp, pilot: Pilot[None], name: str) -> None:
-    """Put the cursor of the table on a variable."""
-    table = _console(app).variables.table
+    """Put the cursor of the table on a variable, as soon as it is listed."""
+    table, last = _console(app).variables.table, time.monotonic() + 30.0
+    while name not in table._keys and time.monotonic() < last:
+        await pilot.pause(0.02)
     table.focus()
     table.mark(name)
     await pilot.pause()
