@@ -133,7 +133,7 @@ def main() -> None:
     """Entry point: expected errors end with one sentence and exit status 2, Ctrl-C with 130."""
     try:
         # click returns the status of a command that ended by Exit, and raises everything else
-        status = cli(standalone_mode=False)
+        status = cli(prog_name="zendsp", standalone_mode=False)
         sys.exit(status if isinstance(status, int) else 0)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
