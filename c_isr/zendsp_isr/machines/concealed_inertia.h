@@ -96,7 +96,8 @@ static inline void concealed_links(concealed *c, const double *q, const double *
         concealed_effect *e = &c->effect[i];
         if (!concealed_divides(e))
             continue;
-        /* folded, a link may have less inertia than its motor was taken to have */
+        /* folded, a link may have less inertia than its motor was taken to have: a fiftieth of what
+         * the joint turns freely stays the link's, or M would not be one of a machine */
         const int j = e->joint;
         e->now = e->motor < 0.98 / W[j][j] ? e->motor : 0.98 / W[j][j];
         dM[j][j] -= e->now;

@@ -341,9 +341,7 @@ def _with_their_links(
         tried = []
         for joint in found:
             with_it = with_links(measured_motion, explained[2].improved, felt | {joint})
-            same = {
-                s.joint: (s, d) for s, d in zip(*explained[:2], strict=True) if s.joint == joint
-            }
+            same = {joint: (explained[0][joint - 1], explained[1][joint - 1])}
             again = _explain(_with_bodies(with_it, beneath), given, beneath, jobs, tell, same)
             tried.append((_cost(with_it.test, again), joint, with_it, again))
         best = min(tried, key=lambda t: t[0])

@@ -17,7 +17,7 @@ from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import OF_STATE
+from zendsp.diagnosis.decide.thresholds import OF_STATE, PLAIN
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.physics.effects import get_effect
@@ -154,7 +154,7 @@ def may_be_nothing(finding: Finding) -> bool:
     if finding.effect == "unknown":
         return False
     return any(
-        abs(estimate.value) < 2.0 * estimate.std
+        abs(estimate.value) < PLAIN * estimate.std
         for key in essence_of(finding.effect)
         if (estimate := finding.parameters.get(key)) is not None
     )
@@ -189,7 +189,7 @@ def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[st
     out = dict(refined)
     for name, other in alone.items():
         change = abs(other.value - refined[name].value)
-        if change > 2.0 * refined[name].std:
+        if change > PLAIN * refined[name].std:
             out[name] = replace(other, std=math.hypot(other.std, 0.5 * change))
     return out
 
