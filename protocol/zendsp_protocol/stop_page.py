@@ -11,7 +11,7 @@ from __future__ import annotations
 
 NAME = "stop"
 MAGIC = 0x5A445350
-VERSION = 2  # LAYOUT_VERSION of the runtime
+VERSION = 2  # STOP_PAGE_VERSION of the runtime
 HEAD = "=II"
 SIZE = 32
 STOP = 8

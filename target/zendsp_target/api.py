@@ -94,8 +94,8 @@ class RuntimeApi(Protocol):
     ) -> int: ...
 
     # Of the next two, None: there is no shorter way; what they return gives 0, and nothing has
-    # happened, where the whole way has to be gone. takes the least tick
-    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None: ...
+    # happened, where the whole way has to be gone.
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None: ...
     # takes a request, in which the value stands from byte `value_at` on, as in a reply
     def repeat_write(
         self, name: str, author: str, value_at: int, reply: Blank

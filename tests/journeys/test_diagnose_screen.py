@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from journey import Installed
 from screen import Screen
+from waiting import until
 
 STEP = 0.004  # s
 MODEL = f"""name = "bench"
@@ -81,7 +82,11 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         _click(screen, "Start s")
         screen.until("Missing physics: dry friction (coulomb) at joint 1")
         screen.until("without coulomb")
-        assert any(0x2800 < ord(c) <= 0x28FF for c in screen.text()), "and it is drawn"
+        until(
+            lambda: any(0x2800 < ord(c) <= 0x28FF for c in screen.text()),
+            "the curves, beside their names",
+            screen.text,
+        )
         _click(screen, "Save w")
         screen.until("Save the improved model")
         screen.keys(b"\r")

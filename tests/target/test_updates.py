@@ -352,6 +352,33 @@ def test_a_reading_of_the_same_names_is_fresh_and_in_the_order_asked_for(
         assert np.array_equal(np.asarray(found["list"]), [0.0, k, 0.0])
 
 
+# Half of each sample passes between the update and the picture of the sample that others read.
+SLOW = """
+#include "isr.h"
+#include <time.h>
+static double a;
+void UserInit(void) { PARAMETER(a, 0.0, "", NO_MIN, NO_MAX, ""); }
+void UserISR_INT2(void) {
+    struct timespec begin, now;
+    clock_gettime(CLOCK_MONOTONIC, &begin);
+    do
+        clock_gettime(CLOCK_MONOTONIC, &now);
+    while ((now.tv_sec - begin.tv_sec) * 1e3 + (now.tv_nsec - begin.tv_nsec) * 1e-6 < 5.0);
+}
+"""
+
+
+def test_whoever_has_waited_for_an_update_reads_its_values_however_long_a_sample_takes(
+    make_runtime: Make,
+) -> None:
+    runtime = make_runtime(SLOW, rate_hz=100.0, clock="real", realtime=False)
+    runtime.start()
+    for k in range(1, 11):
+        tick = runtime.wait_applied(runtime.write({"a": float(k)}, "me"), 10.0)
+        read_at, found = runtime.read(["a"])
+        assert read_at >= tick and found == {"a": float(k)}
+
+
 def test_an_update_for_a_runner_that_is_gone_says_how_it_died(make_runtime: Make) -> None:
     runtime = make_runtime(LIMITED)
     for _ in range(2):

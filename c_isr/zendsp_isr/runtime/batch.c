@@ -72,6 +72,7 @@ static void apply(runner *r, batch *b, uint64_t tick) {
         at = value + ((size + 7) & ~7);
     }
     b->applied = tick;
+    b->shown = c->newest + 1;
     store32(&b->state, BATCH_APPLIED);
 }
 

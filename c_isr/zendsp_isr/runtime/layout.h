@@ -21,8 +21,9 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 2,
+    LAYOUT_VERSION = 3,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
+    STOP_PAGE_VERSION = 2, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
     LAYOUT_ELEMENTS = 4096,    /* longest array that is not a table */
     LAYOUT_CHANNELS = 1024,    /* of one stream */
@@ -112,6 +113,7 @@ typedef struct batch {
     uint64_t sequence; /* by the monitor */
     uint64_t at_tick;  /* by the monitor: not before this sample */
     uint64_t applied;  /* by the loop: the sample at whose start it took effect */
+    uint64_t shown;    /* by the loop: `newest`, once a snapshot has the new values */
 } batch;
 
 /* One value of an update; padded to 8 bytes. When applied, the loop leaves the old value in its
@@ -253,8 +255,8 @@ typedef struct control {
 
 _Static_assert(sizeof(variable_entry) == 400,
                "variable_entry: layout changed, raise LAYOUT_VERSION");
-_Static_assert(sizeof(stop_page) == 32, "stop_page: known to every host, raise LAYOUT_VERSION");
-_Static_assert(sizeof(batch) == 32 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
+_Static_assert(sizeof(stop_page) == 32, "known to every host, raise STOP_PAGE_VERSION");
+_Static_assert(sizeof(batch) == 40 && sizeof(batch_entry) == 16 && sizeof(snapshot) == 16,
                "layout changed, raise LAYOUT_VERSION");
 _Static_assert(offsetof(control, ring_head) % 8 == 0 && offsetof(control, tick) % 8 == 0,
                "64-bit words must be aligned");

@@ -234,7 +234,7 @@ int main(int count, char **arguments) {
     if (!r->control)
         return 1;
     r->page = map_file(r->control->stop_path, sizeof *r->page);
-    if (!r->page || r->page->magic != LAYOUT_MAGIC || r->page->version != LAYOUT_VERSION)
+    if (!r->page || r->page->magic != LAYOUT_MAGIC || r->page->version != STOP_PAGE_VERSION)
         return fail(r->control, "stop page",
                     "cannot be mapped, or made by another version of zendsp");
     /* asked while nothing was loaded, or of a runner that died: not of this program */

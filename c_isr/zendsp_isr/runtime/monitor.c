@@ -146,18 +146,16 @@ static void to_message(unsigned char *bytes, uint64_t word) {
 
 /* Answer a reading that came before: fill `count` doubles, which stand at `places[2 * i]` of
  * `values`, into `reply` at `places[2 * i + 1]`, and their tick. Returns 0 when the program is not
- * loaded any more or no longer runs (the long way says why), there is no sample, or none from
- * `least` on. */
+ * loaded any more or no longer runs (the long way says why), or there is no sample. */
 int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data,
                        uint64_t slots_at, uint64_t stride, uint64_t from, uint64_t bytes,
                        unsigned char *values, uint32_t count, const uint32_t *places,
-                       unsigned char *reply, uint32_t tick_at, uint64_t least) {
+                       unsigned char *reply, uint32_t tick_at) {
     uint64_t tick, word;
     if (__atomic_load_n(ended, __ATOMIC_ACQUIRE) ||
         __atomic_load_n(&c->trip.reason, __ATOMIC_ACQUIRE))
         return 0;
-    if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick) ||
-        tick < least)
+    if (!monitor_snapshot(&c->newest, data + slots_at, stride, from, bytes, values, &tick))
         return 0;
     to_message(reply + tick_at, tick);
     for (uint32_t i = 0; i < count; i++) {
@@ -199,14 +197,20 @@ void monitor_run(control *c, uint32_t run) {
     }
 }
 
-/* Wait until a batch has been applied: awake for awake_ns, since falling asleep and waking take as
- * long as a short sample, then mostly asleep. Returns 1 when it has, 0 after timeout_ns. */
-int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns) {
+/* Whether a batch has been applied, and whoever reads from here on gets its values. */
+int monitor_shown(const control *c, const batch *b) {
+    return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED &&
+           __atomic_load_n(&c->newest, __ATOMIC_ACQUIRE) >= b->shown;
+}
+
+/* Wait until a batch is shown: awake for awake_ns, since falling asleep and waking take as long as
+ * a short sample, then mostly asleep. Returns 1 when it is, 0 after timeout_ns. */
+int monitor_wait_shown(const control *c, const batch *b, uint64_t timeout_ns, uint64_t awake_ns) {
     const struct timespec nap = {.tv_sec = 0, .tv_nsec = 20000};
     const uint64_t begin = now_ns();
     int asleep = 0;
     for (;;) {
-        if (__atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED)
+        if (monitor_shown(c, b))
             return 1;
         const uint64_t passed = now_ns() - begin;
         if (passed >= timeout_ns)

@@ -37,7 +37,7 @@ int monitor_write(control *c, int pidfd, const update_part *part, uint32_t parts
 int monitor_read_again(const uint32_t *ended, const control *c, const unsigned char *data,
                        uint64_t slots_at, uint64_t stride, uint64_t from, uint64_t bytes,
                        unsigned char *values, uint32_t count, const uint32_t *places,
-                       unsigned char *reply, uint32_t tick_at, uint64_t least);
+                       unsigned char *reply, uint32_t tick_at);
 int monitor_write_again(const uint32_t *ended, control *c, int pidfd, const update_part *part,
                         uint32_t value_at, unsigned char *reply, uint32_t sequence_at,
                         const unsigned char *request, batch *b, uint32_t index, uint64_t sequence);
@@ -46,7 +46,8 @@ uint64_t monitor_load64(const uint64_t *word);
 void monitor_store32(uint32_t *word, uint32_t value);
 void monitor_store64(uint64_t *word, uint64_t value);
 void monitor_run(control *c, uint32_t run);
-int monitor_wait_applied(const batch *b, uint64_t timeout_ns, uint64_t awake_ns);
+int monitor_shown(const control *c, const batch *b);
+int monitor_wait_shown(const control *c, const batch *b, uint64_t timeout_ns, uint64_t awake_ns);
 uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity,
                       uint64_t channels, uint64_t first, uint64_t count, double *to,
                       uint64_t *fold);

@@ -82,7 +82,7 @@ class LoadedVariables:
             session.require_alive()  # tells how it died
             raise
 
-    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:
         """What reads the same doubles again, straight into a reply; None where there is no such
         way.
 
@@ -95,7 +95,7 @@ class LoadedVariables:
         Returns
         -------
         callable or None
-            Takes the least tick that may be told. 0: nothing was read, `read` says why.
+            Returns 0 where nothing was read; `read` says why.
         """
         session = self._programs.session
         return None if session is None else session.repeat_read(names, reply)

@@ -35,7 +35,7 @@ def make_stop_page(folder: Path) -> SharedFile:
     ffi, lib = layout()
     file = SharedFile(folder / stop_page.NAME, ffi.sizeof("stop_page"))
     head = file.pointer("stop_page")
-    head.magic, head.version = lib.LAYOUT_MAGIC, lib.LAYOUT_VERSION
+    head.magic, head.version = lib.LAYOUT_MAGIC, lib.STOP_PAGE_VERSION
     return file
 
 

@@ -196,7 +196,7 @@ class Session:
                 found[name] = self._table(place)
         return tick, {name: found[name] for name in names}
 
-    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[int], int] | None:
+    def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:
         """Make what fills a reply with the newest values of the same names; see
         `RuntimeApi.repeat_read`.
         """

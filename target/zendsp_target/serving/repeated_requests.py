@@ -18,7 +18,6 @@ from zendsp_protocol.errors import LinkError
 from zendsp_target.api import Blank, RuntimeApi
 from zendsp_target.bounded import keep
 from zendsp_target.serving.drives import Drives
-from zendsp_target.serving.variable_verbs import VariableVerbs
 
 _FLOAT = struct.Struct(">d")  # what MessagePack puts behind the byte that announces a double
 _COUNT = struct.Struct(">Q")  # likewise
@@ -34,17 +33,14 @@ class Repeats:
     Parameters
     ----------
     runtime : RuntimeApi
-    variables : VariableVerbs
     drives : Drives
     lane : str
     """
 
-    def __init__(
-        self, runtime: RuntimeApi, variables: VariableVerbs, drives: Drives, lane: str
-    ) -> None:
-        self._runtime, self._variables, self._drives, self._lane = runtime, variables, drives, lane
+    def __init__(self, runtime: RuntimeApi, drives: Drives, lane: str) -> None:
+        self._runtime, self._drives, self._lane = runtime, drives, lane
         # None: it was looked at, and has no shorter way
-        self._reads: dict[bytes, tuple[Callable[[int], int], bytearray] | None] = {}
+        self._reads: dict[bytes, tuple[Callable[[], int], bytearray] | None] = {}
         self._writes: dict[bytes, tuple[Callable[[bytes], int], bytearray, str] | None] = {}
 
     def answer(self, request: bytes) -> bytearray | None:
@@ -52,7 +48,7 @@ class Repeats:
         reading = self._reads.get(request)
         if reading is not None:
             read, reply = reading
-            return reply if read(self._variables.acknowledged) else None
+            return reply if read() else None
         writing = self._writes.get(request[: -_FLOAT.size])
         if writing is not None:
             write, reply, author = writing

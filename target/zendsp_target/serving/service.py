@@ -163,7 +163,6 @@ class Service:
         before = len(self.runtime.log())
         self.runtime.load(args.key)
         self._log_start = before
-        self.variables.forget()
         self._forget()
         self._recorder_owner = ""
         return m.Empty()
@@ -175,7 +174,7 @@ class Service:
 
     def repeats(self, lane: str) -> Repeats:
         """Make what answers requests that come again, for one thread of a lane."""
-        repeats = Repeats(self.runtime, self.variables, self.drives, lane)
+        repeats = Repeats(self.runtime, self.drives, lane)
         self._repeats.append(repeats)
         return repeats
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import msgspec
@@ -18,7 +17,6 @@ from zendsp_target.serving.uploads import Uploads
 PLAIN = frozenset((float, int, bool))
 APPLY_INLINE_S = 0.005  # an update that needs longer is finished by another thread
 APPLY_LIMIT_S = 5.0
-CATCH_UP_S = 0.05  # for the sample that an update was acknowledged at to be finished
 
 
 class VariableVerbs:
@@ -27,11 +25,6 @@ class VariableVerbs:
     def __init__(self, runtime: RuntimeApi) -> None:
         self.runtime = runtime
         self.uploads = Uploads()
-        self.acknowledged = 0  # newest sample that a host was told of
-
-    def forget(self) -> None:
-        """A new program counts its samples from 0."""
-        self.acknowledged = 0
 
     def do_variables(self, args: verbs.Nothing, by: str) -> tuple[m.VariableInfo, ...]:
         return tuple(_light(info) for info in self.runtime.variables())
@@ -41,16 +34,6 @@ class VariableVerbs:
 
     def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
         tick, found = self.runtime.read(args.names)
-        deadline = 0.0
-        # Whoever was told that an update took effect at a sample must not read the sample before
-        # it.
-        while tick < self.acknowledged:
-            now = time.monotonic()
-            deadline = deadline or now + CATCH_UP_S
-            if now > deadline:
-                break  # the loop has stopped in the middle of a sample
-            time.sleep(0.0001)
-            tick, found = self.runtime.read(args.names)
         ended = self.runtime.ended()
         return (
             {"tick": tick, "values": found, "ended": ended}
@@ -108,7 +91,6 @@ class VariableVerbs:
 
     def _applied(self, sequence: int, timeout: float) -> m.Applied:
         tick = self.runtime.wait_applied(sequence, timeout)
-        self.acknowledged = max(self.acknowledged, tick)
         return m.Applied(sequence=sequence, tick=tick)
 
     def do_table_begin(self, args: verbs.TableBegin, by: str) -> verbs.TableState:

@@ -175,7 +175,7 @@ class ReadPlan:
 
     def again(
         self, ended: Any, control: Any, data: Any, slots_at: int, stride: int, reply: Blank
-    ) -> Callable[[int], int] | None:
+    ) -> Callable[[], int] | None:
         """Make what fills a reply with the newest sample, unless there are other types than
         doubles.
 
@@ -191,7 +191,7 @@ class ReadPlan:
         Returns
         -------
         callable or None
-            Takes the least tick that may be told; returns 0 where nothing is.
+            Returns 0 where nothing is told.
         """
         if any(
             unpack is None or entry.info.type != "double" for _, unpack, entry, _ in self._fields

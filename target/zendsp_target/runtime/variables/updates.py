@@ -281,7 +281,7 @@ class Updates:
     # ---- acknowledge ------------------------------------------------------------------------------------------------------  # noqa: E501
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
-        """Sleep until a batch has taken effect.
+        """Sleep until a batch has taken effect, and whoever reads from here on gets its values.
 
         Parameters
         ----------
@@ -310,7 +310,9 @@ class Updates:
             flight = self._flights.get(sequence)
             if flight is not None:
                 slice_ns = min(_SLICE_NS, int(left * 1e9))
-                self._lib.monitor_wait_applied(self._batches[flight.slot], slice_ns, self._awake)
+                self._lib.monitor_wait_shown(
+                    self._pointer, self._batches[flight.slot], slice_ns, self._awake
+                )
             with self._lock:
                 tick = self._tick_of(sequence)
                 waits = sequence in self._flights
@@ -333,9 +335,16 @@ class Updates:
         flight = self._flights.get(sequence)
         if flight is None:
             return self._applied.get(sequence)
-        if self._lib.monitor_load32(self._states[flight.slot]) != self._lib.BATCH_APPLIED:
-            return None
-        return int(self._batches[flight.slot].applied)
+        return int(self._batches[flight.slot].applied) if self._in_effect(flight.slot) else None
+
+    def _in_effect(self, slot: int) -> bool:
+        """A batch was applied, and its values can be read; or are the last ones that a runner took.
+        """
+        if self._lib.monitor_shown(self._pointer, self._batches[slot]):
+            return True
+        applied: int = self._lib.BATCH_APPLIED
+        # in this order: what a runner that is gone has not applied, it never will
+        return not self._alive() and self._lib.monitor_load32(self._states[slot]) == applied
 
     def harvest(self) -> None:
         """Take back the batches that were applied, and write the log."""
@@ -344,10 +353,9 @@ class Updates:
         self._log.settle(_WORDED_AT_ONCE)
 
     def _harvest(self) -> None:
-        load, applied = self._lib.monitor_load32, self._lib.BATCH_APPLIED
         for sequence, flight in list(self._flights.items()):
             slot = flight.slot
-            if load(self._states[slot]) != applied:
+            if not self._in_effect(slot):
                 continue
             batch = self._batches[slot]
             tick = int(batch.applied)
