@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_closing, median_filter
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri  # scipy.stats would take half a second to import
 
 from zendsp.diagnosis.measure.discrepancy import kept, lacking, mean_square
 from zendsp.diagnosis.measure.structure import unit
@@ -129,9 +129,9 @@ def bursts(
     share = inside / max(inside + outside, 1e-300)
     if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > many:
         return None
-    z = float(norm.isf(0.5 * covered / count))
+    z = -float(ndtri(0.5 * covered / count))
     # of a random torque's energy, in its largest values for so long
-    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))
+    by_chance = 2.0 * (z * float(np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)) + float(ndtr(-z)))
     if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
         return None
     return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))
