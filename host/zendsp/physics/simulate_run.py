@@ -20,8 +20,7 @@ from zendsp.physics.model import Model, per_joint
 from zendsp.physics.model_file import load_model
 from zendsp.physics.model_write import model_text
 from zendsp.physics.simulate_plant import INNER, Plant, joint_count
-from zendsp.physics.simulate_program import compile_program, run_program
-from zendsp.physics.simulate_session import Job, Outcome
+from zendsp.physics.simulate_program import Job, Outcome, compile_program, run_program
 from zendsp.recording import Recording
 from zendsp.recording.names import gather_vectors
 from zendsp.reference import Reference, load_reference
