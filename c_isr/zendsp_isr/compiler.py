@@ -219,10 +219,9 @@ def run_compiler(
     )
     if ended.why:
         return Outcome(False, (Message("error", "", 0, 0, ended.why),))
-    inside = [cwd, *map(Path, allowed)]
-    messages = tuple(m for m in parse_messages(ended.text) if _is_inside(m.file, cwd, inside))[
-        :_MAX_MESSAGES
-    ]
+    said = parse_messages(ended.text)
+    inside = _inside({m.file for m in said}, cwd, [cwd, *map(Path, allowed)])
+    messages = tuple(m for m in said if m.file in inside)[:_MAX_MESSAGES]
     messages = tuple(replace(m, message=m.message[:_MAX_TEXT]) for m in messages)
     if ended.status != 0 and not any(m.severity == "error" for m in messages):
         text = f"the compiler ended with status {ended.status}{_reason(ended.text)}"
@@ -333,14 +332,16 @@ def _zig(compiler: Compiler) -> dict[str, str]:
     return {"ZIG_GLOBAL_CACHE_DIR": str(folder)}
 
 
-def _is_inside(file: str, cwd: Path, folders: Sequence[Path]) -> bool:
-    """Whether a message speaks of the upload or the toolchain: one about another file would show
-    what stands there.
+def _inside(files: set[str], cwd: Path, folders: Sequence[Path]) -> set[str]:
+    """Those of the files that are of the upload or the toolchain: a message about another would
+    show what stands there.
     """
-    if not file:
-        return True
-    place = (cwd / file).resolve()
-    return any(place.is_relative_to(folder.resolve()) for folder in folders)
+    real = [folder.resolve() for folder in folders]
+    return {
+        file
+        for file in files
+        if not file or any((cwd / file).resolve().is_relative_to(folder) for folder in real)
+    }
 
 
 def _reason(text: str) -> str:

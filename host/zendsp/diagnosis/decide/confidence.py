@@ -16,6 +16,7 @@ import numpy as np
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.thresholds import NUMERIC
 from zendsp.diagnosis.measure.structure import STRUCTURED
+from zendsp.physics.effects import get_effect
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.3, 2.05, 2.05, -1.05, -2.05)
@@ -32,8 +33,8 @@ FINE = 1e-4  # of the RMS torque: nothing is known better
 def stated(claim: Claim, decision: Decision) -> bool:
     """Whether a law is likely enough to be named."""
     left = math.hypot(decision.bare.low, decision.state.size)
-    bends = claim.mechanism in STRUCTURED and left > NUMERIC
-    return confidence(claim, decision) > (STATED if bends else ALONE)
+    bends = claim.mechanism in STRUCTURED and get_effect(claim.effect).over != "time"
+    return confidence(claim, decision) > (STATED if bends and left > NUMERIC else ALONE)
 
 
 def features(claim: Claim, decision: Decision) -> tuple[float, ...]:

@@ -70,7 +70,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     new = new_terms(given, final.model, joint)
     if new:
         pieces = [
-            piece_of(parts.test, given, final, joint, key, terms, base, jobs)
+            piece_of(parts.test, given, final, key[0], terms, base, jobs)
             for key, terms in grouped(given, final.model, new).items()
         ]
         pieces.sort(key=lambda p: -p.size)

@@ -65,7 +65,7 @@ def named(
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
-        ranked = _ranked(parts.test, given, final, piece, joint, search.base, jobs)
+        ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         first = ranked[0]
         law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
         left = (
@@ -230,15 +230,13 @@ def _is_curve(ranked: Sequence[Piece]) -> bool:
 
 
 def _ranked(
-    test: Data, given: Model, final: Scored, piece: Piece, joint: int, base: Scored, jobs: int
+    test: Data, given: Model, final: Scored, piece: Piece, base: Scored, jobs: int
 ) -> list[Piece]:
     """Each law of a mechanism by itself, the one whose removal costs most first."""
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
     if len(laws) == 1:
         return [replace(piece, terms=tuple(laws))]
-    each = [
-        piece_of(test, given, final, joint, (piece.mechanism, 0), (t,), base, jobs) for t in laws
-    ]
+    each = [piece_of(test, given, final, piece.mechanism, (t,), base, jobs) for t in laws]
     return sorted(each, key=lambda p: -p.size)
 
 
@@ -299,8 +297,7 @@ def _law(
                 else "does not explain the mismatch"
             )
             lost.append((rival.effect, why, -0.5 * behind))
-    there = {t.effect for t in final.model.at(joint)}
-    same += [n for n, e in known.items() if term.effect in e.sums and there.issuperset(e.sums)]
+    same += _sums(term, final.model)
     laws: dict[str, float] = {}
     for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
         if mechanism_of(name) == piece.mechanism:
@@ -324,6 +321,12 @@ def _law(
         gone,
         tuple(lost[:6]),
     )
+
+
+def _sums(term: Term, model: Model) -> list[str]:
+    """Effects that a term and others beside it are together, by algebra."""
+    there = {t.effect for t in model.at(term.joint)}
+    return [n for n, e in library().items() if term.effect in e.sums and there.issuperset(e.sums)]
 
 
 def rival_gain(piece: Piece, final: Scored) -> float:

@@ -121,21 +121,21 @@ def piece_of(
     test: Data,
     given: Model,
     final: Scored,
-    joint: int,
-    key: tuple[str, int],
+    mechanism: str,
     terms: tuple[Term, ...],
     base: Scored,
     jobs: int,
 ) -> Piece:
-    """What taking some terms away costs on untouched recordings; ``base`` is the calibrated model,
-    which every one of them contains and so none can fit worse than.
+    """What taking some terms of a joint away costs on untouched recordings; ``base`` is the
+    calibrated model, which every one of them contains and so none can fit worse than.
     """
+    joint = terms[0].joint
     without = _without(given, final, joint, terms, jobs)
     without = min(without, base, key=lambda scored: scored.deviance)
     held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
     return Piece(
-        key[0], terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
+        mechanism, terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_closing, median_filter
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri  # scipy.stats would take half a second to import
 
 from zendsp.diagnosis.measure.discrepancy import kept, lacking, mean_square
 from zendsp.diagnosis.measure.structure import unit
@@ -49,11 +49,12 @@ class Bursts:
 
 @dataclass(frozen=True)
 class _Acting:
-    """Where a lacking torque is large: per recording a mask (n,), the torque smoothed over the
-    observer's memory, and the samples that count.
+    """Where a lacking torque is large: per recording a mask (n,), the torque, the same smoothed
+    over the observer's memory, and the samples that count.
     """
 
     masks: tuple[npt.NDArray[np.bool_], ...]
+    lacks: tuple[Array, ...]
     smooth: tuple[Array, ...]
     used: tuple[slice, ...]
     least: float
@@ -115,9 +116,9 @@ def bursts(
     if not covered or covered > BRIEF * count or met < REVISITED * covered:
         return None
     out = _summed([(data, acting)], joint)
-    z = float(norm.isf(0.5 * covered / count))
+    z = -float(ndtri(0.5 * covered / count))
     # of a random torque's energy, in its largest values for so long
-    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))
+    by_chance = 2.0 * (z * float(np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)) + float(ndtr(-z)))
     scattered = 1.0 - out.share > CONCENTRATED * (1.0 - by_chance)
     return None if scattered or len(out.intervals) > many else out
 
@@ -136,6 +137,7 @@ def _acting(
     """Where the energy of what a model lacks is far above its median, and above ``least``; without
     it, above a part of its own peak.
     """
+    lacks: list[Array] = []
     smooth: list[Array] = []
     levels, used = [], []
     for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
@@ -144,6 +146,7 @@ def _acting(
         width = max(3, round(3.0 / band / record.sample_time))
         window = np.ones(width) / width
         levels.append(np.convolve(lack**2, window, mode="same")[use])
+        lacks.append(lack[use])
         smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
         used.append(use)
     quiet = float(np.quantile(np.concatenate(levels), 0.5))
@@ -153,7 +156,7 @@ def _acting(
     for level, rec in zip(levels, data.records, strict=True):
         gap = max(1, round(0.25 / rec[joint - 1].sample_time))
         masks.append(binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1])
-    return _Acting(tuple(masks), tuple(smooth), tuple(used), above)
+    return _Acting(tuple(masks), tuple(lacks), tuple(smooth), tuple(used), above)
 
 
 def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
@@ -161,9 +164,10 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
     spans: list[tuple[float, float]] = []
     inside: list[Array] = []
     outside: list[Array] = []
+    energy = [0.0, 0.0]
     for data, acting in parts:
-        for high, smooth, use, rec in zip(
-            acting.masks, acting.smooth, acting.used, data.records, strict=True
+        for high, lack, smooth, use, rec in zip(
+            acting.masks, acting.lacks, acting.smooth, acting.used, data.records, strict=True
         ):
             step, start = rec[joint - 1].sample_time, rec[joint - 1].t0
             change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
@@ -174,17 +178,18 @@ def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
             ]
             inside.append(smooth[high])
             outside.append(smooth[~high])
+            energy[0] += float(np.sum(lack[high] ** 2))
+            energy[1] += float(np.sum(lack[~high] ** 2))
     within, beside = np.concatenate(inside), np.concatenate(outside)
     # not the largest of all: the observer rings at the edges
     peak = float(np.quantile(np.abs(within), 0.95)) if len(within) else 0.0
     within = np.minimum(np.abs(within), peak)
-    energy = float(np.sum(within**2)), float(np.sum(beside**2))
     return Bursts(
         tuple(spans),
         energy[0] / max(sum(energy), 1e-300),
         peak,
-        float(np.sqrt(energy[0] / max(len(within), 1))),
-        float(np.sqrt(energy[1] / max(len(beside), 1))),
+        float(np.sqrt(np.sum(within**2) / max(len(within), 1))),
+        float(np.sqrt(np.sum(beside**2) / max(len(beside), 1))),
         max(acting.least for _, acting in parts),
     )
 

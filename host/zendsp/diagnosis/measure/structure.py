@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
-from scipy.signal import lfilter
+from scipy.linalg.blas import dtbsv
 
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
@@ -125,8 +125,10 @@ def _swung(record: JointRecord) -> Array:
         if hertz * h < SLOWER:
             w = 2 * np.pi * hertz
             decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
-            behind = [1.0, -2 * decay * turn, decay**2]
-            place = lfilter([0.0, h * h], behind, a)
+            # place[k] - 2 decay turn place[k-1] + decay² place[k-2] = h² a[k-1]: a triangular
+            # band, solved from its first row on
+            band = np.tile([[1.0], [-2 * decay * turn], [decay**2]], record.n)
+            place = dtbsv(2, band, h * h * np.concatenate([[0.0], a[:-1]]), lower=1, diag=1)
             columns += [w**2 * place, w * np.gradient(place, h)]
     return np.array(columns).reshape(-1, record.n)
 
