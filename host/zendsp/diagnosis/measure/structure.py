@@ -151,7 +151,7 @@ class Structure:
 
 
 def structure(
-    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str]
+    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], above: float = 0.0
 ) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
@@ -164,6 +164,8 @@ def structure(
         1-based.
     mechanisms : sequence of str
         Of ``STRUCTURED``.
+    above : float
+        Part of the joint's speed below which nothing counts: where it turns round.
 
     Returns
     -------
@@ -179,7 +181,8 @@ def structure(
         if not made[0][0][0].shape[0]:
             return best
         normals = [
-            _normal(part, seen, joint, band, stride) for part, seen in zip(parts, made, strict=True)
+            _normal(part, seen, joint, band, stride, above * ranges.speed)
+            for part, seen in zip(parts, made, strict=True)
         ]
         sums, counts, excess = [], [], 0.0
         for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
@@ -189,7 +192,11 @@ def structure(
             theta = np.linalg.solve(
                 square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
             )
-            gains = [lack**2 - (lack - theta @ columns) ** 2 for columns, lack in seen]
+            gains = [
+                (lack**2 - (lack - theta @ columns) ** 2)
+                * (np.abs(rec[joint - 1].motion.states[1]) >= above * ranges.speed)
+                for (columns, lack), rec in zip(seen, part.records, strict=True)
+            ]
             for (_, lack), rec in zip(seen, part.records, strict=True):
                 use = kept(rec[joint - 1], band)
                 excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
@@ -223,14 +230,20 @@ def _seen(
 
 
 def _normal(
-    data: Data, seen: Sequence[tuple[Array, Array]], joint: int, band: float, stride: int
+    data: Data,
+    seen: Sequence[tuple[Array, Array]],
+    joint: int,
+    band: float,
+    stride: int,
+    slowest: float,
 ) -> tuple[Array, Array]:
     """Normal equations of a part, thinned: squares (m, m), products (m,)."""
     m = seen[0][0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
     for (columns, lack), rec in zip(seen, data.records, strict=True):
         use = kept(rec[joint - 1], band)
-        a, d = columns[:, use][:, ::stride], lack[use][::stride]
+        fast = np.abs(rec[joint - 1].motion.states[1][use]) >= slowest
+        a, d = columns[:, use][:, fast][:, ::stride], lack[use][fast][::stride]
         square += a @ a.T
         product += a @ d
     return square, product

@@ -306,6 +306,8 @@ class Effect:
         level, ``"friction"`` also for viscous.
     aliases : tuple of str
         Effects that can be exactly the same to any recording: no fit tells them apart.
+    sums : tuple of str
+        Effects that together are this one, by algebra.
     family : str
         Effects of one family explain the same traces; few recordings separate them.
     sentence : str
@@ -355,6 +357,7 @@ class Effect:
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
+    sums: tuple[str, ...] = ()
     family: str = ""
     rivals: tuple[str, ...] = ()
     repeatable: bool = False
