@@ -7,7 +7,7 @@ import itertools
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NoReturn
 
 import zenoh
@@ -227,14 +227,16 @@ class Link:
         """
         row = self._row(verb)
         payload = codec.encode_request(verb, arguments, self.author)
-        for reply in self._replies(row, payload, timeout or row.timeout, zenoh.Priority.DATA_LOW):
-            sample = reply.ok
-            if sample is None:
-                self._refused(reply, row)
-            if sample.attachment is None:
-                codec.decode_reply(sample.payload.to_bytes(), row.result)
-                return
-            on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
+        patience = timeout or row.timeout
+        with self._replies(row, payload, patience, zenoh.Priority.DATA_LOW) as replies:
+            for reply in replies:
+                sample = reply.ok
+                if sample is None:
+                    self._refused(reply, row)
+                if sample.attachment is None:
+                    codec.decode_reply(sample.payload.to_bytes(), row.result)
+                    return
+                on_part(sample.attachment.to_bytes(), sample.payload.to_bytes())
         raise self.silence(verb, row.timeout)
 
     def silence(self, verb: str, timeout: float) -> LinkError:
@@ -318,10 +320,12 @@ class Link:
         self, row: Verb, payload: bytes, timeout: float, attachment: bytes | None = None
     ) -> zenoh.Reply:
         """Ask and wait so that Ctrl-C is heard and a target that goes away is noticed."""
-        for reply in self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment):
-            return reply
+        with self._replies(row, payload, timeout, zenoh.Priority.DATA, attachment) as replies:
+            for reply in replies:
+                return reply
         raise self.silence(row.name, timeout)
 
+    @contextlib.contextmanager
     def _replies(
         self,
         row: Verb,
@@ -329,8 +333,11 @@ class Link:
         timeout: float,
         priority: zenoh.Priority,
         attachment: bytes | None = None,
-    ) -> Iterator[zenoh.Reply]:
-        """Yield replies as they come, until the last, or until the target is gone."""
+    ) -> Iterator[Iterable[zenoh.Reply]]:
+        """Give replies as they come, until the last, or until the target is gone.
+
+        No generator: one that is left early ends where Python loses a Ctrl-C that came meanwhile.
+        """
         giving_up = zenoh.CancellationToken()
         self._waiting.add(giving_up)
         try:
@@ -345,7 +352,7 @@ class Link:
                 priority=priority,
                 cancellation_token=giving_up,
             )
-            yield from replies
+            yield replies
         except zenoh.ZError as error:
             raise self.silence(row.name, timeout) from error
         finally:
