@@ -15,6 +15,7 @@ from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
+from zendsp.diagnosis.decide.confidence import stated
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -127,6 +128,28 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
     lag = piece(0.004, 5.0, 50.0, "lag")
     claimed, rest = pieces.held_apart(parts, None, SimpleNamespace(model=model), 1, [lag])  # type: ignore[arg-type]
     assert (claimed, rest) == (([lag], []) if claims else ([], [lag]))
+
+
+@pytest.mark.parametrize(
+    ("effect", "size", "left", "named"),
+    [
+        ("coulomb", 0.007, 0.008, True),  # what every machine has
+        ("dead_zone", 0.02, 0.01, False),  # a function of the state, as others may be
+        ("dead_zone", 0.02, 0.0, True),  # and nothing is left that speaks against it
+        ("gain_drift", 0.02, 0.005, True),  # over time: no function of the state resembles it
+    ],
+)
+def test_a_law_is_named_where_what_it_leaves_allows_no_other(
+    effect: str, size: float, left: float, named: bool
+) -> None:
+    evidence = Evidence(100.0, 15.0, np.zeros(1))
+    term = Term(effect, 1, {})
+    claim = Claim(effect, mechanism_of(effect), term, size, evidence, 50.0, {}, (), (), ())
+    before, after = Size(0.025, 0.024, 0.026), Size(left, left, left)
+    outcome = Decision(
+        1, "missing", (claim,), (), None, None, before, after, Structure(0.0, 0.0, 0.0), after, 1.0  # type: ignore[arg-type]
+    )
+    assert stated(claim, outcome) is named
 
 
 @pytest.mark.parametrize(("size", "stands"), [(0.02, True), (0.005, False)])
