@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import io
-import os
-import signal
 import socket
 import subprocess
 import threading
@@ -484,20 +482,3 @@ def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -
         for thread in threads:
             thread.join(PATIENCE_S)
         assert [type(error) for error in said] == [LinkError, LinkError], said
-
-
-def test_ctrl_c_that_comes_with_the_answer_is_heard(
-    target: Target, runtime: FakeRuntime, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It comes while the caller's thread waits, and the answer ends the wait."""
-    plain = runtime.compile
-
-    def compile_(*words: object) -> object:
-        os.kill(os.getpid(), signal.SIGINT)
-        return plain(*words)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(runtime, "compile", compile_)
-    for _ in range(5):
-        with pytest.raises(KeyboardInterrupt):
-            target.compile({"a.c": "int a;"})
-    assert target.status().state == "empty"
