@@ -10,8 +10,9 @@ import pytest
 
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
-from zendsp.experiment.frequency import choose_lines, estimate, make_period
-from zendsp.experiment.sweep import values_of
+from zendsp.experiment.excite import APPROACH_S
+from zendsp.experiment.frequency import FrequencyResponse, choose_lines, estimate, make_period
+from zendsp.experiment.sweep import tried_of, values_of
 from zendsp.link import Target, local
 
 RATE = 1000.0
@@ -66,6 +67,9 @@ def test_values_as_typed() -> None:
     for text in ("", "1:2", "a", "1:2:0", "1:2:x"):
         with pytest.raises(VariableError, match="FIRST:LAST:COUNT"):
             values_of(text)
+    assert tried_of(["Kp1=1,2", "Kd1=3"]) == {"Kp1": [1.0, 2.0], "Kd1": [3.0]}
+    with pytest.raises(VariableError, match="NAME=VALUES"):
+        tried_of(["Kp1"])
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +140,52 @@ def test_while_the_loop_keeps_real_time_the_program_goes_on() -> None:
         held = target.acquire(["r1"], 0.3)["r1"]
         assert np.ptp(held) == 0.0, "nothing moves on, and nothing jumps"
         assert abs(found.magnitude_db[0]) < 6.0, "friction takes its part of so small a motion"
+
+
+def test_interrupted_while_it_swings_the_machine_is_held_where_it_then_is() -> None:
+    def interrupt(share: float) -> None:
+        if share > 0.3:
+            raise KeyboardInterrupt
+
+    with local("imi_planar", options=["--ideal"]) as target:
+        target.download("pd.c")
+        target.start()
+        for running in (True, False):
+            if not running:
+                target.pause()
+            with pytest.raises(KeyboardInterrupt):
+                zendsp.frequency_response(
+                    target, f_min=1.0, lines=4, periods=9, amplitude=0.02, rehearsed=False,
+                    progress=interrupt,
+                )  # fmt: skip
+            assert (target.status().state == "running") is running, "as it was before"
+            if running:
+                held = target.acquire(["r1"], APPROACH_S + 0.3)["r1"][-200:]
+                assert np.ptp(held) == 0.0, "it swings no more"
+
+
+def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> None:
+    fast.download("pd.c")
+    found = zendsp.frequency_response(fast, f_min=2.0, f_max=20.0, lines=5, periods=2)
+    again = FrequencyResponse.of(zendsp.Recording.load(found.recording.save(tmp_path / "r.mat")))
+    assert again is not None and again.rows() == found.rows()
+    assert again.summary() == found.summary() and again.unit == found.unit
+    assert FrequencyResponse.of(fast.acquire(["q"], 0.1, start=True)) is None
+
+
+def test_a_sweep_can_be_interrupted_within_a_measurement(fast: Target) -> None:
+    shares: list[float] = []
+
+    def interrupt(share: float) -> None:
+        shares.append(share)
+        if share > 0.6:
+            raise KeyboardInterrupt
+
+    fast.download("pd.c")
+    fast.start()
+    with pytest.raises(KeyboardInterrupt):
+        zendsp.sweep(fast, {"Kp1": [500.0, 600.0]}, ["e1"], seconds=60.0, progress=interrupt)
+    assert 0.5 < shares[-1] < 1.0 and fast["Kp1"] == 2000.0
 
 
 def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(

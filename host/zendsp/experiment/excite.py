@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError, Refused
+from zendsp.errors import AcquisitionError, Refused, ZendspError
 from zendsp.link import Target, rehearse
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
@@ -21,6 +22,7 @@ APPROACH_S = 0.5  # from where the machine stands into the first row
 FADE = 0.5  # of a period: in within the first, out after the last
 LEAD_S = 0.5  # from the request to the sample in which everything switches over
 SLOWEST = 2e6  # bytes a second that a link carries at the least
+REST_S = 1.0  # for a machine to come to rest under its control law
 SLACK_S = 1.0  # of the ring on the real clock, before the switch-over and after the end
 
 
@@ -40,7 +42,7 @@ def play(
 
     At the end the machine holds the last row, where it stood before. The program keeps use_table,
     row_rate and approach_time as they were played: another value would move the reference along
-    the table.
+    the table. Whatever ends it early, Ctrl-C too, the machine is then held where it is.
 
     Parameters
     ----------
@@ -79,7 +81,12 @@ def play(
             raise Refused(f"not played, the twin was stopped: {found.text}; take less amplitude")
     running = target.status().state == ProgramState.RUNNING
     swing = _Swing(target, tables, wanted, channels, length, progress)
-    recording, begin = swing.while_it_runs() if real and running else swing.from_the_start()
+    try:
+        recording, begin = swing.while_it_runs() if real and running else swing.from_the_start()
+    except BaseException:  # Ctrl-C too: nobody waits any more for what the machine goes on doing
+        with suppress(ZendspError):
+            swing.come_to_rest(real, running)
+        raise
     if running and not real:
         target.start()
     trip = target.status().trip
@@ -160,6 +167,19 @@ class _Swing:
     channels: list[str]
     length: float
     progress: Callable[[float], None] | None
+
+    def come_to_rest(self, real: bool, running: bool) -> None:
+        """Hold the machine where it is; pause it when it stands, where it was paused before."""
+        target = self.target
+        if not target.alive or target.status().state != ProgramState.RUNNING:
+            return
+        here = np.atleast_1d(np.asarray(_position(target, dict(target.variables()))))
+        for name in self.tables:
+            target.upload(name, np.tile(here if name == "ref" else 0.0 * here, (2, 1)))
+        if real and not running:
+            time.sleep(REST_S)
+        if not running:
+            target.pause()
 
     def from_the_start(self) -> tuple[Recording, int]:
         """Start the program together with the recording: the first row is the first sample."""

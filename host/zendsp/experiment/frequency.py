@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
+KEPT = "frequency_response"  # where a recording carries it
 SURE = 0.9  # coherence below which a line is shown, and not believed
 
 
@@ -52,7 +53,7 @@ class FrequencyResponse:
     input, output, unit : str
     periods : int
     recording : Recording
-        Input and output, all of it.
+        Input and output, all of it; it carries the response with it, see :meth:`of`.
     """
 
     f: Floats
@@ -86,6 +87,28 @@ class FrequencyResponse:
         k = int(below[0])
         share = level[k - 1] / (level[k - 1] - level[k])
         return float(self.f[k - 1] * (self.f[k] / self.f[k - 1]) ** share)
+
+    @classmethod
+    def of(cls, recording: Recording) -> FrequencyResponse | None:
+        """Return the response that was measured by a recording; None where it is of something else.
+
+        Parameters
+        ----------
+        recording : Recording
+            That a response has brought (``response.recording``), also out of a file.
+        """
+        kept = recording.extra.get(KEPT)
+        if not isinstance(kept, Mapping):
+            return None
+        f, real, imaginary, std, coherence = (
+            np.asarray(kept[name], dtype=np.float64)
+            for name in ("f", "real", "imaginary", "std", "coherence")
+        )
+        words = {name: str(kept[name]) for name in ("input", "output", "unit")}
+        return cls(
+            f, real + 1j * imaginary, std, coherence,
+            periods=int(kept["periods"]), recording=recording, **words,
+        )  # fmt: skip
 
     def rows(self) -> list[dict[str, float]]:
         """Return one row a frequency: Hz, dB, deg, standard deviations, coherence."""
@@ -267,6 +290,12 @@ def frequency_response(
     unit = f"{units[found] or '1'} / ({units[given] or '1'})"
     if units[found] == units[given]:
         unit = "1"
+    kept = {
+        "f": f, "real": gain.real, "imaginary": gain.imag, "std": std, "coherence": coherence,
+    }  # fmt: skip
+    words = {"input": given, "output": found, "unit": unit, "periods": periods}
+    extra = {KEPT: {**{name: v.tolist() for name, v in kept.items()}, **words}}
+    recording = replace(recording, extra={**recording.extra, **extra})
     return FrequencyResponse(
         f, gain, std, coherence, given, found, unit, periods, recording
     )  # fmt: skip

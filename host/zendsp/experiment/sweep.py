@@ -168,7 +168,8 @@ def sweep(
     rows: list[Mapping[str, Any]] = []
     try:
         for number, run in enumerate(runs, 1):
-            recording, ended = _one(target, run, channels, seconds, settle)
+            tell = _part(progress, number - 1, len(runs))
+            recording, ended = _one(target, run, channels, settle + seconds, tell)
             results = _measured(recording, channels, measures, settle, ended)
             rows.append({**run, **results, "ended": ended})
             if folder is not None and recording is not None:
@@ -205,17 +206,27 @@ def _one(
     run: Mapping[str, Any],
     channels: Sequence[str],
     seconds: float,
-    settle: float,
+    tell: Callable[[float], None] | None,
 ) -> tuple[Recording | None, str]:
     """One run: its recording, and why it ended early."""
     target.variables.update_alone(run)
     try:
-        recording = target.acquire(channels, settle + seconds)
+        recording = target.acquire(channels, seconds, progress=tell)
     except ZendspError:  # not running any more, or not for long enough
         if ended := _trouble(target):
             return None, ended
         raise
     return recording, _trouble(target)
+
+
+def _part(
+    progress: Callable[[float], None] | None, done: int, runs: int
+) -> Callable[[float], None] | None:
+    """What a run tells of itself, as a part of all runs."""
+    if progress is None:
+        return None
+    tell = progress
+    return lambda share: tell((done + share) / runs)
 
 
 def _trouble(target: Target) -> str:
@@ -255,6 +266,28 @@ def _columns(
 
 def _short(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
+    """Read what is to be tried as typed: ``Kp1=500:2500:5``, ``Kd1=60,120``.
+
+    Parameters
+    ----------
+    words : sequence of str
+        ``NAME=VALUES`` each; VALUES as :func:`values_of` reads them.
+
+    Raises
+    ------
+    VariableError
+        Anything else.
+    """
+    tried = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not (name and equals):
+            raise VariableError(f"{word!r}: expected NAME=VALUES, for example Kp1=100:500:5")
+        tried[name] = values_of(text)
+    return tried
 
 
 def values_of(text: str) -> list[float]:
