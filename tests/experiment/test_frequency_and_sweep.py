@@ -164,6 +164,15 @@ def test_interrupted_while_it_swings_the_machine_is_held_where_it_then_is() -> N
                 assert np.ptp(held) == 0.0, "it swings no more"
 
 
+def test_a_swing_that_trips_says_so(fast: Target) -> None:
+    fast.download("pd.c")
+    try:
+        with pytest.raises(Refused, match=r"exceeds the limit.*take less amplitude"):
+            zendsp.frequency_response(fast, f_min=2.0, lines=20, periods=2, amplitude=0.3)
+    finally:
+        fast.acknowledge()
+
+
 def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> None:
     fast.download("pd.c")
     found = zendsp.frequency_response(fast, f_min=2.0, f_max=20.0, lines=5, periods=2)

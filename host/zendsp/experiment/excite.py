@@ -83,17 +83,23 @@ def play(
     swing = _Swing(target, tables, wanted, channels, length, progress)
     try:
         recording, begin = swing.while_it_runs() if real and running else swing.from_the_start()
-    except BaseException:  # Ctrl-C too: nobody waits any more for what the machine goes on doing
+    except BaseException as error:  # Ctrl-C too: nobody waits for what the machine goes on doing
         with suppress(ZendspError):
             swing.come_to_rest(real, running)
+        if isinstance(error, ZendspError):
+            _refuse_trip(target)  # that it tripped says more than that rows are missing
         raise
     if running and not real:
         target.start()
-    trip = target.status().trip
-    if trip is not None:
-        raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
+    _refuse_trip(target)
     rate = target.info.rate_hz
     return recording, begin + round(APPROACH_S * rate) - recording.start_tick
+
+
+def _refuse_trip(target: Target) -> None:
+    trip = target.status().trip if target.alive else None
+    if trip is not None:
+        raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
 
 
 def _tables(

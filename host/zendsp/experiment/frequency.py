@@ -72,6 +72,11 @@ class FrequencyResponse:
         return np.asarray(20.0 * np.log10(np.abs(self.gain)))
 
     @property
+    def sure(self) -> npt.NDArray[np.bool_]:
+        """Which lines are to be believed: those whose coherence is 0.9 or more."""
+        return np.asarray(self.coherence >= SURE)
+
+    @property
     def phase_deg(self) -> Floats:
         """Phase, deg, unwrapped from the lowest frequency up."""
         return np.asarray(np.degrees(np.unwrap(np.angle(self.gain))))
@@ -127,7 +132,7 @@ class FrequencyResponse:
 
     def summary(self) -> str:
         """Return one sentence."""
-        unsure = int((self.coherence < SURE).sum())
+        unsure = int((~self.sure).sum())
         text = (
             f"{self.output} over {self.input}: {len(self.f)} frequencies from {self.f[0]:.3g} to"
             f" {self.f[-1]:.3g} Hz, {self.periods} periods"

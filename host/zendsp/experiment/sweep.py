@@ -62,10 +62,18 @@ class Sweep:
         name = result or self.results[0]
         if name not in self.results:
             raise AcquisitionError(f"no result {name!r}; there are {', '.join(self.results)}")
-        whole = [row for row in self.rows if not row["ended"]]
-        if not whole:
+        k = self.best_row(name)
+        if k is None:
             raise AcquisitionError("no run came to its end")
-        return min(whole, key=lambda row: abs(float(row[name])))
+        return self.rows[k]
+
+    def best_row(self, result: str = "") -> int | None:
+        """Return the number of the row that :meth:`best` returns; None where no run came to its
+        end.
+        """
+        name = result or self.results[0]
+        whole = [k for k, row in enumerate(self.rows) if not row["ended"]]
+        return min(whole, key=lambda k: abs(float(self.rows[k][name])), default=None)
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV.
