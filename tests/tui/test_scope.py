@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import unicodedata
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, env
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
-from zendsp.tui.scope.ticks import duration, label, number, ticks
+from zendsp.tui.scope.ticks import duration, label, log_ticks, number, ticks
 from zendsp.tui.scope.trigger import last_crossing
 from zendsp.tui.values import show_value
 
@@ -370,3 +371,13 @@ def test_the_statistics_between_the_cursors_are_those_of_the_samples() -> None:
     assert found.rise == pytest.approx(share, abs=2e-3)
     gap = np.where(t < 1.0, np.nan, 1.0)
     assert measure(t, gap, 0.0, 2.0).mean == 1.0 and np.isnan(measure(t, gap, 0.0, 0.5).mean)
+
+
+def test_a_logarithmic_axis_has_round_numbers() -> None:
+    def numbers(low: float, high: float, most: int) -> list[float]:
+        return [float(f"{10.0**v:.3g}") for v in log_ticks(math.log10(low), math.log10(high), most)]
+
+    assert numbers(0.5, 30.0, 8) == [0.5, 1.0, 2.0, 5.0, 10.0, 20.0]
+    assert numbers(0.1, 1e4, 6) == [0.1, 1.0, 10.0, 100.0, 1e3, 1e4]
+    assert len(numbers(3.1, 4.9, 6)) >= 2, "within a decade two numbers at the least"
+    assert len(numbers(1e-12, 1e9, 4)) <= 5 and numbers(2.0, 2.0, 4) == []

@@ -32,8 +32,8 @@ BODE = (
     " twin, then takes (periods + 1.5) / from seconds."
 )
 SWEEP = (
-    "The program runs on; every combination is measured, then the parameters are put back."
-    " Values: Kp1=100,200 or FIRST:LAST:COUNT."
+    "The program goes on as it does now, so let it move; every combination is measured, then the"
+    " parameters are put back. Values: Kp1=100,200 or FIRST:LAST:COUNT."
 )
 
 
