@@ -10,3 +10,4 @@ def test_a_target_is_started_found_and_named(installed: Installed) -> None:
     said = installed.run("info", "-t", "imi")
     assert said.returncode == 0, said.stderr
     assert "imi_planar" in said.stdout
+    assert "loop       1000 Hz, real clock\n" in said.stdout, "of a loop that is not there no more"
