@@ -56,7 +56,8 @@ def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(
 ) -> None:
     installed.target("imi", "imi_planar", "--clock", "fast")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
-    lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nhelp\nhelp set\nget Kp1 --json\nexit\n"
+    lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nhelp\nhelp set\n"
+    lines += "get Kp1 --json\nexit\n"
     done = installed.run("shell", "-t", "imi", input=lines)
     assert done.returncode == 0
     assert "Kp1 set at sample" in done.stdout and "Kp1 = 450 N m/rad" in done.stdout
