@@ -51,7 +51,7 @@ def log_ticks(bottom: float, top: float, most: int) -> list[float]:
         for k in range(math.floor(bottom), math.ceil(top) + 1)
         for step in STEPS
     ]
-    found = [v for v in fine if bottom <= v <= top]
+    found = [v for v in fine if bottom - 1e-9 <= v <= top + 1e-9]
     if len(found) > most + 1:
         found = [v for v in found if v == round(v)]
     return found if 2 <= len(found) <= most + 1 else ticks(bottom, top, most)
