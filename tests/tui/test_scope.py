@@ -403,7 +403,7 @@ def test_every_curve_has_its_place_in_the_legend(width: int) -> None:
     assert legend_lines([], width, 10) == [[]]
 
 
-@pytest.mark.parametrize(("view", "numbers"), [("spectrum", "10 100 1e-4 1"), ("xy", "-1.0 0 1.0")])
+@pytest.mark.parametrize(("view", "numbers"), [("spectrum", "1 10 1e-4 0.01"), ("xy", "-1.0 0 1.0")])
 async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, numbers: str) -> None:
     class One(App[None]):
         def compose(self) -> ComposeResult:
@@ -421,4 +421,4 @@ async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, num
         await pilot.pause()
         shown = "\n".join(strip.text for strip in app.screen._compositor.render_strips()).split()
         found = {word.strip("▏") for word in shown}
-        assert found.issuperset(numbers.split()), shown
+        assert found.issuperset(numbers.split()), sorted(found)

@@ -20,7 +20,7 @@ from textual.widget import Widget
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
 from zendsp.tui.scope.measure import measure
-from zendsp.tui.scope.path import Axes, plot_lines
+from zendsp.tui.scope.path import plot_lines
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
 from zendsp.tui.scope.raster import braille
