@@ -403,7 +403,9 @@ def test_every_curve_has_its_place_in_the_legend(width: int) -> None:
     assert legend_lines([], width, 10) == [[]]
 
 
-@pytest.mark.parametrize(("view", "numbers"), [("spectrum", "1 10 1e-4 0.01"), ("xy", "-1.0 0 1.0")])
+@pytest.mark.parametrize(
+    ("view", "numbers"), [("spectrum", "1 10 1e-4 0.01"), ("xy", "-1.0 0 1.0")]
+)
 async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, numbers: str) -> None:
     class One(App[None]):
         def compose(self) -> ComposeResult:
