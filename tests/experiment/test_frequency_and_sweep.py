@@ -175,7 +175,10 @@ def test_a_swing_that_trips_says_so(fast: Target) -> None:
 
 def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> None:
     fast.download("pd.c")
-    found = zendsp.frequency_response(fast, f_min=2.0, f_max=20.0, lines=5, periods=2)
+    found = zendsp.frequency_response(
+        fast, f_min=2.0, f_max=20.0, lines=5, periods=2, channels=["q", "tau"]
+    )
+    assert found.recording.columns == ("q[0]", "q[1]", "tau[0]", "tau[1]", "r1")
     again = FrequencyResponse.of(zendsp.Recording.load(found.recording.save(tmp_path / "r.mat")))
     assert again is not None and again.rows() == found.rows()
     assert again.summary() == found.summary() and again.unit == found.unit

@@ -215,6 +215,7 @@ def frequency_response(
     input: str = "",
     output: str = "",
     periods: int = 6,
+    channels: Sequence[str] = (),
     rehearsed: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> FrequencyResponse:
@@ -246,6 +247,8 @@ def frequency_response(
         the closed loop; of a torque the command (``tau``) and the position: the machine itself.
     periods : int
         That are used, at least 2; the standard deviation falls with the square root.
+    channels : sequence of str
+        What else the recording is to hold, for example what a diagnosis needs.
     rehearsed : bool
         Try it on a simulated twin first, where the clock is real.
     progress : callable, optional
@@ -278,7 +281,7 @@ def frequency_response(
         quantity=quantity,
         seconds=samples / rate,
         times=periods + 1,
-        channels=[given, found],
+        channels=[*channels, *(n for n in (given, found) if not _among(n, channels))],
         rehearsed=rehearsed,
         progress=progress,
     )
@@ -386,6 +389,10 @@ def estimate(
         for s in spectra
     ]
     return gain, std, np.minimum(*parts)
+
+
+def _among(name: str, channels: Sequence[str]) -> bool:
+    return name in channels or name.partition("[")[0] in channels
 
 
 def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:

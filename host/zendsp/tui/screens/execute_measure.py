@@ -81,6 +81,7 @@ class MeasureActions(RunActions):
 
     def _respond(self, asked: Mapping[str, Any]) -> None:
         self._asked[RESPONSE] = asked
+        settings = {**asked, "channels": usual_channels(self.lab.session.snapshot)}
         runs = self.lab.workspace.runs
         name = f"bode joint {asked['joint']}"
 
@@ -93,7 +94,7 @@ class MeasureActions(RunActions):
             MeasureJob(
                 self.lab.session,
                 "frequency response",
-                lambda port, tell: port.respond(asked, tell),
+                lambda port, tell: port.respond(settings, tell),
                 keep,
             )
         )
