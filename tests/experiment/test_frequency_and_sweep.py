@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
@@ -170,6 +172,26 @@ def test_a_swing_that_trips_says_so(fast: Target) -> None:
         with pytest.raises(Refused, match=r"exceeds the limit.*take less amplitude"):
             zendsp.frequency_response(fast, f_min=2.0, lines=20, periods=2, amplitude=0.3)
     finally:
+        fast.acknowledge()
+
+
+def test_a_stop_while_it_swings_is_called_a_stop(fast: Target) -> None:
+    fast.download("pd.c")
+    swings = threading.Event()
+
+    def stop() -> None:
+        assert swings.wait(PATIENCE_S)
+        fast.stop()
+
+    stopper = threading.Thread(target=stop)
+    stopper.start()
+    try:
+        with pytest.raises(Refused, match=r"^STOP was requested .* acknowledged$"):
+            zendsp.frequency_response(
+                fast, f_min=0.01, f_max=1.0, lines=5, periods=9, progress=lambda _: swings.set()
+            )
+    finally:
+        stopper.join()
         fast.acknowledge()
 
 

@@ -73,6 +73,7 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
         runs = list_runs(lab.workspace.runs)
         assert [r.outcome for r in runs] == [RESPONSE, RESPONSE]
         assert {"e[0]", "tau[0]", "q[1]"} <= set(runs[0].recording().columns), "to be diagnosed"
+        assert (runs[0].folder / "response.csv").read_text().startswith("f,magnitude_db,")
         soft, stiff = (FrequencyResponse.of(r.recording()) for r in runs)
         assert soft is not None and stiff is not None
         assert soft.magnitude_db[0] < stiff.magnitude_db[0] - 1.0, "friction holds the soft loop"

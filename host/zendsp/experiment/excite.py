@@ -99,6 +99,8 @@ def play(
 def _refuse_trip(target: Target) -> None:
     trip = target.status().trip if target.alive else None
     if trip is not None:
+        if trip.reason == "stop":
+            raise Refused(trip.text)
         raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
 
 

@@ -86,9 +86,10 @@ class MeasureActions(RunActions):
         name = f"bode joint {asked['joint']}"
 
         def keep(found: FrequencyResponse) -> Run:
-            return store_run(
-                runs, name, found.recording, sources=self.lab.source_texts(), outcome=RESPONSE
-            )
+            sources = self.lab.source_texts()
+            run = store_run(runs, name, found.recording, sources=sources, outcome=RESPONSE)
+            found.save(run.folder / "response.csv")  # for any other tool
+            return run
 
         self._measure(
             MeasureJob(
