@@ -166,8 +166,9 @@ class StatusBar(Widget):
         """Return the line that says how STOP ended, over the whole width."""
         c = self.app.theme_variables
         colour = c["warning"] if verdict.state == "stopped" else c["error"]
+        after = ", then Ctrl+K" if verdict.state == "not stopped" else ""
         line = Text(
-            f" ■ {verdict.text} ",
+            f" ■ {verdict.text}{after} ",
             Style(bold=True, color=colour, reverse=True),
             no_wrap=True,
             overflow="ellipsis",
