@@ -149,16 +149,23 @@ def test_interrupted_while_it_swings_the_machine_is_held_where_it_then_is() -> N
         if share > 0.3:
             raise KeyboardInterrupt
 
+    def at_once(share: float) -> None:
+        raise KeyboardInterrupt
+
     with local("imi_planar", options=["--ideal"]) as target:
         target.download("pd.c")
         target.start()
-        for running in (True, False):
+        with pytest.raises(KeyboardInterrupt):
+            zendsp.frequency_response(target, f_min=1.0, lines=4, periods=9, progress=at_once)
+        assert target["use_table"] is False, "while it was tried on the twin, nothing has moved"
+        # at once: before the tables have switched over
+        for running, end in ((True, at_once), (True, interrupt), (False, interrupt)):
             if not running:
                 target.pause()
             with pytest.raises(KeyboardInterrupt):
                 zendsp.frequency_response(
                     target, f_min=1.0, lines=4, periods=9, amplitude=0.02, rehearsed=False,
-                    progress=interrupt,
+                    progress=end,
                 )  # fmt: skip
             assert (target.status().state == "running") is running, "as it was before"
             if running:

@@ -76,7 +76,7 @@ def play(
     length = APPROACH_S + seconds * times + FADE * seconds
     real = target.info.clock == "real"
     if rehearsed and real:
-        found = rehearse(target, tables, wanted, length)
+        found = rehearse(target, tables, wanted, length, _sign_of_life(progress))
         if found.simulated and not found.good:
             raise Refused(f"not played, the twin was stopped: {found.text}; take less amplitude")
     running = target.status().state == ProgramState.RUNNING
@@ -94,6 +94,14 @@ def play(
     _refuse_trip(target)
     rate = target.info.rate_hz
     return recording, begin + round(APPROACH_S * rate) - recording.start_tick
+
+
+def _sign_of_life(progress: Callable[[float], None] | None) -> Callable[[float], None] | None:
+    """What a rehearsal tells: nothing is done yet, but it can be interrupted."""
+    if progress is None:
+        return None
+    tell = progress
+    return lambda _: tell(0.0)
 
 
 def _refuse_trip(target: Target) -> None:
@@ -183,11 +191,28 @@ class _Swing:
             return
         here = np.atleast_1d(np.asarray(_position(target, dict(target.variables()))))
         for name in self.tables:
-            target.upload(name, np.tile(here if name == "ref" else 0.0 * here, (2, 1)))
+            self._replace(name, np.tile(here if name == "ref" else 0.0 * here, (2, 1)))
         if real and not running:
             time.sleep(REST_S)
         if not running:
             target.pause()
+
+    def _replace(self, name: str, rows: Floats) -> None:
+        """Send a table as soon as the one before it is in effect."""
+        deadline = time.monotonic() + 2.0 * LEAD_S + self.size / SLOWEST
+        while True:
+            try:
+                self.target.upload(name, rows)
+                return
+            except Refused:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.02)  # until the target's clock has come so far
+
+    @property
+    def size(self) -> int:
+        """Bytes of all tables."""
+        return sum(rows.nbytes for rows in self.tables.values())
 
     def from_the_start(self) -> tuple[Recording, int]:
         """Start the program together with the recording: the first row is the first sample."""
@@ -205,8 +230,7 @@ class _Swing:
     def while_it_runs(self) -> tuple[Recording, int]:
         """Switch the table over while the recorder runs, and keep the rows from there on."""
         target, length, rate = self.target, self.length, self.target.info.rate_hz
-        size = sum(rows.nbytes for rows in self.tables.values())
-        begin = target.status().tick + round((LEAD_S + size / SLOWEST) * rate)
+        begin = target.status().tick + round((LEAD_S + self.size / SLOWEST) * rate)
         target.update(at_tick=begin, **self.values)  # all in one sample, so that nothing jumps
         for name, rows in self.tables.items():
             begin = max(begin, target.upload(name, rows, at_tick=begin))
