@@ -225,7 +225,7 @@ def test_a_sweep_can_be_interrupted_within_a_measurement(fast: Target) -> None:
     fast.download("pd.c")
     fast.start()
     with pytest.raises(KeyboardInterrupt):
-        zendsp.sweep(fast, {"Kp1": [500.0, 600.0]}, ["e1"], seconds=60.0, progress=interrupt)
+        zendsp.sweep(fast, {"Kp1": [700.0, 800.0]}, ["e1"], seconds=60.0, progress=interrupt)
     assert 0.5 < shares[-1] < 1.0 and fast["Kp1"] == 2000.0
 
 
