@@ -1,4 +1,4 @@
-"""Find a C compiler, run it within limits, and read what it says.
+"""Find a C compiler, and run it within limits.
 
 Order of the search: ``$CC``, then ``cc``, ``gcc``, ``clang``, then the ``ziglang`` package (extra
 ``zendsp[zig]``).
@@ -12,7 +12,6 @@ import importlib.util
 import json
 import math
 import os
-import re
 import select
 import shlex
 import shutil
@@ -24,6 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from zendsp_isr.messages import Message, parse_messages
 from zendsp_protocol.errors import CompileFailed
 
 _MAX_FILE = 256 << 20  # bytes of one file
@@ -55,10 +55,6 @@ _TOOLCHAIN = (
     "/etc/alternatives",
     "/dev/urandom",
 )
-_TEXT = re.compile(
-    r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
-    r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
-)
 
 
 @dataclass(frozen=True)
@@ -81,19 +77,6 @@ class Compiler:
 
     def __str__(self) -> str:
         return f"{' '.join(self.command)} ({self.version})"
-
-
-@dataclass(frozen=True)
-class Message:
-    """One diagnostic: severity "error" | "warning" | "note", file, line and column from 1 (0 where
-    unknown).
-    """
-
-    severity: str
-    file: str
-    line: int
-    column: int
-    message: str
 
 
 @dataclass(frozen=True)
@@ -219,10 +202,9 @@ def run_compiler(
     )
     if ended.why:
         return Outcome(False, (Message("error", "", 0, 0, ended.why),))
-    inside = [cwd, *map(Path, allowed)]
-    messages = tuple(m for m in parse_messages(ended.text) if _is_inside(m.file, cwd, inside))[
-        :_MAX_MESSAGES
-    ]
+    said = parse_messages(ended.text)
+    inside = _inside({m.file for m in said}, cwd, [cwd, *map(Path, allowed)])
+    messages = tuple(m for m in said if m.file in inside)[:_MAX_MESSAGES]
     messages = tuple(replace(m, message=m.message[:_MAX_TEXT]) for m in messages)
     if ended.status != 0 and not any(m.severity == "error" for m in messages):
         text = f"the compiler ended with status {ended.status}{_reason(ended.text)}"
@@ -333,14 +315,16 @@ def _zig(compiler: Compiler) -> dict[str, str]:
     return {"ZIG_GLOBAL_CACHE_DIR": str(folder)}
 
 
-def _is_inside(file: str, cwd: Path, folders: Sequence[Path]) -> bool:
-    """Whether a message speaks of the upload or the toolchain: one about another file would show
-    what stands there.
+def _inside(files: set[str], cwd: Path, folders: Sequence[Path]) -> set[str]:
+    """Those of the files that are of the upload or the toolchain: a message about another would
+    show what stands there.
     """
-    if not file:
-        return True
-    place = (cwd / file).resolve()
-    return any(place.is_relative_to(folder.resolve()) for folder in folders)
+    real = [folder.resolve() for folder in folders]
+    return {
+        file
+        for file in files
+        if not file or any((cwd / file).resolve().is_relative_to(folder) for folder in real)
+    }
 
 
 def _reason(text: str) -> str:
@@ -350,79 +334,3 @@ def _reason(text: str) -> str:
     if "File size limit" in text or "File too large" in text or "file truncated" in text:
         return f": its result exceeds {_MAX_FILE >> 20} MB; download data as a TABLE instead"
     return ""
-
-
-def parse_messages(text: str) -> tuple[Message, ...]:
-    """Diagnostics from a compiler's standard error: gcc's JSON, and the common ``file:line:column:
-    severity: text``.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    tuple of Message
-        In the order given, repetitions left out.
-
-    Examples
-    --------
-    >>> parse_messages("pd.c:3:5: error: expected ';'")
-    (Message(severity='error', file='pd.c', line=3, column=5, message="expected ';'"),)
-    """
-    found: list[Message] = []
-    decoder = json.JSONDecoder()
-    for line in text.splitlines():
-        if line.startswith("["):
-            try:
-                entries, _ = decoder.raw_decode(line)
-            except json.JSONDecodeError:
-                entries = None
-            if isinstance(entries, list):
-                found += [
-                    message
-                    for entry in entries
-                    if isinstance(entry, dict)
-                    for message in _from_json(entry)
-                ]
-                continue
-        match = _TEXT.match(line)
-        if match and (
-            match["severity"]
-            or "undefined" in match["message"]
-            or "multiple definition" in match["message"]
-        ):
-            severity = (match["severity"] or "error").replace("fatal ", "")
-            found.append(
-                Message(
-                    severity,
-                    match["file"],
-                    int(match["line"]),
-                    int(match["column"] or 0),
-                    match["message"],
-                )
-            )
-    return tuple(dict.fromkeys(found))
-
-
-def _from_json(entry: dict[str, object]) -> list[Message]:
-    severity = str(entry.get("kind", "error")).replace("fatal ", "")
-    locations = entry.get("locations")
-    file, line, column = "", 0, 0
-    if isinstance(locations, list) and locations and isinstance(locations[0], dict):
-        caret = locations[0].get("caret")
-        if isinstance(caret, dict):
-            file, line, column = (
-                str(caret.get("file", "")),
-                int(caret.get("line", 0)),
-                int(caret.get("column", 0)),
-            )
-    option = entry.get("option")
-    text = str(entry.get("message", "")) + (f" [{option}]" if option else "")
-    messages = [Message(severity, file, line, column, text)]
-    children = entry.get("children")
-    if isinstance(children, list):
-        for child in children:
-            if isinstance(child, dict):
-                messages += _from_json(child)
-    return messages

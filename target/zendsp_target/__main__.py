@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from zendsp_isr.build import machine_title
+from zendsp_isr.parts import machine_title
 from zendsp_protocol.errors import ZendspError
 from zendsp_target.access.admission import settle
 from zendsp_target.access.endpoints import Security

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zendsp_isr.build import build_machine, machine_names, source_root
+from zendsp_isr.build import source_root
 from zendsp_isr.compiler import find_compiler
+from zendsp_isr.parts import build_machine, machine_names
 from zendsp_protocol.errors import CompileFailed
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.safety import histogram_edges

@@ -237,10 +237,10 @@ def diagnosed(shop: Path, folder: Path, fmu: str, run: str, jobs: int = 1) -> Di
     return zendsp.diagnose(shop / f"{run}1.npz", model, shop / f"{run}2.npz", jobs=jobs)
 
 
-@pytest.mark.parametrize("fmu", ["p2.fmu", "p3.fmu"])
-def test_coulomb_friction_that_an_fmu_lacks_is_named(shop: Path, tmp_path: Path, fmu: str) -> None:
+def test_coulomb_friction_that_an_fmu_lacks_is_named(shop: Path, tmp_path: Path) -> None:
+    """Of FMI 3; that of FMI 2 gives the same numbers, see below."""
     left = set(os.listdir(tempfile.gettempdir()))
-    d = diagnosed(shop, tmp_path, fmu, "run")
+    d = diagnosed(shop, tmp_path, "p3.fmu", "run")
     assert [(f.effect, f.joint) for f in d.findings] == [("coulomb", 1)], d
     assert d.findings[0].parameters["level"].value == pytest.approx(DRY, rel=0.05)
     assert d.improved.mechanism["J"][0].value == pytest.approx(INERTIA, rel=0.02)

@@ -28,14 +28,15 @@ def _milli(columns: Columns) -> Columns:
     return {**columns, "u": 1e3 * columns["u"]}
 
 
+def _stored(columns: Columns) -> Columns:
+    narrow = {k: v if k == "t" else v.astype(np.float32) for k, v in columns.items()}
+    other = np.random.default_rng(0).standard_normal(len(columns["t"]))
+    return {**narrow, "t": columns["t"] + 1.7e9, "other": other}
+
+
 CHANGES: dict[str, Callable[[Columns], Columns]] = {
     "none": lambda c: c,
-    "origin of time": lambda c: {**c, "t": c["t"] + 1.7e9},
-    "float32": lambda c: {k: v if k == "t" else v.astype(np.float32) for k, v in c.items()},
-    "unnamed column": lambda c: {
-        **c,
-        "other": np.random.default_rng(0).standard_normal(len(c["t"])),
-    },
+    "origin of time, width of numbers, an unnamed column": _stored,
     "command in thousandths": _milli,
     "torque in mN m": _milli,
     "twice": lambda c: c,

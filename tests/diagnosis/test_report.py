@@ -191,6 +191,9 @@ def test_json_on_the_terminal_is_the_report(
             "--heldout",
             str(folder / "heldout.csv"),
             "--json",
+            "--out",
+            str(folder / "plain"),
+            "--no-figures",
         ],
     )
     with pytest.raises(SystemExit) as stop:
@@ -202,12 +205,15 @@ def test_json_on_the_terminal_is_the_report(
     for value in (printed, filed):
         del value["seconds"]
     assert printed == filed  # the same seed, the same bits
+    made = {path.name for path in (folder / "plain").iterdir()}
+    assert {"report.json", "model.toml", "calibrated.toml", "compensation.c"} <= made
+    assert not [name for name in made if name.endswith((".html", ".png", ".chart.json"))]
 
 
 def test_a_report_that_the_disk_takes_no_more_of_is_written_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def write(result: object, out: Path) -> Path:
+    def write(result: object, out: Path, *, pictures: bool) -> Path:
         if out == tmp_path / "out":
             raise OSError(28, "No space left on device", str(out / "report.html"))
         (out / "report.html").write_text("written")

@@ -19,7 +19,7 @@ from zendsp.experiment.imi_friction import breakaway_torque, bristle_stiffness, 
 from zendsp.experiment.pendulum_motor import fit_parameters, pendulum_model, steady_means
 from zendsp.experiment.report import table, wrapped, write_report
 from zendsp.experiment.wam_friction import Sliding, cannot_separate, fit_friction
-from zendsp.physics import load_model, simulate_loop
+from zendsp.physics import library, load_model, simulate_loop
 from zendsp.recording import Recording
 
 MODELS = Path(__file__).parents[2] / "examples" / "models"
@@ -234,6 +234,24 @@ def test_a_model_file_takes_the_result_in_and_keeps_what_was_not_measured(tmp_pa
         and after.controller["kp"] == [2000.0, 300.0]
     )
     assert any("joint 1 replaced (2 terms by 1)" in text for text in changes)
+
+
+@pytest.mark.parametrize("kind", ["coulomb_tanh", "friction_block", "stribeck", "quadratic_drag"])
+def test_friction_over_the_speed_gives_way_to_what_was_measured(tmp_path: Path, kind: str) -> None:
+    """Whatever its law, or the joint had it twice; a law of the position was not measured."""
+    model = tmp_path / "imi.toml"
+    old = library()[kind]
+    numbers = "".join(f"{p.name} = 0.5\n" for p in old.parameters)
+    ripple = 'kind = "position_friction"\njoint = 1\namplitude = 0.1\nperiod = 1.0\nphase = 0.0\n'
+    model.write_text(
+        (MODELS / "imi_planar.toml").read_text()
+        + f'\n[[effect]]\nkind = "{kind}"\njoint = 1\n{numbers}\n[[effect]]\n{ripple}'
+    )
+    put_into(result(), model)
+    assert [t.effect for t in load_model(model).terms if t.joint == 1] == [
+        "position_friction",
+        "coulomb",
+    ]
 
 
 def test_a_urdf_stays_beside_its_model_file(tmp_path: Path) -> None:

@@ -59,13 +59,24 @@ def environment_of_the_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
+@pytest.fixture(scope="session")
+def cache_of_the_journeys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the journeys compile, and what libraries keep, is made once: it is named by its content.
+
+    A first use, with an empty cache, is in tests/whole/test_wheel.py.
+    """
+    return tmp_path_factory.mktemp("cache")
+
+
 def _checked(command: Sequence[str], cwd: Path) -> None:
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.fixture
-def installed(environment_of_the_wheel: Path, tmp_path: Path) -> Iterator[Installed]:
+def installed(
+    environment_of_the_wheel: Path, cache_of_the_journeys: Path, tmp_path: Path
+) -> Iterator[Installed]:
     """The installed wheel and an empty folder."""
     home = environment_of_the_wheel
     folder, runtime = tmp_path / "home", tmp_path / "run"
@@ -80,6 +91,7 @@ def installed(environment_of_the_wheel: Path, tmp_path: Path) -> Iterator[Instal
         **kept,
         "PATH": f"{home / 'bin'}:{os.environ['PATH']}",
         "HOME": str(folder),
+        "XDG_CACHE_HOME": str(cache_of_the_journeys),
         "ZENDSP_RUNTIME_DIR": str(runtime),
         "TERM": "xterm-256color",
         "PYTHONUNBUFFERED": "1",

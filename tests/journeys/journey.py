@@ -124,8 +124,9 @@ class Installed:
                     process.wait(10)
             if process.stdout is not None:
                 process.stdout.close()
-        # a loop that a journey froze cannot end itself
+        # a loop that a journey froze cannot end itself; only journeys run what is in their cache
+        own = self.env["XDG_CACHE_HOME"]
         for pid in filter(str.isdigit, os.listdir("/proc")):
             with contextlib.suppress(OSError):
-                if os.readlink(f"/proc/{pid}/exe").startswith(str(self.folder)):
+                if os.readlink(f"/proc/{pid}/exe").startswith(own):
                     os.kill(int(pid), signal.SIGKILL)

@@ -37,7 +37,7 @@ def _tab(installed: Installed, *words: str) -> list[str]:
 def test_tab_completes_commands_targets_variables_and_programs(installed: Installed) -> None:
     assert _tab(installed, "zendsp", "sal") == ["salvage"]
     assert _tab(installed, "zendsp", "get", "K") == [], "nobody answers: nothing, and no noise"
-    installed.target("imi", "imi_planar", "--clock", "fast")
+    installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     assert _tab(installed, "zendsp", "get", "-t", "i") == ["imi"]
     assert _tab(installed, "zendsp", "get", "Kp") == ["Kp1", "Kp2"]
@@ -54,7 +54,7 @@ def test_other_shells_get_a_script(installed: Installed) -> None:
 def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(
     installed: Installed,
 ) -> None:
-    installed.target("imi", "imi_planar", "--clock", "fast")
+    installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nget Kp1 --json\nexit\n"
     done = installed.run("shell", "-t", "imi", input=lines)

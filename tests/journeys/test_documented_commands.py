@@ -47,7 +47,7 @@ NOT_RUN: dict[tuple[str, str], str] = {
     (
         "README.md",
         "zendsp demo --effect ripple --seed 1",
-    ): "test_slim_install.py runs it; `zendsp demo` of this page runs here",
+    ): "is what `zendsp demo` of this page runs as, here",
     ("README.md", "pip install 'zendsp[zig]'"): NETWORK,
     ("README.md", "pip install ."): NETWORK,
     (
@@ -71,6 +71,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/experiments.md",
         "zendsp experiment wam-friction -t wam --connect tls/robot.lab:7447",
     ): EXPERIMENT,
+    ("docs/experiments.md", "zendsp experiment imi-static"): (
+        "the page's Python makes it again; test_full_disk.py types it"
+    ),
     ("docs/experiments.md", "zendsp experiment friction -t arm"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment imi-fit --into my_imi.toml"): EXPERIMENT,
     ("docs/experiments.md", "zendsp experiment all --report docs/results.md"): EXPERIMENT,
@@ -97,6 +100,9 @@ NOT_RUN: dict[tuple[str, str], str] = {
         "docs/measurements/terminal.md",
         "python benchmarks/tui.py --only terminal --soak 3700 --trace soak.csv",
     ): "takes an hour, of a clone",
+    ("docs/machines_simulated.md", "zendsp demo --machine wam7 --seed 1"): (
+        "test_slim_install.py runs it"
+    ),
     ("docs/models.md", "[mechanism]"): SYNTAX,
     ("docs/models.md", "zendsp target --machine arm.xml"): "tests/journeys/test_any_robot.py",
     ("docs/machines_mujoco.md", "pip install 'zendsp[mujoco]'"): NETWORK,

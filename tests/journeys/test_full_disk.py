@@ -77,7 +77,7 @@ def rows(installed: Installed, path: Path) -> int:
 
 
 def test_a_recording_is_kept_elsewhere(installed: Installed, full: Full) -> None:
-    installed.target("imi", "imi_planar", "--clock", "fast")
+    installed.target("imi", "imi_planar", "--clock", "fast", "--speed", "20")
     assert installed.script(PREPARE).returncode == 0
     done = full("zendsp", "acquire", "q", "tau", "-t", "imi", "-s", "2", "-o", "run.mat")
     assert done.returncode == 1
@@ -122,7 +122,7 @@ print(list_runs(Path("runs")), [p.name for p in Path("runs").iterdir()])
 
 
 def test_what_was_salvaged_stays_until_it_is_written(installed: Installed, full: Full) -> None:
-    process = installed.target("imi", "imi_planar", "--clock", "fast")
+    process = installed.target("imi", "imi_planar", "--clock", "fast", "--speed", "20")
     assert installed.script(PREPARE).returncode == 0
     done = installed.run("acquire", "q", "-t", "imi", "-s", "1", "-o", "first.npz")
     assert done.returncode == 0, done.stderr
@@ -150,7 +150,7 @@ def test_a_target_that_cannot_compile_says_so_and_goes_on(
     ids=lambda command: command[0],
 )
 def test_output_that_nobody_takes(installed: Installed, command: list[str]) -> None:
-    installed.target("imi", "imi_planar", "--clock", "fast")
+    installed.target("imi", "imi_planar", "--clock", "fast", "--speed", "20")
     assert installed.script(PREPARE).returncode == 0
     with open("/dev/full", "w") as disk:
         done = subprocess.run(

@@ -58,7 +58,7 @@ def test_ctrl_c_pauses_what_the_recording_started(installed: Installed) -> None:
 def test_a_recording_that_cannot_be_written_there_is_written_elsewhere(
     installed: Installed,
 ) -> None:
-    installed.target("imi", "imi_planar", "--clock", "fast")
+    installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     installed.write("file", "not a folder")
     done = installed.run("acquire", "q", "-t", "imi", "-s", "0.1", "-o", "file/run.csv")

@@ -20,7 +20,7 @@ HEAVY = (
 
 
 def test_the_commands_of_all_day_load_nothing_heavy(installed: Installed) -> None:
-    target = installed.target("imi", "imi_planar", "--clock", "fast")
+    target = installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
     commands = (
         ["ls"],

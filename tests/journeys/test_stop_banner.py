@@ -200,7 +200,7 @@ def test_the_command_stops_or_says_loudly_that_it_could_not(installed: Installed
 
 def test_stop_without_a_name_stops_every_target_of_this_machine(installed: Installed) -> None:
     for name in ("left", "right"):
-        installed.target(name, "imi_planar", "--clock", "fast")
+        installed.target(name)
         assert installed.run("run", "pd.c", "-t", name).returncode == 0
     done = installed.run("stop")
     assert done.returncode == 0, done.stderr

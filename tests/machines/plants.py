@@ -12,7 +12,8 @@ from typing import Any
 import cffi
 import numpy as np
 
-from zendsp_isr.build import build_machine, source_root
+from zendsp_isr.build import source_root
+from zendsp_isr.parts import build_machine
 
 # The first members of `plant` (plant.h), which is the first member of every simulated machine.
 TRUTH = (

@@ -15,7 +15,8 @@ import pytest
 from plants import OFF, VELOCITY, Plant, follow
 
 from zendsp.reference import load_machine
-from zendsp_isr.build import build, machine_names, source_root
+from zendsp_isr.build import build, source_root
+from zendsp_isr.parts import machine_names
 
 Array = np.ndarray  # type: ignore[type-arg]
 # a pose of the WAM in the middle of its range, rad

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from plants import OFF, VELOCITY, Plant
 
-from zendsp_isr.build import build, build_machine, source_root
+from zendsp_isr.build import build, source_root
+from zendsp_isr.parts import build_machine
 from zendsp_protocol.errors import CompileFailed
 
 mujoco: Any = pytest.importorskip("mujoco")

@@ -17,6 +17,7 @@ from zendsp.physics import (
     compensation,
     inverse_dynamics,
     library,
+    load_effects,
     load_model,
     model_code,
     parse_model,
@@ -187,10 +188,53 @@ def every_effect() -> list[Term]:
     ]
 
 
-def test_every_effect_that_has_c_has_the_same_torque_in_python() -> None:
-    """Each alone, against the Python law; those of actuator and load need a command and are checked
-    below.
-    """
+def _friction_block(p: dict[str, float], speed: np.ndarray) -> np.ndarray:
+    v, s = np.abs(speed), p["split"]
+    w = v - s
+    low = p["level"] + p["slope"] * v + p["curve"] * v**2 + p["cubic"] / s * v**3
+    edge = p["level"] + p["slope"] * s + (p["curve"] + p["cubic"]) * s**2
+    high = (
+        edge + (p["slope"] + 2 * p["curve"] * s + 3 * p["cubic"] * s) * w + p["high_curve"] * w**2
+    )
+    return np.where(w <= 0, low, high)
+
+
+LAWS = {  # p: parameters; s: the smooth sign of the speed; joint 1 of two, over the other's speed
+
+    "friction_block": lambda p, q, qd, qdd, s, _: _friction_block(p, qd) * s,
+    "viscous": lambda p, q, qd, qdd, s, _: p["coefficient"] * qd,
+    "viscous_asymmetry": (
+        lambda p, q, qd, qdd, s, _: qd
+        * np.where(qd > 0, p["coefficient_pos"], p["coefficient_neg"])
+    ),
+    "coulomb": lambda p, q, qd, qdd, s, _: p["level"] * s,
+    "coulomb_asymmetry": (
+        lambda p, q, qd, qdd, s, _: np.where(qd > 0, p["level_pos"], p["level_neg"]) * s
+    ),
+    "coulomb_tanh": lambda p, q, qd, qdd, s, _: p["level"] * np.tanh(qd / p["speed"]),
+    "stribeck": (
+        lambda p, q, qd, qdd, s, _: p["breakaway"]
+        * np.exp(-((np.abs(qd) / p["velocity"]) ** p.get("exponent", 2.0)))
+        * s
+    ),
+    "position_friction": (
+        lambda p, q, qd, qdd, s, _: p["amplitude"]
+        * np.sin(2 * np.pi * q / p["period"] + p["phase"])
+        * s
+    ),
+    "quadratic_drag": lambda p, q, qd, qdd, s, _: p["coefficient"] * qd * np.abs(qd),
+    "gravity": lambda p, q, qd, qdd, s, _: p["torque"] * np.sin(q - p["angle"]),
+    "stiffness": lambda p, q, qd, qdd, s, _: p["coefficient"] * (q - p["neutral"]),
+    "cubic_stiffness": lambda p, q, qd, qdd, s, _: p["coefficient"] * (q - p["neutral"]) ** 3,
+    "ripple": lambda p, q, qd, qdd, s, _: p["amplitude"] * np.sin(p["order"] * q + p["phase"]),
+    "torque_offset": lambda p, q, qd, qdd, s, _: np.full_like(q, p["level"]),
+    "inertia": lambda p, q, qd, qdd, s, _: p["amount"] * qdd,
+    "coupling": lambda p, q, qd, qdd, s, other: p["coefficient"] * other**2,  # law 1
+}
+
+
+def test_every_effect_that_has_c_is_its_law_in_a_program_and_in_python() -> None:
+    """Each alone; those of actuator and load need a command and are checked below."""
     base = {
         "sample_time": 0.001,
         "mechanism": {"kind": "rotary", "parameters": {"inertia": [0.01, 0.02]}},
@@ -202,12 +246,34 @@ def test_every_effect_that_has_c_has_the_same_torque_in_python() -> None:
             continue
         model = parse_model(base).with_terms((term,))
         rec = simulate(probe(model), model, seconds=0.4)
-        expected = inverse_dynamics(model, rec["q"], rec["qd"], rec["qdd"], sign_speed=0.02)
-        without = inverse_dynamics(model.with_terms(()), rec["q"], rec["qd"], rec["qdd"])
+        motion = q, v, a = rec["q"], rec["qd"], rec["qdd"]
+        numbers = {p.name: term.value(p.name) for p in library()[term.effect].parameters}
+        sign = np.tanh(v[:, 0] / 0.02)
+        law = LAWS[term.effect](numbers, q[:, 0], v[:, 0], a[:, 0], sign, v[:, 1])
+        assert np.abs(law).max() > 1e-3, f"{term.effect}: the test has power"
+        expected = np.array([0.01, 0.02]) * a
+        expected[:, 0] += law
         assert np.abs(rec["tau"] - expected).max() < 1e-9, term.effect
-        assert np.abs(expected - without).max() > 1e-3, f"{term.effect}: the test has power"
+        assert np.abs(inverse_dynamics(model, *motion, sign_speed=0.02) - expected).max() < 1e-9
         checked.append(term.effect)
-    assert len(checked) >= 14
+    assert set(checked) == set(LAWS)
+
+
+def test_an_effect_of_ones_own_is_in_the_torque_of_a_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "air.py"
+    path.write_text(
+        "from zendsp.physics.effects import Effect, Parameter\n"
+        "EFFECT = Effect(name='air', site='torque', parameters=(Parameter('size', 'torque'),),\n"
+        "    c='return p[0] * s->qd * s->qd;', sentence='{size}', experiment='move',\n"
+        "    compensable='p[0] * qd * qd')\n"
+    )
+    monkeypatch.setattr("zendsp.physics.effects._extra", {})
+    load_effects(path)
+    model = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
+    model = model.with_terms((Term("air", 1, {"size": Quantity(0.5)}),))
+    assert inverse_dynamics(model, [0.0], [3.0], [0.0]) == pytest.approx([4.5])
 
 
 LOOP = """#include "isr.h"

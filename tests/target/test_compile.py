@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from zendsp_isr.build import build, content_key
-from zendsp_isr.compiler import find_compiler, parse_messages, run_compiler
+from zendsp_isr.compiler import find_compiler, run_compiler
+from zendsp_isr.messages import parse_messages
 from zendsp_protocol.errors import CompileFailed, Refused
 from zendsp_target.runtime import Runtime, program_text
 from zendsp_target.runtime.compile_service import compile_program, program_path

@@ -78,6 +78,13 @@ def test_import_zendsp_loads_nothing_heavy() -> None:
     assert found & HEAVY == set()
 
 
+def test_a_diagnosis_begins_without_what_takes_half_a_second() -> None:
+    """scipy.signal loads scipy.stats."""
+    said = python("import sys, zendsp.diagnosis.engine\nprint(*sys.modules)").split()
+    assert "scipy.ndimage" in said
+    assert {"scipy.stats", "scipy.signal", "matplotlib"} & set(said) == set()
+
+
 def test_help_loads_nothing_heavy() -> None:
     said = python(
         "import sys\nfrom zendsp.cli import cli\nsys.argv = ['zendsp',"

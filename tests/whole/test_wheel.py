@@ -25,7 +25,7 @@ import zendsp, zendsp_isr, zendsp_protocol, zendsp_target
 home = Path(sys.argv[1])
 for package in (zendsp, zendsp_isr, zendsp_protocol, zendsp_target):
     assert Path(package.__file__).is_relative_to(home), package.__file__
-from zendsp_isr.build import build_machine, machine_names
+from zendsp_isr.parts import build_machine, machine_names
 for name in machine_names():
     assert build_machine(name).exists()
 from zendsp.physics.native import native

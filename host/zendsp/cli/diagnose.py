@@ -33,6 +33,9 @@ FILE = click.Path(path_type=Path)
     default=None,
     help="Folder for report.json, report.html, figures, model.toml, compensation.c.",
 )
+@click.option(
+    "--no-figures", is_flag=True, help="With --out: neither report.html nor figures; faster."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print report.json instead of the summary.")
 @click.option(
     "--run",
@@ -70,6 +73,7 @@ def command(
     model_path: Path,
     heldout: tuple[Path, ...],
     out: Path | None,
+    no_figures: bool,
     as_json: bool,
     run_on: str | None,
     seed: int,
@@ -98,7 +102,7 @@ def command(
     cores = jobs or os.cpu_count() or 1
     if out is not None:
         _writable(out)
-    asked = _Asked(train, model_path, heldout, out, as_json, seed, cores, effects)
+    asked = _Asked(train, model_path, heldout, out, not no_figures, as_json, seed, cores, effects)
     if each:
         _each(asked, scheduler)
     else:
@@ -113,6 +117,7 @@ class _Asked:
     model: Path
     heldout: tuple[Path, ...]
     out: Path | None
+    pictures: bool
     as_json: bool
     seed: int
     jobs: int
@@ -165,7 +170,7 @@ def _together(asked: _Asked, run_on: str | None) -> None:
             )
         if out is not None:
             tell("writing the report")
-            written, wrong = _write(result, out)
+            written, wrong = _write(result, out, asked.pictures)
     if asked.as_json:
         click.echo(report_text(result))
     else:
@@ -173,13 +178,14 @@ def _together(asked: _Asked, run_on: str | None) -> None:
 
         click.echo(shown(summary(result)))
         if out is not None:
-            click.echo(f"\nreport: {written / 'report.html'}")
+            page = "report.html" if asked.pictures else "report.json"
+            click.echo(f"\nreport: {written / page}")
     if out is not None and wrong:
         click.echo(f"zendsp: {wrong}", err=True)
         raise click.exceptions.Exit(1)
 
 
-def _write(result: Diagnosis, out: Path) -> tuple[Path, str]:
+def _write(result: Diagnosis, out: Path, pictures: bool) -> tuple[Path, str]:
     """Write the report, in a new folder for what is temporary where the disk took no more of it;
     where it is, and what was wrong.
     """
@@ -188,9 +194,10 @@ def _write(result: Diagnosis, out: Path) -> tuple[Path, str]:
     from zendsp.diagnosis.report.files import write_report
 
     try:
-        return write_report(result, out), ""
+        return write_report(result, out, pictures=pictures), ""
     except OSError as error:
-        elsewhere = write_report(result, Path(tempfile.mkdtemp(prefix="zendsp-report-")))
+        folder = Path(tempfile.mkdtemp(prefix="zendsp-report-"))
+        elsewhere = write_report(result, folder, pictures=pictures)
         why = error.strerror or error
         return elsewhere, f"--out {out}: cannot be written ({why}); it is in {elsewhere} instead"
 
@@ -212,6 +219,7 @@ def _each(asked: _Asked, scheduler: str | None) -> None:
             asked.model,
             asked.heldout,
             out=asked.out,
+            pictures=asked.pictures,
             seed=asked.seed,
             jobs=asked.jobs,
             effects=asked.effects,

@@ -13,7 +13,7 @@ import click
 
 from zendsp.cli.common import parse_names
 from zendsp.errors import LinkError
-from zendsp_isr.build import is_model, machine_source
+from zendsp_isr.parts import is_model, machine_source
 
 
 @click.command("tui")

@@ -12,11 +12,11 @@ import numpy as np
 
 from zendsp.physics.bodies import body_terms
 from zendsp.physics.codegen import compensation, model_code
-from zendsp.physics.codegen_model import inverse_dynamics
 from zendsp.physics.codegen_terms import compensable, kernel_terms, why_not
 from zendsp.physics.effects import library
 from zendsp.physics.joint import own_terms
 from zendsp.physics.model import TREES, Model, Quantity, Term
+from zendsp.physics.model_torque import inverse_dynamics
 from zendsp.physics.simulate_plant import tree_of
 from zendsp.reference import Reference
 

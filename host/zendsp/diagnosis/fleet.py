@@ -38,6 +38,7 @@ def diagnose_each(
     heldout: Sequence[str | Path] = (),
     *,
     out: str | Path | None = None,
+    pictures: bool = True,
     seed: int = 0,
     jobs: int = 1,
     effects: Sequence[str | Path] = (),
@@ -55,6 +56,8 @@ def diagnose_each(
         motion, where it comes to rest).
     out : path, optional
         Folder; each recording's report goes into a folder of its name below it.
+    pictures : bool
+        Also report.html and its figures.
     seed : int
     jobs : int
         Processes on this machine; a cluster decides for itself.
@@ -84,6 +87,7 @@ def diagnose_each(
         [str(Path(h).resolve()) for h in heldout],
         seed,
         [str(Path(e).resolve()) for e in effects],
+        pictures,
     )
     tasks = [(name, folder, *rest) for name, folder in zip(names, folders, strict=True)]
     done: dict[str, Item] = {}
@@ -102,9 +106,9 @@ def stems(names: Sequence[str]) -> list[str]:
     return [s if short.count(s) == 1 else f"{k}_{s}" for k, s in enumerate(short, 1)]
 
 
-def diagnose_one(task: tuple[str, str | None, str, list[str], int, list[str]]) -> Item:
+def diagnose_one(task: tuple[str, str | None, str, list[str], int, list[str], bool]) -> Item:
     """One recording, in whichever process: errors that are expected come back as sentences."""
-    name, folder, model, heldout, seed, effects = task
+    name, folder, model, heldout, seed, effects, pictures = task
     try:
         from zendsp.diagnosis.engine import diagnose
         from zendsp.physics.effects import load_effects
@@ -115,7 +119,7 @@ def diagnose_one(task: tuple[str, str | None, str, list[str], int, list[str]]) -
         if folder is not None:
             from zendsp.diagnosis.report.files import write_report
 
-            write_report(result, folder)
+            write_report(result, folder, pictures=pictures)
         return Item(name, result.report())
     except ZendspError as error:
         return Item(name, None, str(error))

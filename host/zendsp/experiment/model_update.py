@@ -10,20 +10,12 @@ from zendsp.errors import ModelError
 from zendsp.experiment.registry import EXPERIMENTS
 from zendsp.experiment.result import Result
 from zendsp.physics import load_model, model_text, parse_model
+from zendsp.physics.effects import Effect, get_effect
 from zendsp.physics.model import Model, Quantity
 from zendsp.reference import load_machine
 from zendsp.reference.machine import MACHINES
 
-FRICTION = (
-    "coulomb",
-    "coulomb_asymmetry",
-    "viscous",
-    "viscous_asymmetry",
-    "stribeck",
-    "quadratic_drag",
-    "friction_block",
-    "presliding",
-)
+FRICTION = ("dry_friction", "fluid_friction")  # mechanisms
 
 
 def fit_model(names: Sequence[str], path: str | Path) -> list[str]:
@@ -115,7 +107,12 @@ def put_into(result: Result, path: str | Path) -> list[str]:
         result.name,
     )
     joints = sorted({term.joint for term in found.terms})
-    kept = tuple(t for t in model.terms if t.joint not in joints or t.effect not in FRICTION)
+    anew = {term.effect for term in found.terms}
+    kept = tuple(
+        t
+        for t in model.terms
+        if t.joint not in joints or not (t.effect in anew or _of_speed(get_effect(t.effect)))
+    )
     changes = (
         [
             f"friction of joint {', '.join(map(str, joints))} replaced"
@@ -136,6 +133,11 @@ def put_into(result: Result, path: str | Path) -> list[str]:
     scratch.write_text(text, encoding="utf-8")
     scratch.replace(path)
     return changes
+
+
+def _of_speed(effect: Effect) -> bool:
+    """Whether it is friction over the speed, which is what the experiments measure anew."""
+    return effect.mechanism in FRICTION and effect.over == "velocity"
 
 
 def _shell(result: Result) -> dict[str, object]:

@@ -22,19 +22,19 @@ _LAZY = {
     "simulate_loop": "zendsp.physics.simulate_run",
     "compensation": "zendsp.physics.codegen",
     "model_code": "zendsp.physics.codegen",
-    "inverse_dynamics": "zendsp.physics.codegen_model",
+    "inverse_dynamics": "zendsp.physics.model_torque",
 }
 
 if TYPE_CHECKING:
     from zendsp.physics.codegen import compensation as compensation
     from zendsp.physics.codegen import model_code as model_code
-    from zendsp.physics.codegen_model import inverse_dynamics as inverse_dynamics
     from zendsp.physics.effects import Effect as Effect
     from zendsp.physics.effects import library as library
     from zendsp.physics.effects import load_effects as load_effects
     from zendsp.physics.model import Model as Model
     from zendsp.physics.model_file import load_model as load_model
     from zendsp.physics.model_file import parse_model as parse_model
+    from zendsp.physics.model_torque import inverse_dynamics as inverse_dynamics
     from zendsp.physics.model_write import model_text as model_text
     from zendsp.physics.simulate_plant import Plant as Plant
     from zendsp.physics.simulate_run import simulate as simulate

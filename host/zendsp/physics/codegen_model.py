@@ -1,18 +1,16 @@
-"""The rigid-body part of a model as C, and the same inverse dynamics in Python."""
+"""The rigid-body part of a model as C."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.errors import ModelError
-from zendsp.physics.codegen_terms import Variable, kernel_terms, number
+from zendsp.physics.codegen_terms import Variable, number
 from zendsp.physics.model import TREES, Model, per_joint
-from zendsp.physics.simulate_native import simulator_library
-from zendsp.physics.simulate_plant import joint_count, tree_of, with_bodies
+from zendsp.physics.simulate_plant import tree_of
 
 Array = npt.NDArray[np.float64]
 
@@ -197,142 +195,3 @@ static inline void model_gravity(const double *pos, const double *vel, const dou
     model_rigid(pos, still, still, torque);
 }
 """  # noqa: E501
-
-
-def inverse_dynamics(
-    model: Model,
-    q: npt.ArrayLike,
-    qd: npt.ArrayLike,
-    qdd: npt.ArrayLike,
-    *,
-    sign_speed: float = 0.0,
-) -> Array:
-    """Joint torque of a motion: rigid bodies and every effect of the model that is a torque of q,
-    qd and qdd.
-
-    Parameters
-    ----------
-    model : Model
-    q, qd, qdd : array_like, shape (N, joints) or (joints,)
-        rad or m, and per s, per s^2.
-    sign_speed : float
-        Dry friction is level · tanh(qd / sign_speed); 0: level · sign(qd).
-
-    Returns
-    -------
-    ndarray, of the shape of q
-        N m or N. Effects of actuator and sensor, and those with states of their own, are not in it;
-        nor is load friction.
-
-    Examples
-    --------
-    >>> from zendsp.physics import parse_model
-    >>> bench = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 0.01}}})
-    >>> float(inverse_dynamics(bench, [0.0], [1.0], [2.0])[0])
-    0.02
-    """
-    shape = np.shape(q)
-    n = joint_count(model)
-    q2, qd2, qdd2 = (
-        np.ascontiguousarray(np.asarray(x, dtype=np.float64).reshape(-1, n)) for x in (q, qd, qdd)
-    )
-    out = _rigid(with_bodies(model), q2, qd2, qdd2)
-    sign = np.tanh(qd2 / sign_speed) if sign_speed > 0 else np.sign(qd2)
-    for term in kernel_terms(model):
-        j = term.joint - 1
-        law = _LAWS.get(term.effect)
-        if law is not None:
-            out[:, j] += law(
-                {k: v.value for k, v in term.parameters.items()},
-                q2[:, j],
-                qd2[:, j],
-                qdd2[:, j],
-                sign[:, j],
-            )
-        elif term.effect == "coupling":
-            other = int(term.value("from_joint")) - 1
-            speed = qd2[:, other]
-            kinds = (
-                qdd2[:, other],
-                speed**2,
-                speed,
-                np.tanh((qd2[:, j] + speed) / term.value("smooth", 0.01)),
-            )
-            out[:, j] += term.value("coefficient") * kinds[int(term.value("law"))]
-    return out.reshape(shape)
-
-
-def _rigid(model: Model, q: Array, qd: Array, qdd: Array) -> Array:
-    if model.kind == "planar2r":
-        p1, p2, p3 = (model.mechanism[k][0].value for k in ("p1", "p2", "p3"))
-        c, s = p3 * np.cos(q[:, 1]), p3 * np.sin(q[:, 1])
-        first = (
-            (p1 + 2 * c) * qdd[:, 0]
-            + (p2 + c) * qdd[:, 1]
-            - s * qd[:, 1] * (2 * qd[:, 0] + qd[:, 1])
-        )
-        return np.stack([first, (p2 + c) * qdd[:, 0] + p2 * qdd[:, 1] + s * qd[:, 0] ** 2], axis=1)
-    if model.kind in ("rotary", "linear"):
-        masses = [x.value for x in model.mechanism["inertia" if model.kind == "rotary" else "mass"]]
-        weights = (
-            [x.value for x in model.mechanism.get("gravity", ())] if model.kind == "rotary" else []
-        )
-        out = np.zeros_like(q)
-        for j in range(q.shape[1]):
-            out[:, j] = per_joint(tuple(masses), j + 1, 0.0) * qdd[:, j] + per_joint(
-                tuple(weights), j + 1, 0.0
-            ) * np.sin(q[:, j])
-        return out
-    rows, gravity = tree_of(model)
-    native, n = simulator_library(), q.shape[1]
-    d, tau, mass = native.doubles, np.empty_like(q), np.empty((n, n))
-    for k in range(len(q)):
-        native.lib.sim_tree(
-            n, d(rows), d(gravity), d(q[k]), d(qd[k]), d(qdd[k]), d(tau[k]), d(mass)
-        )
-    return tau
-
-
-
-
-def _friction_block(p: Mapping[str, float], speed: Array) -> Array:
-    v, s = np.abs(speed), p["split"]
-    w = v - s
-    low = p["level"] + p["slope"] * v + p["curve"] * v**2 + p["cubic"] / s * v**3
-    edge = p["level"] + p["slope"] * s + (p["curve"] + p["cubic"]) * s**2
-    high = (
-        edge + (p["slope"] + 2 * p["curve"] * s + 3 * p["cubic"] * s) * w + p["high_curve"] * w**2
-    )
-    return np.asarray(np.where(w <= 0, low, high))
-
-
-_Law = Callable[[Mapping[str, float], Array, Array, Array, Array], Array]
-_LAWS: dict[str, _Law] = {
-    "friction_block": lambda p, q, qd, qdd, s: _friction_block(p, qd) * s,
-    "viscous": lambda p, q, qd, qdd, s: p["coefficient"] * qd,
-    "viscous_asymmetry": (
-        lambda p, q, qd, qdd, s: np.where(qd > 0, p["coefficient_pos"], p["coefficient_neg"]) * qd
-    ),
-    "coulomb": lambda p, q, qd, qdd, s: p["level"] * s,
-    "coulomb_asymmetry": (
-        lambda p, q, qd, qdd, s: np.where(qd > 0, p["level_pos"], p["level_neg"]) * s
-    ),
-    "coulomb_tanh": lambda p, q, qd, qdd, s: p["level"] * np.tanh(qd / p["speed"]),
-    "stribeck": (
-        lambda p, q, qd, qdd, s: p["breakaway"]
-        * np.exp(-((np.abs(qd) / p["velocity"]) ** p.get("exponent", 2.0)))
-        * s
-    ),
-    "position_friction": (
-        lambda p, q, qd, qdd, s: p["amplitude"]
-        * np.sin(2 * np.pi * q / p["period"] + p["phase"])
-        * s
-    ),
-    "quadratic_drag": lambda p, q, qd, qdd, s: p["coefficient"] * qd * np.abs(qd),
-    "gravity": lambda p, q, qd, qdd, s: p["torque"] * np.sin(q - p["angle"]),
-    "stiffness": lambda p, q, qd, qdd, s: p["coefficient"] * (q - p["neutral"]),
-    "cubic_stiffness": lambda p, q, qd, qdd, s: p["coefficient"] * (q - p["neutral"]) ** 3,
-    "ripple": lambda p, q, qd, qdd, s: p["amplitude"] * np.sin(p["order"] * q + p["phase"]),
-    "torque_offset": lambda p, q, qd, qdd, s: np.full_like(q, p["level"]),
-    "inertia": lambda p, q, qd, qdd, s: p["amount"] * qdd,
-}

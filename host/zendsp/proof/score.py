@@ -70,7 +70,7 @@ def diagnose(
     line += ["--model", str(model)]
     for name in listing["heldout"]:
         line += ["--heldout", str(folder / name)]
-    answer = asked([*line, "--json", "--jobs", "1"], out, limit)
+    answer = asked([*line, "--json", "--jobs", "1", "--no-figures"], out, limit)
     untouched = hidden / f"{folder.name}_untouched.npz" if hidden is not None else None
     if answer.findings and untouched is not None and untouched.exists():
         answer = replace(answer, untouched=tried(untouched, model, out, limit))

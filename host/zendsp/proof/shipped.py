@@ -22,7 +22,8 @@ from zendsp.proof.files import NAMES, columns_of
 from zendsp.proof.measure import apply_faults, format_of, jittered
 from zendsp.proof.reality import Run
 from zendsp.proof.references import make_reference
-from zendsp_isr.build import build_machine, source_root
+from zendsp_isr.build import source_root
+from zendsp_isr.parts import build_machine
 
 Rng = np.random.Generator
 # first members of every simulated machine (plant.h): the truth that only the proof reads

@@ -68,6 +68,8 @@ class Decision:
     before: Size
     after: Size
     state: Structure  # what any function of state predicts of what is left
+    # what the claims by themselves leave, without the refinements of the final model
+    bare: Size
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
     # hypotheses that were tried where nothing is claimed

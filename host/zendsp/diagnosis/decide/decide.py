@@ -20,6 +20,7 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.pieces import (
+    DRY,
     grouped,
     held_apart,
     kind_of,
@@ -28,14 +29,15 @@ from zendsp.diagnosis.decide.pieces import (
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
-from zendsp.diagnosis.measure.bursts import FEW, bursts, periodic
-from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
+from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
+from zendsp.diagnosis.measure.discrepancy import TURNING, Size, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.physics.effects import mechanism_of
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +70,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
     new = new_terms(given, final.model, joint)
     if new:
         pieces = [
-            piece_of(parts.test, given, final, joint, key, terms, jobs)
+            piece_of(parts.test, given, final, key[0], terms, base, jobs)
             for key, terms in grouped(given, final.model, new).items()
         ]
         pieces.sort(key=lambda p: -p.size)
@@ -100,7 +102,10 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     model's discrepancy alone.
     """
     joint, base = search.joint, search.base
-    state = structure(parts.each, base.model, joint, STRUCTURED)
+    # how a known dry friction turns round is no missing physics: bristles, a simulator's softness
+    rubs = any(mechanism_of(t.effect) == DRY for t in base.model.at(joint))
+    above = TURNING if rubs else 0.0
+    state = structure(parts.each, base.model, joint, STRUCTURED, above)
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(
         joint,
@@ -112,6 +117,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         before,
         before,
         state,
+        before,
         rms_torque(parts.test, joint),
         lost=lost,
     )
@@ -122,22 +128,23 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
             parts.fit, base.model, joint, many=FEW
         )
         if here is not None:
-            return replace(out, kind="disturbance", bursts=here)
+            both = everywhere(here, (parts.fit, parts.held), base.model, joint)
+            return replace(out, kind="disturbance", bursts=both)
     if of_state:
         claim = _without_law(parts, search, state)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    lawful = before.value > LAWFUL and _lawful(parts, base, joint)
+    lawful = before.value > LAWFUL and _lawful(parts, base, joint, above)
     if of_state or lawful or before.value > MACHINE:
         return replace(out, kind="unexplained")
     return out
 
 
-def _lawful(parts: Parts, base: Scored, joint: int) -> bool:
+def _lawful(parts: Parts, base: Scored, joint: int, above: float) -> bool:
     """Whether what lacks is no noise of a machine: it follows from how the joint moved before, or
     repeats itself with time.
     """
-    memory = structure(parts.each, base.model, joint, [MEMORY])
+    memory = structure(parts.each, base.model, joint, [MEMORY], above)
     if memory.size > LAWFUL and memory.z > SURE:
         return True
     return periodic(parts.held, base.model, joint) > LAWFUL

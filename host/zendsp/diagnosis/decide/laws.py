@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
-from zendsp.diagnosis.decide.confidence import STATED, confidence
+from zendsp.diagnosis.decide.confidence import stated
 from zendsp.diagnosis.decide.findings import new_terms
-from zendsp.diagnosis.decide.pieces import kind_of, may_leave, piece_of, rms_torque
+from zendsp.diagnosis.decide.pieces import DRY, kind_of, may_leave, piece_of, rms_torque
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CURVE,
@@ -28,14 +28,14 @@ from zendsp.diagnosis.decide.thresholds import (
     SURE,
     TIED,
 )
-from zendsp.diagnosis.measure.discrepancy import Size, difference, discrepancy
+from zendsp.diagnosis.measure.discrepancy import TURNING, Size, difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
-from zendsp.diagnosis.measure.likelihood import Scored, informative
+from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
 from zendsp.diagnosis.search.forward import Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, price
 from zendsp.physics.effects import get_effect, library, mechanism_of
-from zendsp.physics.fit import Data
+from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -65,11 +65,11 @@ def named(
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
-        ranked = _ranked(parts.test, given, final, piece, joint, jobs)
+        ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         first = ranked[0]
         law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
         left = (
-            structure(parts.each, final.model, joint, [piece.mechanism])
+            structure(parts.each, final.model, joint, [piece.mechanism], _slow(piece.mechanism))
             if piece.mechanism in STRUCTURED
             else None
         )
@@ -120,19 +120,55 @@ def named(
         before,
         after,
         state,
+        _bare(parts.test, final, joint, claims, refinements, after, jobs),
         rms_torque(parts.test, joint),
     )
 
 
+def _slow(mechanism: str) -> float:
+    """Part of the speed below which a law is not asked what it leaves: how dry friction turns round
+    (bristles, a simulator's softness) refines it.
+    """
+    return TURNING if mechanism == DRY else 0.0
+
+
+def _bare(
+    test: Data,
+    final: Scored,
+    joint: int,
+    claims: Sequence[Claim],
+    refinements: Sequence[Claim],
+    after: Size,
+    jobs: int,
+) -> Size:
+    """What the claims by themselves leave: what only refines the fit can be bent to what no law of
+    the claims describes.
+    """
+    needed = any(get_effect(c.term.effect).needs for c in claims)
+    terms = [c.term for c in refinements if not (needed and c.mechanism == DRY)]
+    kept = tuple(t for t in final.model.terms if not any(t is x for x in terms))
+    if not claims or len(kept) == len(final.model.terms):
+        return after
+    model = final.model.with_terms(kept)
+    handles = joint_handles(final.data, model, joint)
+    alone = fit_scored(final.data, model, handles, (joint,), jobs=jobs, rounds=1)
+    return discrepancy(test, alone.model, joint)
+
+
 def believed(decision: Decision) -> Decision:
     """The decision without the laws that are too likely wrong; of what is first, the mechanism
-    stays where functions of its variables can be told, the rest refines the fit.
+    stays where functions of its variables can be told and it explains more than it leaves, the
+    rest refines the fit.
     """
     keep, more = [], list(decision.refinements)
     for claim in decision.claims:
-        if claim.effect == "unknown" or confidence(claim, decision) > STATED:
+        if claim.effect == "unknown" or stated(claim, decision):
             keep.append(claim)
-        elif claim is decision.claims[0] and claim.mechanism in STRUCTURED:
+        elif (
+            claim is decision.claims[0]
+            and claim.mechanism in STRUCTURED
+            and claim.size > decision.after.value
+        ):
             keep.append(replace(claim, effect="unknown", laws={**claim.laws, "unknown": 1.0}))
         else:
             more.append(claim)
@@ -194,13 +230,13 @@ def _is_curve(ranked: Sequence[Piece]) -> bool:
 
 
 def _ranked(
-    test: Data, given: Model, final: Scored, piece: Piece, joint: int, jobs: int
+    test: Data, given: Model, final: Scored, piece: Piece, base: Scored, jobs: int
 ) -> list[Piece]:
     """Each law of a mechanism by itself, the one whose removal costs most first."""
     laws = [t for t in piece.terms if mechanism_of(t.effect) == piece.mechanism]
     if len(laws) == 1:
         return [replace(piece, terms=tuple(laws))]
-    each = [piece_of(test, given, final, joint, (piece.mechanism, 0), (t,), jobs) for t in laws]
+    each = [piece_of(test, given, final, piece.mechanism, (t,), base, jobs) for t in laws]
     return sorted(each, key=lambda p: -p.size)
 
 
@@ -261,6 +297,7 @@ def _law(
                 else "does not explain the mismatch"
             )
             lost.append((rival.effect, why, -0.5 * behind))
+    same += _sums(term, final.model)
     laws: dict[str, float] = {}
     for name, weight in zip([term.effect, *[r.effect for r in rivals]], weights, strict=True):
         if mechanism_of(name) == piece.mechanism:
@@ -284,6 +321,12 @@ def _law(
         gone,
         tuple(lost[:6]),
     )
+
+
+def _sums(term: Term, model: Model) -> list[str]:
+    """Effects that a term and others beside it are together, by algebra."""
+    there = {t.effect for t in model.at(term.joint)}
+    return [n for n, e in library().items() if term.effect in e.sums and there.issuperset(e.sums)]
 
 
 def rival_gain(piece: Piece, final: Scored) -> float:

@@ -203,7 +203,10 @@ def _disturbance(decision: Decision, given: Model) -> Finding:
         f"A torque over time that no state explains acts on joint {joint} at {spans}, up to"
         f" {found.peak:.3g} {unit}."
     )
-    values = {"rms": Estimate(found.rms, 0.0, unit), "peak": Estimate(found.peak, 0.0, unit)}
+    values = {
+        "rms": Estimate(found.rms, found.beside, unit),
+        "peak": Estimate(found.peak, found.beside, unit),
+    }
     numbers: dict[str, object] = {
         "intervals": [[round(a, 4), round(b, 4)] for a, b in found.intervals]
     }

@@ -19,8 +19,14 @@ from zendsp.diagnosis.decide.thresholds import (
     HANGING,
     LAW_ERROR,
     LEFT_BY_A_LAW,
+    MOST,
 )
-from zendsp.diagnosis.measure.discrepancy import difference, discrepancy, mean_square
+from zendsp.diagnosis.measure.discrepancy import (
+    at_reversals,
+    difference,
+    discrepancy,
+    mean_square,
+)
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored
 from zendsp.diagnosis.measure.structure import STRUCTURED, structure
@@ -32,6 +38,8 @@ from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
+
+DRY = "dry_friction"
 
 
 def grouped(
@@ -113,16 +121,21 @@ def piece_of(
     test: Data,
     given: Model,
     final: Scored,
-    joint: int,
-    key: tuple[str, int],
+    mechanism: str,
     terms: tuple[Term, ...],
+    base: Scored,
     jobs: int,
 ) -> Piece:
+    """What taking some terms of a joint away costs on untouched recordings; ``base`` is the
+    calibrated model, which every one of them contains and so none can fit worse than.
+    """
+    joint = terms[0].joint
     without = _without(given, final, joint, terms, jobs)
+    without = min(without, base, key=lambda scored: scored.deviance)
     held = compare(without, final, test, joint)
     size = difference(test, without.model, final.model, joint)
     return Piece(
-        key[0], terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
+        mechanism, terms, without, size, held, 0.5 * held.gain / dependence(without, test, joint)
     )
 
 
@@ -160,6 +173,8 @@ def held_apart(
             left = min(after, structure(parts.each, final.model, joint, [piece.mechanism]).size)
         larger = max((p.size for p in claimed), default=0.0)
         kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
+        if piece.mechanism not in kind_of(DRY):
+            kept_laws += _rubbing(parts, final, joint, piece)
         if kept_laws:
             apart = final.model.with_terms(
                 tuple(t for t in final.model.terms if t not in kept_laws)
@@ -174,6 +189,16 @@ def held_apart(
             claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
         ).append(piece)
     return claimed, rest
+
+
+def _rubbing(parts: Parts, final: Scored, joint: int, piece: Piece) -> list[Term]:
+    """Dry friction beside a mechanism that acts where the joint turns round: what its law may be
+    wrong by (a simulator's softness, bristles) shows there too.
+    """
+    dry = [t for t in final.model.at(joint) if mechanism_of(t.effect) == DRY]
+    if not dry or at_reversals(parts.test, piece.without.model, final.model, joint) < MOST:
+        return []
+    return dry
 
 
 def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[Term]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import binary_closing, median_filter
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri  # scipy.stats would take half a second to import
 
 from zendsp.diagnosis.measure.discrepancy import kept, lacking, mean_square
 from zendsp.diagnosis.measure.structure import unit
@@ -35,13 +35,29 @@ class Bursts:
     states at other times.
 
     ``share`` is their part of its energy, ``peak`` the largest torque (N m or N), ``rms`` its RMS
-    within them.
+    within them, ``beside`` what is lacking outside of them; ``least`` the squared torque above
+    which it acts.
     """
 
     intervals: tuple[tuple[float, float], ...]
     share: float
     peak: float
     rms: float
+    beside: float
+    least: float
+
+
+@dataclass(frozen=True)
+class _Acting:
+    """Where a lacking torque is large: per recording a mask (n,), the torque, the same smoothed
+    over the observer's memory, and the samples that count.
+    """
+
+    masks: tuple[npt.NDArray[np.bool_], ...]
+    lacks: tuple[Array, ...]
+    smooth: tuple[Array, ...]
+    used: tuple[slice, ...]
+    least: float
 
 
 def _states(
@@ -88,53 +104,94 @@ def bursts(
     -------
     Bursts or None
     """
-    found = lacking(data, model, joint, band)
-    spans: list[tuple[float, float]] = []
-    inside = outside = peak = 0.0
-    count = covered = met = 0
-    levels, masks = [], []
-    for lack, rec in zip(found, data.records, strict=True):
+    acting = _acting(data, model, joint, band)
+    met = 0
+    for high, use, rec in zip(acting.masks, acting.used, data.records, strict=True):
+        motion = rec[joint - 1].motion.states
+        cells = _states(rec, joint, use, motion[0][use], motion[1][use])
+        seen = [np.isin(c, np.unique(c[~high])) for c in cells]
+        met += int(np.all(seen, axis=0)[high].sum())
+    covered = sum(int(high.sum()) for high in acting.masks)
+    count = sum(len(high) for high in acting.masks)
+    if not covered or covered > BRIEF * count or met < REVISITED * covered:
+        return None
+    out = _summed([(data, acting)], joint)
+    z = -float(ndtri(0.5 * covered / count))
+    # of a random torque's energy, in its largest values for so long
+    by_chance = 2.0 * (z * float(np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)) + float(ndtr(-z)))
+    scattered = 1.0 - out.share > CONCENTRATED * (1.0 - by_chance)
+    return None if scattered or len(out.intervals) > many else out
+
+
+def everywhere(
+    found: Bursts, parts: Sequence[Data], model: Model, joint: int, band: float = 32.0
+) -> Bursts:
+    """The times of a torque that was found in some recordings, in all of them."""
+    acting = [(data, _acting(data, model, joint, band, found.least)) for data in parts]
+    return _summed(acting, joint)
+
+
+def _acting(
+    data: Data, model: Model, joint: int, band: float, least: float | None = None
+) -> _Acting:
+    """Where the energy of what a model lacks is far above its median, and above ``least``; without
+    it, above a part of its own peak.
+    """
+    lacks: list[Array] = []
+    smooth: list[Array] = []
+    levels, used = [], []
+    for lack, rec in zip(lacking(data, model, joint, band), data.records, strict=True):
         record = rec[joint - 1]
         use = kept(record, band)
         width = max(3, round(3.0 / band / record.sample_time))
-        levels.append(np.convolve(lack**2, np.ones(width) / width, mode="same")[use])
+        window = np.ones(width) / width
+        levels.append(np.convolve(lack**2, window, mode="same")[use])
+        lacks.append(lack[use])
+        smooth.append(np.asarray(np.convolve(lack[use], window, mode="same"), float))
+        used.append(use)
     quiet = float(np.quantile(np.concatenate(levels), 0.5))
-    for level, lack, rec in zip(levels, found, data.records, strict=True):
-        record = rec[joint - 1]
-        use = kept(record, band)
-        high = level > max(BURST * quiet, OF_PEAK * float(level.max()))
-        high = binary_closing(np.pad(high, 1), iterations=max(1, round(0.25 / record.sample_time)))[
-            1:-1
-        ]
-        masks.append(high)
-        q, v = record.motion.states[0][use], record.motion.states[1][use]
-        seen = [np.isin(c, np.unique(c[~high])) for c in _states(rec, joint, use, q, v)]
-        met += int(np.all(seen, axis=0)[high].sum())
-        energy = lack[use] ** 2
-        inside += float(energy[high].sum())
-        outside += float(energy[~high].sum())
-        count += len(high)
-        covered += int(high.sum())
-        change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
-        start = record.t0 + use.start * record.sample_time
-        spans += [
-            (start + a * record.sample_time, start + (b - 1) * record.sample_time)
-            for a, b in zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
-        ]
-        # a smooth peak: single samples are noise, and the observer's own ringing at the edges
-        if high.any():
-            width = max(3, round(3.0 / band / record.sample_time))
-            smooth = np.convolve(lack[use], np.ones(width) / width, mode="same")
-            peak = max(peak, float(np.quantile(np.abs(smooth[high]), 0.95)))
-    share = inside / max(inside + outside, 1e-300)
-    if not spans or covered > BRIEF * count or met < REVISITED * covered or len(spans) > many:
-        return None
-    z = float(norm.isf(0.5 * covered / count))
-    # of a random torque's energy, in its largest values for so long
-    by_chance = 2.0 * (z * float(norm.pdf(z)) + float(norm.sf(z)))
-    if 1.0 - share > CONCENTRATED * (1.0 - by_chance):
-        return None
-    return Bursts(tuple(spans), share, peak, float(np.sqrt(inside / max(covered, 1))))
+    high = max(float(level.max()) for level in levels)
+    above = max(BURST * quiet, OF_PEAK * high if least is None else least)
+    masks = []
+    for level, rec in zip(levels, data.records, strict=True):
+        gap = max(1, round(0.25 / rec[joint - 1].sample_time))
+        masks.append(binary_closing(np.pad(level > above, 1), iterations=gap)[1:-1])
+    return _Acting(tuple(masks), tuple(lacks), tuple(smooth), tuple(used), above)
+
+
+def _summed(parts: Sequence[tuple[Data, _Acting]], joint: int) -> Bursts:
+    """Intervals and sizes of what acts."""
+    spans: list[tuple[float, float]] = []
+    inside: list[Array] = []
+    outside: list[Array] = []
+    energy = [0.0, 0.0]
+    for data, acting in parts:
+        for high, lack, smooth, use, rec in zip(
+            acting.masks, acting.lacks, acting.smooth, acting.used, data.records, strict=True
+        ):
+            step, start = rec[joint - 1].sample_time, rec[joint - 1].t0
+            change = np.flatnonzero(np.diff(np.r_[0, high.astype(int), 0]))
+            ends = zip(change[::2].tolist(), change[1::2].tolist(), strict=True)
+            spans += [
+                (start + (use.start + a) * step, start + (use.start + b - 1) * step)
+                for a, b in ends
+            ]
+            inside.append(smooth[high])
+            outside.append(smooth[~high])
+            energy[0] += float(np.sum(lack[high] ** 2))
+            energy[1] += float(np.sum(lack[~high] ** 2))
+    within, beside = np.concatenate(inside), np.concatenate(outside)
+    # not the largest of all: the observer rings at the edges
+    peak = float(np.quantile(np.abs(within), 0.95)) if len(within) else 0.0
+    within = np.minimum(np.abs(within), peak)
+    return Bursts(
+        tuple(spans),
+        energy[0] / max(sum(energy), 1e-300),
+        peak,
+        float(np.sqrt(np.sum(within**2) / max(len(within), 1))),
+        float(np.sqrt(np.sum(beside**2) / max(len(beside), 1))),
+        max(acting.least for _, acting in parts),
+    )
 
 
 def periodic(data: Data, model: Model, joint: int, band: float = 64.0) -> float:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_dilation
 
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
@@ -28,6 +29,7 @@ BLOCK = 0.5
 BLOCKS = 12  # fewer, but never less than an observer remembers
 SETTLE = 0.4  # s, of the observers, at most a tenth of a recording
 DRAWS = 4  # of sensor noise
+TURNING = 0.1  # of a joint's speed: below, it turns round
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,29 @@ def difference(data: Data, one: Model, other: Model, joint: int, band: float = B
         total += float(np.sum((a[use] - b[use]) ** 2))
         count += len(a[use])
     return float(np.sqrt(total / max(count, 1.0) / mean_square(data, joint)))
+
+
+def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
+    """Part of the energy of the torque between two models that acts where the joint turns round:
+    below a tenth of its speed, and as long after as an observer remembers.
+    """
+    band = BANDS[0]
+    pairs = zip(
+        lacking(data, one, joint, band),
+        lacking(data, other, joint, band),
+        data.records,
+        strict=True,
+    )
+    there = total = 0.0
+    for a, b, rec in pairs:
+        record = rec[joint - 1]
+        use = kept(record, band)
+        energy, speed = (a[use] - b[use]) ** 2, np.abs(record.motion.states[1][use])
+        slow = speed < TURNING * float(np.quantile(speed, 0.98))
+        slow = binary_dilation(slow, iterations=max(1, round(2.0 / band / record.sample_time)))
+        there += float(energy[slow].sum())
+        total += float(energy.sum())
+    return there / max(total, 1e-300)
 
 
 def mean_square(data: Data, joint: int) -> float:

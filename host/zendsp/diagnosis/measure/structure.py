@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline
-from scipy.signal import lfilter
+from scipy.linalg.blas import dtbsv
 
 from zendsp.diagnosis.measure.discrepancy import (
     BANDS,
@@ -125,8 +125,10 @@ def _swung(record: JointRecord) -> Array:
         if hertz * h < SLOWER:
             w = 2 * np.pi * hertz
             decay, turn = np.exp(-SWINGS * w * h), np.cos(w * np.sqrt(1 - SWINGS**2) * h)
-            behind = [1.0, -2 * decay * turn, decay**2]
-            place = lfilter([0.0, h * h], behind, a)
+            # place[k] - 2 decay turn place[k-1] + decay² place[k-2] = h² a[k-1]: a triangular
+            # band, solved from its first row on
+            band = np.tile([[1.0], [-2 * decay * turn], [decay**2]], record.n)
+            place = dtbsv(2, band, h * h * np.concatenate([[0.0], a[:-1]]), lower=1, diag=1)
             columns += [w**2 * place, w * np.gradient(place, h)]
     return np.array(columns).reshape(-1, record.n)
 
@@ -149,7 +151,7 @@ class Structure:
 
 
 def structure(
-    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str]
+    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], above: float = 0.0
 ) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
@@ -162,6 +164,8 @@ def structure(
         1-based.
     mechanisms : sequence of str
         Of ``STRUCTURED``.
+    above : float
+        Part of the joint's speed below which nothing counts: where it turns round.
 
     Returns
     -------
@@ -177,7 +181,8 @@ def structure(
         if not made[0][0][0].shape[0]:
             return best
         normals = [
-            _normal(part, seen, joint, band, stride) for part, seen in zip(parts, made, strict=True)
+            _normal(part, seen, joint, band, stride, above * ranges.speed)
+            for part, seen in zip(parts, made, strict=True)
         ]
         sums, counts, excess = [], [], 0.0
         for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
@@ -187,7 +192,11 @@ def structure(
             theta = np.linalg.solve(
                 square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
             )
-            gains = [lack**2 - (lack - theta @ columns) ** 2 for columns, lack in seen]
+            gains = [
+                (lack**2 - (lack - theta @ columns) ** 2)
+                * (np.abs(rec[joint - 1].motion.states[1]) >= above * ranges.speed)
+                for (columns, lack), rec in zip(seen, part.records, strict=True)
+            ]
             for (_, lack), rec in zip(seen, part.records, strict=True):
                 use = kept(rec[joint - 1], band)
                 excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
@@ -221,14 +230,20 @@ def _seen(
 
 
 def _normal(
-    data: Data, seen: Sequence[tuple[Array, Array]], joint: int, band: float, stride: int
+    data: Data,
+    seen: Sequence[tuple[Array, Array]],
+    joint: int,
+    band: float,
+    stride: int,
+    slowest: float,
 ) -> tuple[Array, Array]:
     """Normal equations of a part, thinned: squares (m, m), products (m,)."""
     m = seen[0][0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
     for (columns, lack), rec in zip(seen, data.records, strict=True):
         use = kept(rec[joint - 1], band)
-        a, d = columns[:, use][:, ::stride], lack[use][::stride]
+        fast = np.abs(rec[joint - 1].motion.states[1][use]) >= slowest
+        a, d = columns[:, use][:, fast][:, ::stride], lack[use][fast][::stride]
         square += a @ a.T
         product += a @ d
     return square, product

@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -51,16 +48,10 @@ def draw(chart: Chart) -> Figure:
         if chart.beside
         else {"nrows": n, "ncols": 1, "height_ratios": ratio}
     )
-    figure: Figure
-    with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(
-            figsize=chart.size,
-            layout="constrained",
-            sharex=chart.same,
-            sharey=chart.same,
-            squeeze=False,
-            **shape,
-        )
+    with rc_context(STYLE):
+        # no pyplot: its choice of a window is the user's
+        figure = Figure(figsize=chart.size, layout="constrained")
+        grid = figure.subplots(sharex=chart.same, sharey=chart.same, squeeze=False, **shape)
         axes: list[Axes] = list(grid.ravel())
         for k, (axis, panel) in enumerate(zip(axes, chart.panels, strict=True)):
             _fill(figure, axis, panel, inner=chart.same and k > 0)
@@ -143,6 +134,5 @@ def draw_all(charts: Sequence[Chart], folder: Path) -> list[tuple[str, str, Path
         figure = draw(chart)
         path = folder / f"{chart.name}.png"
         figure.savefig(path)
-        plt.close(figure)
         done.append((chart.section, chart.caption, path))
     return done

@@ -49,7 +49,6 @@ SHORTLIST = 9
 RUNNERS = 4  # hypotheses that are held against the held-out recordings in each round
 FINALISTS = 4
 GLANCE = 4  # hypotheses of a round that is only looked at
-COMMON = ("viscous", "coulomb")
 # relative gain of a step below which a first look ends: in a narrow valley the first step gains
 # little, and 1 % is a deviance of 200
 QUICK = 1e-4
@@ -253,7 +252,8 @@ class Searcher:
             listed = [starts_of(c, current.data) for _, c in options[:LISTED]]
         if not only:  # the commonest physics is tried whatever the first order says of it
             first = {c.effect for group in listed for c in group}
-            listed += [[c] for _, c in options if c.effect in COMMON and c.effect not in first]
+            rest = (c for _, c in options if c.effect not in first)
+            listed += [[c] for c in rest if get_effect(c.effect).common]
         # what takes longest comes first, so that no thread is left with it at the end
         listed = [
             *simulated(current.data, current.model, self.joint, only, self.jobs, self.given),

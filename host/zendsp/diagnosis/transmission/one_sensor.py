@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
@@ -29,6 +28,8 @@ def by_one_sensor(
     """
     if not has_bodies(model):
         return ()
+    from scipy.signal import butter, sosfiltfilt  # takes half a second
+
     out = []
     for decision in decisions:
         joint = decision.joint

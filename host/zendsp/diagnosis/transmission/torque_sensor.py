@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
@@ -72,6 +71,8 @@ def sides_of(parts: Parts, model: Model, joint: int) -> Sides | None:
 
 def _rows(record: JointRecord, model: Model, joint: int) -> dict[str, Any]:
     """Low-passed signals of one recording where the joint moves."""
+    from scipy.signal import butter, sosfiltfilt  # takes half a second
+
     fs = 1.0 / record.sample_time
     sos = butter(4, min(OF_MOTOR, 0.2 * fs), fs=fs, output="sos")
     _, qd, qdd = record.motion.states

@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.signal import butter, sosfiltfilt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.measure.discrepancy import deviation
@@ -125,6 +124,8 @@ def moved(twist: Twist, lag: float) -> Twist:
 
 def lowpass(twist: Twist, band: float) -> Twist:
     """The same below ``band`` Hz, thinned out, without phase."""
+    from scipy.signal import butter, sosfiltfilt  # takes half a second
+
     fs = 1.0 / twist.sample_time
     band = min(band, 0.2 * fs)
     sos = butter(4, band, fs=fs, output="sos")

@@ -284,6 +284,9 @@ class Effect:
     odds : float
         Of hypotheses that explain a recording alike the commoner goes first: what this one counts
         less (or, below 0, more), in parameters.
+    common : bool
+        Every machine has some of it: it is tried whatever a screen promises, and named by its law
+        where another one would have to leave less.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
     rough : bool
@@ -306,6 +309,8 @@ class Effect:
         level, ``"friction"`` also for viscous.
     aliases : tuple of str
         Effects that can be exactly the same to any recording: no fit tells them apart.
+    sums : tuple of str
+        Effects that together are this one, by algebra.
     family : str
         Effects of one family explain the same traces; few recordings separate them.
     sentence : str
@@ -345,6 +350,7 @@ class Effect:
     least: Callable[[Facts], Numbers] | None = None
     possible: Callable[[Numbers], bool] | None = None
     odds: float = 0.0
+    common: bool = False
     slow: bool = False
     rough: bool = False
     loosens_inertia: bool = False
@@ -355,6 +361,7 @@ class Effect:
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()
+    sums: tuple[str, ...] = ()
     family: str = ""
     rivals: tuple[str, ...] = ()
     repeatable: bool = False

@@ -20,6 +20,7 @@ EFFECT = Effect(
     equation="Fc sign(q̇)",
     linear=("level",),
     odds=0.01,
+    common=True,
     rivals=("viscous", "stribeck"),
     compensable="p[0] * sgn(qd)",
 )

@@ -14,6 +14,7 @@ EFFECT = Effect(
     experiment=("Two clearly different speed levels, both ways."),
     equation="c q̇ |q̇|",
     linear=("coefficient",),
+    common=True,
     rivals=("viscous",),
     compensable="p[0] * qd * fabs(qd)",
 )

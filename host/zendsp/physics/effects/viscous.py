@@ -14,6 +14,7 @@ EFFECT = Effect(
     experiment=("Constant-speed moves at several speeds over a decade, both ways."),
     equation="b q̇",
     linear=("coefficient",),
+    common=True,
     rivals=("coulomb", "quadratic_drag"),
     compensable="p[0] * qd",
 )

@@ -10,7 +10,8 @@ from typing import Any
 
 from cffi import FFI
 
-from zendsp_isr.build import build_monitor, source_root
+from zendsp_isr.build import source_root
+from zendsp_isr.parts import build_monitor
 
 
 def _declarations(text: str) -> str:

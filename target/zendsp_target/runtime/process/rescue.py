@@ -10,7 +10,7 @@ import contextlib
 import logging
 import subprocess
 
-from zendsp_isr.build import build_runner
+from zendsp_isr.parts import build_runner
 from zendsp_target.runtime.memory.shm import SharedFile
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ import weakref
 from pathlib import Path
 from typing import Any
 
-from zendsp_isr.build import build_machine, build_runner, is_model
+from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.runtime.memory.layout import layout, set_text, text_of

@@ -1,0 +1,101 @@
+"""What a compiler says, as messages with file, line and column."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+
+_TEXT = re.compile(
+    r"^(?P<file>[^\s:][^:\n]*):(?P<line>\d+):(?:(?P<column>\d+):)?\s*"
+    r"(?:(?P<severity>fatal error|error|warning|note):\s*)?(?P<message>.+)$"
+)
+
+
+@dataclass(frozen=True)
+class Message:
+    """One diagnostic: severity "error" | "warning" | "note", file, line and column from 1 (0 where
+    unknown).
+    """
+
+    severity: str
+    file: str
+    line: int
+    column: int
+    message: str
+
+
+def parse_messages(text: str) -> tuple[Message, ...]:
+    """Diagnostics from a compiler's standard error: gcc's JSON, and the common ``file:line:column:
+    severity: text``.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    tuple of Message
+        In the order given, repetitions left out.
+
+    Examples
+    --------
+    >>> parse_messages("pd.c:3:5: error: expected ';'")
+    (Message(severity='error', file='pd.c', line=3, column=5, message="expected ';'"),)
+    """
+    found: list[Message] = []
+    decoder = json.JSONDecoder()
+    for line in text.splitlines():
+        if line.startswith("["):
+            try:
+                entries, _ = decoder.raw_decode(line)
+            except json.JSONDecodeError:
+                entries = None
+            if isinstance(entries, list):
+                found += [
+                    message
+                    for entry in entries
+                    if isinstance(entry, dict)
+                    for message in _from_json(entry)
+                ]
+                continue
+        match = _TEXT.match(line)
+        if match and (
+            match["severity"]
+            or "undefined" in match["message"]
+            or "multiple definition" in match["message"]
+        ):
+            severity = (match["severity"] or "error").replace("fatal ", "")
+            found.append(
+                Message(
+                    severity,
+                    match["file"],
+                    int(match["line"]),
+                    int(match["column"] or 0),
+                    match["message"],
+                )
+            )
+    return tuple(dict.fromkeys(found))
+
+
+def _from_json(entry: dict[str, object]) -> list[Message]:
+    severity = str(entry.get("kind", "error")).replace("fatal ", "")
+    locations = entry.get("locations")
+    file, line, column = "", 0, 0
+    if isinstance(locations, list) and locations and isinstance(locations[0], dict):
+        caret = locations[0].get("caret")
+        if isinstance(caret, dict):
+            file, line, column = (
+                str(caret.get("file", "")),
+                int(caret.get("line", 0)),
+                int(caret.get("column", 0)),
+            )
+    option = entry.get("option")
+    text = str(entry.get("message", "")) + (f" [{option}]" if option else "")
+    messages = [Message(severity, file, line, column, text)]
+    children = entry.get("children")
+    if isinstance(children, list):
+        for child in children:
+            if isinstance(child, dict):
+                messages += _from_json(child)
+    return messages

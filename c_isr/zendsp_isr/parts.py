@@ -1,0 +1,226 @@
+"""What a target is made of, compiled: the native runner, the monitor's half, the machines."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+from zendsp_isr.build import Built, build, source_root
+from zendsp_protocol.errors import CompileFailed
+
+_MODELS = (".xml", ".mjcf", ".urdf")  # what MuJoCo reads
+
+
+def _trusted(kind: str, built: Built) -> Path:
+    if built.path is None:
+        lines = [
+            f"{m.file}:{m.line}:{m.column}: {m.severity}: {m.message}"
+            for m in built.messages
+            if m.severity == "error"
+        ]
+        raise CompileFailed(
+            f"the {kind} does not compile with {built.compiler}:\n" + "\n".join(lines)
+        )
+    return built.path
+
+
+def _read(folder: Path, names: Sequence[str]) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+RUNNER_SOURCES = (
+    "main.c",
+    "contain.c",
+    "loop.c",
+    "dictionary.c",
+    "realtime.c",
+    "service.c",
+    "batch.c",
+    "stream.c",
+    "safety.c",
+)
+
+
+def build_runner() -> Path:
+    """The native runner for this machine.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CompileFailed
+        No compiler, or one that cannot compile it.
+    """
+    root = source_root()
+    sources = _read(root / "runtime", RUNNER_SOURCES)
+    built = build(
+        "runner",
+        sources,
+        [root / "runtime", root / "include"],
+        shared=False,
+        libraries=("-lm", "-ldl", "-lpthread"),
+    )
+    return _trusted("runner", built)
+
+
+def build_monitor() -> Path:
+    """The shared-memory helper that the monitor loads through cffi.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CompileFailed
+        No compiler, or one that cannot compile it.
+    """
+    root = source_root()
+    built = build(
+        "monitor", _read(root / "runtime", ("monitor.c",)), [root / "runtime", root / "include"]
+    )
+    return _trusted("monitor", built)
+
+
+def machine_source(machine: str) -> Path:
+    """Return the C file of a machine: a shipped one by its name, or a path.
+
+    Raises
+    ------
+    CompileFailed
+        No such machine.
+
+    Examples
+    --------
+    >>> machine_source("imi_planar").name
+    'imi_planar.c'
+    """
+    path = Path(machine)
+    if not machine.endswith(".c"):
+        path = source_root() / "machines" / f"{machine}.c"
+    if not path.is_file():
+        names = ", ".join(machine_names())
+        raise CompileFailed(
+            f"no machine {machine!r}: choose one of {names}, or give the path of a .c file or of a"
+            " MuJoCo model (.xml)"
+        )
+    return path
+
+
+def build_machine(machine: str) -> Path:
+    """A machine as a shared object: a shipped one by name, or a user's own by the path of its
+    ``.c`` file.
+
+    Parameters
+    ----------
+    machine : str
+        For example ``"imi_planar"``, ``"/home/me/my_arm.c"``, or ``"arm.xml"``: a model that MuJoCo
+        reads.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CompileFailed
+        No such machine, or it does not compile; or a model without MuJoCo.
+
+    Examples
+    --------
+    >>> build_machine("imi_planar").suffix
+    '.so'
+    """
+    root = source_root()
+    if is_model(machine):
+        return _build_mujoco(machine)
+    path = machine_source(machine)
+    include = [root / "include", root / "machines"]
+    if path.parent.resolve() != (root / "machines").resolve():
+        include.append(path.parent.resolve())
+    return _trusted(
+        f"machine {path.name}", build("machine", {path.name: path.read_bytes()}, include)
+    )
+
+
+def is_model(machine: str) -> bool:
+    """Whether a machine is given as a file that MuJoCo reads.
+
+    Parameters
+    ----------
+    machine : str
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> is_model("arm.xml"), is_model("imi_planar")
+    (True, False)
+    """
+    return Path(machine).suffix.lower() in _MODELS
+
+
+def machine_title(machine: str) -> str:
+    """Name of a machine for people and for keys: a shipped one's own, else that of its file.
+
+    Parameters
+    ----------
+    machine : str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> machine_title("robots/my_arm.xml")
+    'my_arm'
+    """
+    return Path(machine).stem if machine.endswith(".c") or is_model(machine) else machine
+
+
+def _build_mujoco(machine: str) -> Path:
+    """The machine that runs any model, linked to MuJoCo's library of the installed package; Python
+    loads nothing of it.
+    """
+    if not Path(machine).is_file():
+        raise CompileFailed(f"{machine}: no such file: give the path of a MuJoCo model")
+    found = importlib.util.find_spec("mujoco")
+    folders = found.submodule_search_locations if found is not None else None
+    package = Path(next(iter(folders))) if folders else None
+    libraries = sorted(package.glob("libmujoco.so*")) if package is not None else []
+    if package is None or not libraries:
+        raise CompileFailed(
+            f"{machine}: a MuJoCo model needs mujoco on the target: pip install 'zendsp[mujoco]'"
+        )
+    root = source_root()
+    source = root / "machines" / "mujoco" / "mujoco_machine.c"
+    include = [root / "include", root / "machines", source.parent, package / "include", package]
+    link = (f"-L{package}", f"-l:{libraries[-1].name}", f"-Wl,-rpath,{package}", "-lm")
+    return _trusted(
+        "machine for MuJoCo models",
+        build("machine", {source.name: source.read_bytes()}, include, libraries=link),
+    )
+
+
+def machine_names() -> tuple[str, ...]:
+    """Names of the machines that ship with zendsp.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> "imi_planar" in machine_names()
+    True
+    """
+    folder = source_root() / "machines"
+    return tuple(
+        sorted(path.stem for path in folder.glob("*.c") if b"zendsp_machine" in path.read_bytes())
+    )
