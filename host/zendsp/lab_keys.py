@@ -27,6 +27,7 @@ import tomli_w
 
 from zendsp.errors import Refused
 from zendsp.extras import need
+from zendsp_protocol import toml
 from zendsp_protocol.errors import did_you_mean
 from zendsp_protocol.verbs import ROLES
 
@@ -240,7 +241,7 @@ class Lab:
 
     def _lists(self) -> dict[str, dict[str, str]]:
         try:
-            data = tomllib.loads(self.roles_file.read_text(encoding="utf-8"))
+            data = toml.loads(self.roles_file.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise Refused(f"{self.roles_file} cannot be read: {error}") from error
         return {

@@ -38,6 +38,8 @@ class Packed(msgspec.Struct, frozen=True):
         return f"<Packed {len(self.data) // np.dtype(self.dtype).itemsize} x {self.dtype}>"
 
 
+WORD = 63  # bits of the largest whole number that is sent, beside its sign
+
 if TYPE_CHECKING:  # the target's own side puts arrays into its messages; `enc_hook` packs them
     WireValue = bool | int | float | list[bool | int | float] | Packed | npt.NDArray[Any]
 else:
@@ -53,6 +55,8 @@ def to_wire(value: Any) -> WireValue:
         Not a number, a bool, or an array of these with one or two dimensions.
     """
     kind = type(value)
+    if kind is int and value.bit_length() > WORD:
+        raise TypeError(f"a whole number of {value.bit_length()} bits fits no variable")
     if kind is float or kind is int or kind is bool:
         return value  # type: ignore[no-any-return]
     array = np.asarray(value)

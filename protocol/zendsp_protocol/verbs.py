@@ -185,7 +185,7 @@ _ROWS = (
     Verb("builtins", Nothing, tuple[m.VariableInfo, ...], "quick", role="observe"),
     Verb("machine", Nothing, m.MachineInfo, "quick", role="observe"),
     Verb("limits", Nothing, m.Limits, "quick", role="observe"),
-    Verb("set_limits", SetLimits, m.Written, "quick", repeatable=False, role="command"),
+    Verb("set_limits", SetLimits, m.Applied, "quick", repeatable=False, role="command"),
     Verb("set_drive", SetDrive, m.Empty, "quick", role="command"),
     Verb("set_ramp", SetRamp, m.Empty, "quick", role="command"),
     Verb("set_overrun", SetOverrun, m.Empty, "quick", role="command"),

@@ -76,6 +76,10 @@ def _infinite(c: Columns) -> None:
     c["u"][7] = np.inf
 
 
+def _huge(c: Columns) -> None:
+    c["q"][2000] = -1e300
+
+
 def _constant(c: Columns) -> None:
     c["q"] = np.full_like(c["q"], 0.25)
 
@@ -120,7 +124,8 @@ BAD: dict[str, tuple[Callable[[Columns], None], str]] = {
     "sign of the position": (_scale(-1.0, "q"), "flipped"),
     "swapped columns": (_swap, "swapped"),
     "NaN": (_nan, "row 1001"),
-    "infinite": (_infinite, "row 8"),
+    "infinite": (_infinite, "row 8: inf"),
+    "too large to be squared": (_huge, "row 2001: -1e+300"),
     "constant position": (_constant, "constant"),
     "constant command": (_unexcited, "constant"),
     "no command": (_silent, "zero throughout"),

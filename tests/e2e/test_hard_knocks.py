@@ -23,6 +23,7 @@ from waiting import PATIENCE_S, until
 import zendsp
 from zendsp.errors import LinkError, Refused, RunnerDied
 from zendsp.link import Target
+from zendsp.link.link import Link
 from zendsp.link.settings import Credentials
 from zendsp_protocol import codec, registry
 
@@ -228,6 +229,56 @@ def test_a_transfer_resumes_after_the_cable_was_cut(fast: Target) -> None:
         seen = view.received
         relay.mend()
         until(lambda: view.received > seen, "live rows arrive again by themselves")
+
+
+def test_a_recording_is_whole_wherever_the_cable_was_cut_while_it_came_home(
+    fast: Target, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before each of the requests that bring it home, and once more for what it carries."""
+    fast.download("pd.c")
+    fast.acquire_configure(["q", "tau"], seconds=20.0)
+    fast.acquire_start()
+    fast.start(ticks=10_000)
+    fast.wait(PATIENCE_S)
+    fast.update(Kp1=123.0)
+    fast.start(ticks=10_000)
+    fast.wait(PATIENCE_S)
+    whole = fast.acquire_load()
+    assert whole.parameters["Kp1"] == 123.0 and whole.sources and whole.log
+    with (
+        relay_to(fast.link.endpoints[0]) as relay,
+        zendsp.connect(fast.name, connect=relay.endpoint) as far,
+    ):
+        far.request("info")
+        sent: list[str] = []
+        cut_before = -1
+
+        def cutting(name: str) -> None:
+            original = getattr(Link, name)
+
+            def send(link: Link, verb: str, *rest: object, **named: object) -> object:
+                if link is far.link and threading.current_thread() is threading.main_thread():
+                    sent.append(verb)
+                    if len(sent) - 1 == cut_before:
+                        relay.cut()
+                        until(lambda: not far.alive, "the cut is noticed")
+                        threading.Timer(0.1, relay.mend).start()
+                return original(link, verb, *rest, **named)
+
+            monkeypatch.setattr(Link, name, send)
+
+        cutting("request")
+        cutting("stream")
+        far.acquire_load(patience=PATIENCE_S)
+        verbs = list(sent)
+        assert {"acquire_read", "read", "log", "program"} <= set(verbs)
+        for cut_before in range(len(verbs)):
+            sent.clear()
+            again = far.acquire_load(patience=PATIENCE_S)
+            at = f"cut before {verbs[cut_before]} (request {cut_before})"
+            assert np.array_equal(again.data, whole.data), at
+            assert again.parameters == whole.parameters, at
+            assert (again.log, again.sources, again.lost) == (whole.log, whole.sources, 0), at
 
 
 def test_a_target_that_was_started_again_is_found_again(start: Callable[..., Target]) -> None:

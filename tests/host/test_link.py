@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import gc
 import io
+import os
 import socket
 import subprocess
 import threading
 import time
 import weakref
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -27,9 +29,11 @@ from zendsp.errors import (
 )
 from zendsp.link import ParameterSet, Target, connect, discover
 from zendsp.link.connect import locate
+from zendsp.link.registered import local_entries
 from zendsp.link.settings import Credentials, zenoh_config
 from zendsp_protocol import codec, keys
 from zendsp_protocol import messages as m
+from zendsp_protocol.registry import Entry, born
 from zendsp_protocol.verbs import VERBS
 from zendsp_target.monitor import Monitor
 
@@ -482,3 +486,23 @@ def test_a_link_that_is_closed_while_others_ask_tells_them_so(running: Target) -
         for thread in threads:
             thread.join(PATIENCE_S)
         assert [type(error) for error in said] == [LinkError, LinkError], said
+
+
+@pytest.mark.timeout(60)
+def test_rubbish_among_the_entries_of_targets_keeps_nobody_from_finding_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """STOP looks there too: what does not end when it is read must not be read."""
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path))
+    os.mkfifo(tmp_path / "a.json")
+    (tmp_path / "b.json").symlink_to("/dev/zero")
+    (tmp_path / "c.json").symlink_to("c.json")
+    (tmp_path / "d.json").mkdir()
+    (tmp_path / "e.json").write_text('{"x": ' + "[" * 50_000 + "]" * 50_000 + "}")
+    (tmp_path / "f.json").write_bytes(bytes(range(256)))
+    whole = Entry(
+        name="imi", pid=os.getpid(), born=born(os.getpid()), endpoints=[], machine="m", protocol=1
+    )
+    (tmp_path / "imi.json").write_bytes(msgspec.json.encode(whole))
+    assert local_entries() == [whole]

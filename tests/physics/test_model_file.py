@@ -177,6 +177,12 @@ def test_columns_are_names() -> None:
         )
 
 
+def test_a_file_that_is_nested_without_end_is_not_toml(tmp_path: Path) -> None:
+    (tmp_path / "deep.toml").write_text(f'name = "a"\nb = {"[" * 20_000}{"]" * 20_000}\n')
+    with pytest.raises(ModelError, match=r"deep.toml: is not TOML: .*nested"):
+        load_model(tmp_path / "deep.toml")
+
+
 def test_a_shipped_model_is_found_by_its_name_from_any_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

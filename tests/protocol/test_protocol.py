@@ -57,7 +57,9 @@ def test_values_survive_the_wire(value: object) -> None:
     assert np.array_equal(np.asarray(back), np.asarray(value)) and np.shape(back) == np.shape(value)
 
 
-@pytest.mark.parametrize("value", ["text", None, 1 + 2j, np.zeros((2, 2, 2)), {"a": 1}])
+@pytest.mark.parametrize(
+    "value", ["text", None, 1 + 2j, np.zeros((2, 2, 2)), {"a": 1}, 2**63, -(10**400), 10**4000]
+)
 def test_what_is_not_a_number_is_no_value(value: object) -> None:
     with pytest.raises(TypeError):
         values.to_wire(value)

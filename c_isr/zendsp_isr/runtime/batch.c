@@ -73,6 +73,7 @@ static void apply(runner *r, batch *b, uint64_t tick) {
     }
     b->applied = tick;
     b->shown = c->newest + 1;
+    r->state.unseen = true;
     store32(&b->state, BATCH_APPLIED);
 }
 

@@ -179,6 +179,7 @@ typedef struct trip_latch {
     uint32_t reason;
     int32_t joint; /* from 1; 0: none */
     uint64_t tick;
+    uint64_t shown; /* `newest`, once a snapshot is of that sample */
     double value, limit;
 } trip_latch;
 

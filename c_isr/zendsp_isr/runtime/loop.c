@@ -28,6 +28,7 @@ static void publish(runner *r, uint64_t tick) {
         memcpy(values + config->ranges[i].to, config->ranges[i].from, config->ranges[i].size);
     store64(&slot->sequence, 2 * n + 2);
     store64(&c->newest, n + 1);
+    r->state.unseen = false;
 }
 
 static void fill_inputs(runner *r) {
@@ -74,7 +75,7 @@ static void compute(runner *r) {
 static void sample(runner *r, uint64_t begin, uint64_t late) {
     control *c = r->control;
     store64(&c->heartbeat, c->heartbeat | 1u);
-    safety_requests(r);
+    safety_requests(r, false);
     safety_output(r);
     r->config.machine->write(r->config.handle, &r->buffers.acting);
     r->config.machine->read(r->config.handle, &r->buffers.sensors);
@@ -120,32 +121,50 @@ static void finish_sample(runner *r) {
     store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);
 }
 
-/* Nothing runs: requests and updates are still answered; hardware is kept safe. */
+/* Hardware is read while nothing runs; nothing acts, and what was commanded before the pause shall
+ * not act after it. */
+static void rest(runner *r) {
+    r->config.machine->read(r->config.handle, &r->buffers.sensors);
+    safety_anew(r);
+    r->state.speed_known = 0;
+    memset(r->buffers.now.aout, 0, sizeof r->buffers.now.aout);
+    fill_inputs(r);
+    r->state.unseen = true;
+}
+
+/* A simulated machine stands still in time; its panel does not. */
+static void stand_still(runner *r) {
+    control *c = r->control;
+    if (c->newest == 0) {
+        r->config.machine->read(r->config.handle, &r->buffers.sensors);
+        r->state.din = r->buffers.sensors.din;
+        fill_inputs(r);
+        r->state.unseen = true;
+    }
+    const uint32_t din = r->state.din | load32(&c->simulated_din);
+    const double drive = (double)c->drive_mode;
+    r->state.unseen |= din != r->buffers.io.din || drive != r->buffers.now.drive;
+    r->buffers.io.din = r->buffers.sensors.din = din;
+    r->buffers.now.din = (double)din;
+}
+
+/* Nothing runs: requests and updates are still answered; hardware is kept safe. Who waits for a
+ * pause is told at the end of the first round, when all of it holds. */
 static void idle(runner *r) {
     control *c = r->control;
-    const bool first = c->running != RUN_PAUSED;
-    store32(&c->running, RUN_PAUSED);
-    safety_requests(r);
-    const uint64_t applied = c->ring_tail;
-    const int waiting = r->buffers.waiting_used;
+    if (!c->info.simulated && c->running != RUN_PAUSED)
+        r->config.machine->safe(r->config.handle);
+    safety_requests(r, true);
     batch_apply(r, c->tick);
     stream_idle(r);
-    if (!c->info.simulated) {
-        if (first)
-            r->config.machine->safe(r->config.handle);
-        r->config.machine->read(r->config.handle, &r->buffers.sensors);
-        safety_anew(r); /* a command from before the pause shall not act after it */
-        c->drive_mode = MACHINE_OFF;
-        r->state.speed_known = 0;
-        fill_inputs(r);
+    if (c->info.simulated)
+        stand_still(r);
+    else
+        rest(r);
+    r->buffers.now.drive = (double)c->drive_mode;
+    if (r->state.unseen)
         publish(r, c->tick);
-    } else if (c->ring_tail != applied || r->buffers.waiting_used != waiting || c->newest == 0) {
-        if (c->newest == 0) {
-            r->config.machine->read(r->config.handle, &r->buffers.sensors);
-            fill_inputs(r);
-        }
-        publish(r, c->tick);
-    }
+    store32(&c->running, RUN_PAUSED);
     r->state.overruns_in_row = 0;
     keep_alive(r);
     store64(&c->heartbeat, (c->heartbeat | 1u) + 1u);

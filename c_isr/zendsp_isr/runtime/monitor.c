@@ -197,6 +197,13 @@ void monitor_run(control *c, uint32_t run) {
     }
 }
 
+/* What `heartbeat` will be once the loop has gone round whole, a sample or a look around while
+ * paused, after all that was stored before this call. */
+uint64_t monitor_round(const control *c) {
+    __atomic_thread_fence(__ATOMIC_SEQ_CST); /* what was stored is there before this is read */
+    return (__atomic_load_n(&c->heartbeat, __ATOMIC_ACQUIRE) | 1u) + 3u;
+}
+
 /* Whether a batch has been applied, and whoever reads from here on gets its values. */
 int monitor_shown(const control *c, const batch *b) {
     return __atomic_load_n(&b->state, __ATOMIC_ACQUIRE) == BATCH_APPLIED &&

@@ -46,6 +46,7 @@ uint64_t monitor_load64(const uint64_t *word);
 void monitor_store32(uint32_t *word, uint32_t value);
 void monitor_store64(uint64_t *word, uint64_t value);
 void monitor_run(control *c, uint32_t run);
+uint64_t monitor_round(const control *c);
 int monitor_shown(const control *c, const batch *b);
 int monitor_wait_shown(const control *c, const batch *b, uint64_t timeout_ns, uint64_t awake_ns);
 uint64_t monitor_rows(const uint64_t *count_word, const double *rows, uint64_t capacity,

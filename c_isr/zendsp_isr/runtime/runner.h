@@ -91,6 +91,8 @@ typedef struct runner_state {
     uint32_t off_seen;
     uint64_t busy_ns;               /* a sample, machine included; smoothed over eight samples */
     bool acquired;                  /* Acquire() was called in this sample */
+    bool unseen;   /* something was taken that the newest snapshot does not show */
+    uint32_t din;  /* digital inputs, as the machine itself has them */
     stream *active[LAYOUT_STREAMS]; /* what rows are written into */
 } runner_state;
 
@@ -160,7 +162,7 @@ void stream_skip(runner *r, uint64_t samples);
 /* safety.c */
 void safety_reset(runner *r);
 void safety_anew(runner *r);
-void safety_requests(runner *r);
+void safety_requests(runner *r, bool paused);
 void safety_output(runner *r);
 bool safety_inputs(runner *r);
 void safety_command(runner *r);

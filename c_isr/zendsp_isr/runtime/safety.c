@@ -17,6 +17,8 @@ void safety_trip(runner *r, uint32_t reason, int joint, double value, double lim
         return;
     c->trip.joint = joint;
     c->trip.tick = c->tick;
+    c->trip.shown = c->newest + 1;
+    r->state.unseen = true;
     c->trip.value = value;
     c->trip.limit = limit;
     store32(&c->trip.reason, reason);
@@ -62,11 +64,12 @@ static void widen(runner *r) {
 void safety_anew(runner *r) {
     r->state.anew = true;
     r->state.held.mode = MACHINE_OFF;
+    r->control->drive_mode = MACHINE_OFF;
     r->control->gain = 0.0;
 }
 
 /* Requests of the monitor, at the start of a sample and while paused. */
-void safety_requests(runner *r) {
+void safety_requests(runner *r, bool paused) {
     control *c = r->control;
     const uint32_t acknowledge = load32(&c->acknowledge);
     if (acknowledge != c->acknowledged) {
@@ -77,7 +80,7 @@ void safety_requests(runner *r) {
         store32(&c->acknowledged, acknowledge);
     }
     const uint32_t off = load32(&c->off);
-    if (off != r->state.off_seen && c->running == RUN_PAUSED)
+    if (off != r->state.off_seen && paused)
         safety_anew(r); /* while it runs, the program sees for itself that the drives go off */
     r->state.off_seen = off;
     /* after the acknowledgement: a STOP pressed meanwhile wins */
@@ -187,8 +190,9 @@ static void check_motion(runner *r) {
 bool safety_inputs(runner *r) {
     control *c = r->control;
     const bool before = latched(r);
+    r->state.din = r->buffers.sensors.din;
     if (c->info.simulated)
-        r->buffers.sensors.din |= c->simulated_din;
+        r->buffers.sensors.din |= load32(&c->simulated_din);
     const int32_t input = r->set.stop_input;
     if (input >= 0 && input < 32 &&
         (int32_t)(r->buffers.sensors.din >> input & 1u) == r->set.stop_level)

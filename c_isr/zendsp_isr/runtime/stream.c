@@ -57,12 +57,17 @@ static void requests(stream *s, uint64_t tick) {
     }
 }
 
+/* Has somebody fired the trigger by hand? */
+static bool forced(stream *s) {
+    const uint32_t force = load32(&s->head->force), seen = s->force_seen;
+    s->force_seen = force;
+    return force != seen;
+}
+
 /* Has the trigger fired in this sample? */
 static bool fires(stream *s) {
-    stream_head *h = s->head;
-    const uint32_t force = load32(&h->force);
-    bool fired = force != s->force_seen;
-    s->force_seen = force;
+    const stream_head *h = s->head;
+    bool fired = forced(s);
     if (s->trigger) {
         const double now = value_of(s->trigger, s->trigger_type);
         const bool up = s->before < h->level && now >= h->level;
@@ -71,6 +76,15 @@ static bool fires(stream *s) {
         s->before = now;
     }
     return fired;
+}
+
+/* The row that is stored next is the first at or after the trigger. */
+static void fire(stream *s) {
+    stream_head *h = s->head;
+    const uint64_t pre = h->count < h->pre ? h->count : h->pre;
+    h->fired = (int64_t)h->count;
+    s->finish = h->count - pre + h->wanted;
+    store32(&h->state, STREAM_RUNNING);
 }
 
 static void store_row(stream *s) {
@@ -88,13 +102,8 @@ static void advance(stream *s, uint64_t tick) {
     requests(s, tick);
     if (h->state != STREAM_ARMED && h->state != STREAM_RUNNING)
         return;
-    if (h->state == STREAM_ARMED && fires(s)) {
-        /* the row that is stored next is the first at or after the trigger */
-        const uint64_t pre = h->count < h->pre ? h->count : h->pre;
-        h->fired = (int64_t)h->count;
-        s->finish = h->count - pre + h->wanted;
-        store32(&h->state, STREAM_RUNNING);
-    }
+    if (h->state == STREAM_ARMED && fires(s))
+        fire(s);
     if (s->countdown > 0) {
         s->countdown--;
         return;
@@ -120,9 +129,14 @@ void stream_sample(runner *r) {
 /* While paused: requests are answered, nothing is stored. */
 void stream_idle(runner *r) {
     stream_exchange(r);
-    for (int i = 0; i < LAYOUT_STREAMS; i++)
-        if (r->state.active[i])
-            requests(r->state.active[i], r->control->tick);
+    for (int i = 0; i < LAYOUT_STREAMS; i++) {
+        stream *s = r->state.active[i];
+        if (!s)
+            continue;
+        requests(s, r->control->tick);
+        if (s->head->state == STREAM_ARMED && forced(s))
+            fire(s);
+    }
 }
 
 /* Samples that never ran: say how many rows are not there. */

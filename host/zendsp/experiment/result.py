@@ -13,6 +13,7 @@ from typing import Any
 import tomli_w
 
 from zendsp.errors import RecordingError
+from zendsp_protocol import toml
 from zendsp_protocol.views import html_table, sentence
 
 
@@ -112,9 +113,9 @@ class Result:
             Not a result file.
         """
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            data = toml.loads(Path(path).read_text(encoding="utf-8"))
             result = cls(data["name"], data["title"], data["machine"])
-        except (OSError, tomllib.TOMLDecodeError, KeyError) as error:
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError) as error:
             raise RecordingError(f"{path}: is not the result of an experiment: {error}") from error
         result.values = {k: _estimate(v) for k, v in data.get("values", {}).items()}
         result.mechanism = {k: _estimate(v) for k, v in data.get("mechanism", {}).items()}

@@ -42,8 +42,8 @@ class Drives(Room):
         command_max: Sequence[float] | None = None,
         torque_clamp: bool | None = None,
     ) -> int:
-        """Change limits, one entry per joint; what is None stays. Returns the sequence number of
-        the change.
+        """Change limits, one entry per joint; what is None stays. Returns the sample from which
+        they hold.
 
         Parameters
         ----------
@@ -64,8 +64,8 @@ class Drives(Room):
         given = {
             name: [float(x) for x in values] for name, values in lists.items() if values is not None
         }
-        written: m.Written = self.request("set_limits", torque_clamp=torque_clamp, **given)  # type: ignore[arg-type]
-        return written.sequence
+        applied: m.Applied = self.request("set_limits", torque_clamp=torque_clamp, **given)  # type: ignore[arg-type]
+        return applied.tick
 
     def set_drive(self, mode: str) -> None:
         """Tell the drives ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"``: on at start, off

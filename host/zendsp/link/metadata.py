@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zendsp.errors import LinkError, Refused, RunnerDied
+from zendsp.errors import Refused, RunnerDied
 from zendsp.link.parameters import ParameterSets
 from zendsp.link.variables import Reading, plain
 from zendsp.recording import Channel, ParameterChange, Recording
@@ -50,9 +50,8 @@ def describe(
     ticks = start_tick + status.decimation * np.arange(len(data))
     last = int(ticks[-1]) if len(ticks) else 0
     try:
-        names = parameters.parameter_names()
-        read = parameters.variables.read(names) if names else Reading(last, {})
-    except (Refused, RunnerDied, LinkError):
+        read = parameters.insist_on_all(patience)
+    except (Refused, RunnerDied):
         read = Reading(last, {})  # the program is gone; its log still tells
     # After the reading, so that it holds all changes that the reading shows.
     changes: Sequence[m.Change] = parameters.insist("log", patience, since=program.log_start)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zendsp.errors import VariableError
 from zendsp.link.requests import Requests, Room
-from zendsp.link.variables import Variables, plain
+from zendsp.link.variables import Reading, Variables, plain
+from zendsp_protocol import messages as m
 from zendsp_protocol.lazily import Lazily
+from zendsp_protocol.values import from_wire
 
 if TYPE_CHECKING:
     import numpy as np
@@ -146,11 +148,21 @@ class ParameterSets(Room):
 
     def parameter_names(self) -> list[str]:
         """Names of all parameters of the running code; large arrays are data, not parameters."""
-        return [
-            i.name
-            for i in self.variables().values()
-            if i.kind == "parameter" and i.length <= LARGEST
-        ]
+        return _names(self.variables().values())
+
+    def insist_on_all(self, patience: float) -> Reading:
+        """Read all parameters of the running code, from one sample; again after each outage of up
+        to ``patience`` s.
+        """
+        names = _names(self.insist("variables", patience))
+        if not names:
+            return Reading(0, {})
+        found: m.Reading = self.insist("read", patience, names=names)
+        return Reading(found.tick, {name: from_wire(v) for name, v in found.values.items()})
+
+
+def _names(infos: Iterable[m.VariableInfo]) -> list[str]:
+    return [i.name for i in infos if i.kind == "parameter" and i.length <= LARGEST]
 
 
 def _same(a: Any, b: Any) -> bool:

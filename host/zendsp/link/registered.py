@@ -20,9 +20,11 @@ def local_entries() -> list[registry.Entry]:
     except OSError:
         return []
     for path in sorted(Path(registry.folder()).glob("*.json")):
+        if not path.is_file():  # a pipe, or a device, would never end
+            continue
         try:
             entry = msgspec.json.decode(path.read_bytes(), type=registry.Entry)
-        except (OSError, msgspec.MsgspecError):
+        except (OSError, msgspec.MsgspecError, RecursionError):
             continue
         if entry.born and registry.born(entry.pid) == entry.born:
             entries.append(entry)

@@ -127,13 +127,13 @@ class Variables(Room):
         Parameters
         ----------
         at_tick : int, optional
-            The sample at which to apply them; then the call does not wait for it. Default: the next
-            one.
+            The first sample at which to apply them; then the call does not wait for it. One that
+            has passed is the next one. Default: the next one.
 
         Returns
         -------
         int
-            The sample at which they took (or will take) effect.
+            The sample at which they took effect; with ``at_tick`` that number.
 
         Raises
         ------

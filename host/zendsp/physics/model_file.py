@@ -26,6 +26,7 @@ from zendsp.physics.model import (
 from zendsp.physics.robot import joint_kinds, stated
 from zendsp.physics.shipped import find_model
 from zendsp.spelling import unknown_keys
+from zendsp_protocol import toml
 
 OF_MJCF = ("joints", "take")
 OF_FMU = ("inputs", "outputs", "start_position", "start_velocity", "time_limit")
@@ -150,7 +151,7 @@ def load_model(path: str | Path) -> Model:
     """
     path = find_model(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = toml.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: cannot be read: {error}") from error
     except tomllib.TOMLDecodeError as error:

@@ -19,6 +19,7 @@ from zendsp.reference.core import Array, Reference
 from zendsp.reference.dynamics import Dynamics, make_dynamics
 from zendsp.reference.limits import Limits, Violation, find_violations, raise_violations
 from zendsp.spelling import unknown_keys
+from zendsp_protocol import toml
 from zendsp_protocol.views import html_table, sentence
 
 MACHINES = ("imi_planar", "pendulum", "wam7")
@@ -224,7 +225,7 @@ def load_machine(name: str) -> Machine:
     """
     if name in MACHINES:
         text = resources.files("zendsp.reference").joinpath("machines", f"{name}.toml").read_text()
-        return _parse(tomllib.loads(text), name)
+        return _parse(toml.loads(text), name)
     path = Path(name)
     if path.suffix != ".toml" or not path.is_file():
         raise ReferenceError_(
@@ -232,6 +233,6 @@ def load_machine(name: str) -> Machine:
             " description"
         )
     try:
-        return _parse(tomllib.loads(path.read_text()), str(path))
-    except tomllib.TOMLDecodeError as error:
+        return _parse(toml.loads(path.read_text()), str(path))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ReferenceError_(f"{path}: not TOML: {error}") from error

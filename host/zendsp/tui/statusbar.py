@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from textwrap import shorten, wrap
 
 from rich.style import Style
 from rich.text import Text
@@ -53,6 +54,17 @@ def mean_and_max(mean_ns: float, max_ns: float) -> str:
 def latency(seconds: float) -> str:
     """Return the link's round trip, or a dash where it is unknown."""
     return f"{seconds * 1e3:.1f} ms" if seconds == seconds else "—"
+
+
+def banner_lines(text: str, width: int) -> list[str]:
+    """Return how STOP ended on one line, or on two of a narrow terminal: its first words are always
+    whole.
+    """
+    if len(text) + 4 <= width:
+        return [f" ■ {text} "]
+    lines = wrap(text, max(width, 1))
+    rest = " ".join(lines[1:])
+    return lines if len(lines) < 3 else [lines[0], shorten(rest, width, placeholder=" …")]
 
 
 class Tabs(Widget):
@@ -159,21 +171,22 @@ class StatusBar(Widget):
         self._tabs.right = right
         self._tabs.refresh()
         where = self.where(snapshot)
-        self._line1.update(where if verdict is None else self.banner(verdict), layout=False)
-        self._line2.update(self.loop(snapshot) if verdict is None else where, layout=False)
+        lines = [where, self.loop(snapshot)]
+        if verdict is not None:
+            lines = [*self.banner(verdict), where]
+        self._line1.update(lines[0], layout=False)
+        self._line2.update(lines[1], layout=False)
 
-    def banner(self, verdict: Verdict) -> Text:
-        """Return the line that says how STOP ended, over the whole width."""
+    def banner(self, verdict: Verdict) -> list[Text]:
+        """Return the one or two lines that say how STOP ended, over the whole width."""
         c = self.app.theme_variables
         colour = c["warning"] if verdict.state == "stopped" else c["error"]
-        line = Text(
-            f" ■ {verdict.text} ",
-            Style(bold=True, color=colour, reverse=True),
-            no_wrap=True,
-            overflow="ellipsis",
-        )
-        line.pad_right(max(0, self._line1.size.width - line.cell_len))
-        return line
+        after = ", then Ctrl+K" if verdict.state == "not stopped" else ""
+        width = self._line1.size.width
+        return [
+            Text(line.ljust(width), Style(bold=True, color=colour, reverse=True), no_wrap=True)
+            for line in banner_lines(verdict.text + after, width)
+        ]
 
     def where(self, s: Snapshot) -> Text:
         """Return the line that names the target, its state and who commands."""

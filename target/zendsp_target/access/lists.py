@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from zendsp_protocol import toml
 from zendsp_protocol.errors import Refused, did_you_mean
 from zendsp_protocol.verbs import ROLES
 
@@ -84,7 +85,7 @@ def read_roles(path: str) -> dict[str, str]:
         The file cannot be read, others may write it, or a role is none of `ROLES`.
     """
     try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        data = toml.loads(Path(path).read_text(encoding="utf-8"))
         writable = Path(path).stat().st_mode & 0o022
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise Refused(

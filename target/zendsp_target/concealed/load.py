@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from zendsp_protocol import toml
 from zendsp_protocol.errors import Refused
 from zendsp_target.concealed.draw import draw_from_text
 from zendsp_target.concealed.sealed import LAWS, Concealed, ConcealedEffect
@@ -61,7 +61,7 @@ def _from_file(path: Path, machine: str) -> Concealed:
         raise Refused(f"concealed: no file {path}; give a TOML or JSON file, or seed:17")
     try:
         text = path.read_text()
-        data = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        data = json.loads(text) if path.suffix == ".json" else toml.loads(text)
     except (ValueError, OSError) as error:
         raise Refused(f"concealed: {path}: {error}") from error
     effects = []

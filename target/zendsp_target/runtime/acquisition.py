@@ -227,7 +227,7 @@ def attach(stream: Stream, control: Any, number: int, alive: Callable[[], bool])
 
 
 def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
-    """Arm, disarm or force a stream; waits until the loop has seen an `arm`."""
+    """Arm, disarm or force a stream, and wait until the loop has."""
     ffi, lib = layout()
     with stream.lock:
         address = ffi.addressof(stream.head[0], word)
@@ -235,12 +235,17 @@ def request(stream: Stream, word: str, alive: Callable[[], bool]) -> None:
         if word == "arm":
             stream.lost = 0
         lib.monitor_store32(address, value)
-        if word == "arm":
-            answered = ffi.addressof(stream.head[0], "answered")
-            if not _until(lambda: lib.monitor_load32(answered) == value, alive):
-                raise AcquisitionError(
-                    "the loop does not take the acquisition: no program runs (load and start one)"
-                )
+        state = ffi.addressof(stream.head[0], "state")
+        answered = ffi.addressof(stream.head[0], "answered")
+        done = {
+            "arm": lambda: lib.monitor_load32(answered) == value,
+            "disarm": lambda: lib.monitor_load32(state) in (lib.STREAM_IDLE, lib.STREAM_DONE),
+            "force": lambda: lib.monitor_load32(state) != lib.STREAM_ARMED,
+        }
+        if not _until(done[word], alive):
+            raise AcquisitionError(
+                "the loop does not take the acquisition: no program runs (load and start one)"
+            )
 
 
 def _until(done: Callable[[], bool], alive: Callable[[], bool]) -> bool:

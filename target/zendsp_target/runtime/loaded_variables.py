@@ -32,14 +32,17 @@ class LoadedVariables:
         return self._programs.loaded().dictionary.infos("builtin")
 
     def read(self, names: Sequence[str]) -> tuple[int, dict[str, Value]]:
-        """Values of variables, elements and built-ins, all from one sample, and its tick.
+        """Values of variables, elements and built-ins, all from one sample, and its tick; of none
+        before that of a latched trip.
 
         Raises
         ------
         VariableError
             One line for each unknown name.
         """
-        return self._programs.loaded().read(names)
+        session = self._programs.loaded()
+        session.show_trip()
+        return session.read(names)
 
     def ended(self) -> str:
         """Why the loaded program no longer runs although nobody paused it, in a sentence; empty

@@ -4,15 +4,17 @@ obeys at its next sample.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from typing import Any
 
-from zendsp_protocol.errors import Refused
+from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_protocol.messages import Limits, MachineInfo
 from zendsp_target.runtime import safety
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import ffi_address
 from zendsp_target.runtime.programs import Programs, require_no_trip
+from zendsp_target.runtime.session import Session
 
 MOST_TICKS = 1 << 53  # more than a thousand years, and still exact in a float
 
@@ -60,14 +62,19 @@ class Motion:
                 before + ticks if ticks is not None else 0,
             )
             session.started = True
-            session.request_run(lib.RUN_ISR)
-            requested = ffi_address(session.control, "run")
-            session.until(
-                lambda: session.running == lib.RUN_ISR
-                or session.tick > before
-                or lib.monitor_load32(requested) == lib.RUN_PAUSED,
-                "start",
-            )
+            self._run(session, lib.RUN_ISR, "start")
+
+    def _run(self, session: Session, run: int, what: str) -> None:
+        """Let samples begin, and wait until they do, or are over."""
+        _, lib = layout()
+        before, requested = session.tick, ffi_address(session.control, "run")
+        session.request_run(run)
+        session.until(
+            lambda: session.running == run
+            or session.tick > before
+            or lib.monitor_load32(requested) == lib.RUN_PAUSED,
+            what,
+        )
 
     def pause(self) -> None:
         """Stop sampling after the present sample: a simulated machine stands still in time,
@@ -139,7 +146,7 @@ class Motion:
 
     def set_drive(self, mode: str) -> None:
         """What the drives shall do: ``"off"``, ``"torque"``, ``"velocity"``, or ``"auto"`` (torque
-        at each start, the default).
+        at each start, the default). Returns once the loop acts by it.
         """
         if mode != "auto" and mode not in safety.DRIVE_MODES:
             raise Refused(f"drive mode {mode!r}: give off, torque, velocity or auto")
@@ -153,10 +160,12 @@ class Motion:
                 if mode == "off":
                     control.off = (int(control.off) + 1) & 0xFFFFFFFF
                 control.drive = safety.DRIVE_MODES.get(mode, int(control.drive))
+                with contextlib.suppress(RunnerDied):  # then nothing is driven
+                    session.settle("set_drive")
 
     def home(self) -> None:
-        """Start the machine's homing; ``status().homed`` tells when it is done, a trip when it
-        fails.
+        """Start the machine's homing, and return once it moves; ``status().homed`` tells when it is
+        done, a trip when it fails.
 
         Raises
         ------
@@ -170,7 +179,7 @@ class Motion:
             if session.running != lib.RUN_PAUSED:
                 raise Refused("the program runs: pause it before homing")
             lib.monitor_store64(ffi_address(session.control, "run_until"), 0)
-            session.request_run(lib.RUN_HOME)
+            self._run(session, lib.RUN_HOME, "home")
 
     def machine(self) -> MachineInfo:
         """What the loaded machine says of itself."""
@@ -226,9 +235,10 @@ class Motion:
 
     def set_inputs(self, bits: int) -> None:
         """Digital inputs of a simulated machine, one bit each: what a person at its panel would
-        press.
+        press. Returns once they are read.
         """
         session = self._programs.living()
         if not session.machine.simulated:
             raise Refused("digital inputs of real hardware cannot be set")
         session.control.simulated_din = bits & 0xFFFFFFFF
+        session.settle("set_inputs")

@@ -86,6 +86,7 @@ class Programs:
         self.session: Session | None = None
         self.log = ChangeLog()
         self._loads = 0
+        self._sequence = 0  # of the last update of all loads
         self.drive_wish = "auto"
         self._closed = False
 
@@ -116,7 +117,13 @@ class Programs:
                 self.drive_wish = "off"
             self._loads += 1
             self.session = Session(
-                key, self.settings, path, self.folder.path, self._loads, self.log
+                key,
+                self.settings,
+                path,
+                self.folder.path,
+                self._loads,
+                self.log,
+                self._sequence,
             )
 
     def unload(self) -> None:
@@ -124,6 +131,7 @@ class Programs:
         with self.lock:
             if self.session is not None:
                 self.session.close()
+                self._sequence = self.session.updates.sequence
                 self.session = None
 
     def stop_page(self) -> str:

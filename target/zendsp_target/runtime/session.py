@@ -41,6 +41,8 @@ class Session:
         In shared memory.
     number : int
     log : ChangeLog
+    sequence : int
+        The last number of an update of the loads before.
 
     Raises
     ------
@@ -49,7 +51,14 @@ class Session:
     """
 
     def __init__(
-        self, key: str, settings: Settings, program: Path, folder: Path, number: int, log: ChangeLog
+        self,
+        key: str,
+        settings: Settings,
+        program: Path,
+        folder: Path,
+        number: int,
+        log: ChangeLog,
+        sequence: int = 0,
     ) -> None:
         self.key, self.settings = key, settings
         self.crash = ""
@@ -64,7 +73,13 @@ class Session:
             self.control, memory[start : start + int(self.control.snapshot_bytes)].copy()
         )
         self.updates = Updates(
-            self.control, data, self.dictionary, log, self.process.alive, self.process.handle
+            self.control,
+            data,
+            self.dictionary,
+            log,
+            self.process.alive,
+            self.process.handle,
+            sequence,
         )
         self._memory = memory
         # kept here, since user code with a wild pointer may overwrite what is shared: nothing there
@@ -146,6 +161,18 @@ class Session:
                 )
             time.sleep(0.0002)
 
+    def settle(self, what: str) -> None:
+        """Sleep until the loop has seen what was stored before, and others see what it did.
+
+        Raises
+        ------
+        RunnerDied, Refused
+            As `until`.
+        """
+        _, lib = layout()
+        over, heartbeat = lib.monitor_round(self._pointer), ffi_address(self.control, "heartbeat")
+        self.until(lambda: bool(lib.monitor_load64(heartbeat) >= over), what)
+
     def snapshot(self) -> tuple[int, np.ndarray[tuple[int], np.dtype[np.uint8]]]:
         """The newest sample: its tick, and all small values as bytes."""
         ffi, lib = layout()
@@ -195,6 +222,18 @@ class Session:
             if name not in small:
                 found[name] = self._table(place)
         return tick, {name: found[name] for name in names}
+
+    def show_trip(self) -> None:
+        """Sleep until the sample of a STOP or trip that is latched can be read; not at all where
+        there is none.
+        """
+        _, lib = layout()
+        trip = self.control.trip
+        if lib.monitor_load32(ffi_address(trip, "reason")):
+            self.until(
+                lambda: bool(lib.monitor_load64(self._newest) >= trip.shown) or not self.alive(),
+                "reading",
+            )
 
     def repeat_read(self, names: Sequence[str], reply: Blank) -> Callable[[], int] | None:
         """Make what fills a reply with the newest values of the same names; see

@@ -22,7 +22,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,7 +35,6 @@ from zendsp_target.api import RuntimeApi
 
 log = logging.getLogger(__name__)
 
-BEGIN_S = 1.0  # for the loop to take up homing
 # soft start and soft stop of the explicit sequence, unless somebody has chosen otherwise
 SOFT_S = 0.1
 POLICIES = ("stop", "hold", "finish")
@@ -101,20 +99,21 @@ class Drives:
     # ----------------------------------------------------------------------------------------------
 
     def state(self, status: Status) -> DriveState:
-        """Return where in the sequence a status is."""
-        with self._lock:
-            if status.trip is not None:
-                self._enabled = False
-                return DriveState.STOPPED if status.trip.reason in STOPS else DriveState.TRIPPED
-            running = status.state == ProgramState.RUNNING
-            resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
-            if not self._explicit:
-                return DriveState.RUNNING if running else resting
-            if not self._powered:
-                return DriveState.OFF
-            if self._enabled:
-                return DriveState.RUNNING if running else DriveState.ENABLED
-            return resting
+        """Return where in the sequence a status is. Takes no lock: who waits for the loop holds it,
+        and STOP asks this.
+        """
+        if status.trip is not None:
+            self._enabled = False
+            return DriveState.STOPPED if status.trip.reason in STOPS else DriveState.TRIPPED
+        running = status.state == ProgramState.RUNNING
+        resting = DriveState.HOMED if status.homed and _loaded(status) else DriveState.READY
+        if not self._explicit:
+            return DriveState.RUNNING if running else resting
+        if not self._powered:
+            return DriveState.OFF
+        if self._enabled:
+            return DriveState.RUNNING if running else DriveState.ENABLED
+        return resting
 
     def conditions(self, status: Status) -> tuple[Condition, ...]:
         """Return everything that enabling needs."""
@@ -295,13 +294,6 @@ class Drives:
         self._explicit = self._powered = True
         self._off()  # what acts while homing is the machine's own routine
         self._runtime.home()
-        end = time.monotonic() + BEGIN_S
-        # so that who asks next for the status sees it homing, not about to
-        while time.monotonic() < end:
-            now = self._runtime.status()
-            if now.state == ProgramState.RUNNING or now.tick != status.tick or now.trip is not None:
-                break
-            time.sleep(0.0005)
         return "homing"
 
     def enable(self, mode: str) -> str:

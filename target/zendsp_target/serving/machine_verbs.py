@@ -5,6 +5,7 @@ from __future__ import annotations
 from zendsp_protocol import messages as m
 from zendsp_protocol import verbs
 from zendsp_target.api import RuntimeApi
+from zendsp_target.serving.variable_verbs import applied
 
 
 class MachineVerbs:
@@ -19,12 +20,12 @@ class MachineVerbs:
     def do_limits(self, args: verbs.Nothing, by: str) -> m.Limits:
         return self.runtime.limits()
 
-    def do_set_limits(self, args: verbs.SetLimits, by: str) -> m.Written:
+    def do_set_limits(self, args: verbs.SetLimits, by: str) -> m.Applied:
         given = {name: getattr(args, name) for name in args.__struct_fields__}
         changes = {
             n: tuple(v) if isinstance(v, list) else v for n, v in given.items() if v is not None
         }
-        return m.Written(sequence=self.runtime.set_limits(by, **changes))
+        return applied(self.runtime, self.runtime.set_limits(by, **changes))
 
     def do_set_drive(self, args: verbs.SetDrive, by: str) -> m.Empty:
         self.runtime.set_drive(args.mode)

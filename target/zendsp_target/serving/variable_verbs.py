@@ -33,8 +33,8 @@ class VariableVerbs:
         return self.runtime.builtins()
 
     def do_read(self, args: verbs.Read, by: str) -> dict[str, Any]:
+        ended = self.runtime.ended()  # first: what is read then is not older
         tick, found = self.runtime.read(args.names)
-        ended = self.runtime.ended()
         return (
             {"tick": tick, "values": found, "ended": ended}
             if ended
@@ -53,14 +53,11 @@ class VariableVerbs:
         return given if PLAIN.issuperset(map(type, given.values())) else self._unpacked(given)
 
     def do_update(self, args: verbs.Write, by: str) -> m.Applied:
-        sequence = self.do_write(args, by).sequence
-        try:
-            return self._applied(sequence, APPLY_INLINE_S)
-        except NotYet:
-            raise Later(lambda: self._applied(sequence, APPLY_LIMIT_S)) from None
+        return applied(self.runtime, self.do_write(args, by).sequence)
 
     def do_wait_applied(self, args: verbs.Wait, by: str) -> m.Applied:
-        return self._applied(args.sequence, min(args.timeout, 60.0))
+        tick = self.runtime.wait_applied(args.sequence, min(args.timeout, 60.0))
+        return m.Applied(sequence=args.sequence, tick=tick)
 
     def do_log(self, args: verbs.Log, by: str) -> tuple[m.Change, ...]:
         return self.runtime.log(args.since)
@@ -89,10 +86,6 @@ class VariableVerbs:
         fits = [name for name in columns if given[name].size % columns[name] == 0]
         return {**given, **{name: given[name].reshape(-1, columns[name]) for name in fits}}
 
-    def _applied(self, sequence: int, timeout: float) -> m.Applied:
-        tick = self.runtime.wait_applied(sequence, timeout)
-        return m.Applied(sequence=sequence, tick=tick)
-
     def do_table_begin(self, args: verbs.TableBegin, by: str) -> verbs.TableState:
         self._check_table(args.name, args.length)
         number = self.uploads.begin(args.name, args.dtype, args.length, args.crc)
@@ -105,9 +98,9 @@ class VariableVerbs:
     def do_table_commit(self, args: verbs.TableCommit, by: str) -> m.Applied:
         name, array = self.uploads.finish(args.upload)
         sequence = self.runtime.write(self._shaped({name: array}), by, args.at_tick)
-        if args.at_tick is not None:
-            return m.Applied(sequence=sequence, tick=args.at_tick)
-        return self._applied(sequence, APPLY_LIMIT_S)
+        if args.at_tick is not None and self.runtime.status().tick < args.at_tick:
+            return m.Applied(sequence=sequence, tick=args.at_tick)  # it will be, then
+        return applied(self.runtime, sequence)
 
     def _check_table(self, name: str, length: int) -> None:
         info = next((info for info in self.runtime.variables() if info.name == name), None)
@@ -119,6 +112,18 @@ class VariableVerbs:
             raise VariableError(
                 f"{name}: {length} elements are no whole number of rows of {info.columns}"
             )
+
+
+def applied(runtime: RuntimeApi, sequence: int) -> m.Applied:
+    """Answer once an update is in effect; another thread does where that takes long."""
+
+    def within(timeout: float) -> m.Applied:
+        return m.Applied(sequence=sequence, tick=runtime.wait_applied(sequence, timeout))
+
+    try:
+        return within(APPLY_INLINE_S)
+    except NotYet:
+        raise Later(lambda: within(APPLY_LIMIT_S)) from None
 
 
 def _light(info: m.VariableInfo) -> m.VariableInfo:

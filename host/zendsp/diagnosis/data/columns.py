@@ -18,6 +18,14 @@ Getter = Callable[[str], Array]  # from a column's name to its numbers in SI
 Columns = Mapping[str, Any]  # a model's [columns]: a name, or a list of them, by role
 
 
+LARGEST = 1e100  # of a value: its square is a number yet
+
+
+def no_number(values: Array) -> npt.NDArray[np.bool_]:
+    """Which values are NaN, infinite, or so large that nothing can be computed with them."""
+    return ~(np.abs(values) < LARGEST)
+
+
 def optional(name: str, role: str, get: Getter, spec: Any, n: int, joints: int) -> Array:
     """An optional column, one number for all joints or one each, (n, joints)."""
     parts = [
@@ -29,11 +37,12 @@ def optional(name: str, role: str, get: Getter, spec: Any, n: int, joints: int) 
             f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints}"
             " columns"
         )
-    bad = ~np.isfinite(values)
+    bad = no_number(values)
     if bad.any():
+        row, column = (int(i[0]) for i in np.nonzero(bad))
         raise RecordingError(
             f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers"
-            f" (first in row {int(np.argwhere(bad)[0, 0]) + 1}); expected none"
+            f" below {LARGEST:g} (first in row {row + 1}: {values[row, column]:g}); expected none"
         )
     return np.array(np.broadcast_to(values, (n, joints)))
 

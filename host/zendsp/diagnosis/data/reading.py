@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.columns import (
+    LARGEST,
     Columns,
     Getter,
     column_name,
@@ -16,6 +17,7 @@ from zendsp.diagnosis.data.columns import (
     has,
     matrix,
     names_of,
+    no_number,
     optional,
     without_repeats,
 )
@@ -103,12 +105,13 @@ def _main_columns(
     for label, values in (("position", position), ("command", command)):
         if len(values) != n:
             raise RecordingError(f"{name}: {label} has {len(values)} rows, position {n}")
-        bad = ~np.isfinite(values)
+        bad = no_number(values)
         if bad.any():
             row, column = (int(i[0]) for i in np.nonzero(bad))
             raise RecordingError(
                 f"{name}: {label} {column_name(columns[label], column)!r} has {int(bad.sum())}"
-                f" values that are not finite numbers (first in row {row + 1}); expected none"
+                f" values that are not finite numbers below {LARGEST:g} (first in row {row + 1}:"
+                f" {values[row, column]:g}); expected none"
             )
     if n < MIN_SAMPLES:
         raise RecordingError(

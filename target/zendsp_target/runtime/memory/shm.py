@@ -104,10 +104,11 @@ class SharedFile:
             if size is not None:
                 os.posix_fallocate(file, 0, size)
             self.map = mmap.mmap(file, 0)
-        except OSError:
+        except OSError as error:
             if size is not None:
                 os.unlink(path)
-            raise
+            what = "the file" if size is None else f"{size} bytes of shared memory"
+            raise OSError(error.errno, f"{what}: {error.strerror}", str(path)) from error
         finally:
             os.close(file)
         ffi, _ = layout()

@@ -50,6 +50,8 @@ class Updates:
         Whether the runner still runs.
     handle : int
         The runner's pidfd, which tells the same within the commit; -1 where the kernel has none.
+    sequence : int
+        The last number of an update of the loads before: numbers are never given anew.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class Updates:
         log: ChangeLog,
         alive: Callable[[], bool],
         handle: int = -1,
+        sequence: int = 0,
     ) -> None:
         ffi, lib = layout()
         self._lib, self._control, self._data = lib, control, data
@@ -82,7 +85,7 @@ class Updates:
         self._free = list(range(lib.LAYOUT_BATCHES))[::-1]
         self._flights: dict[int, Flight] = {}
         self._applied: dict[int, int] = {}
-        self._sequence = 0
+        self._before = self._sequence = sequence
         self._bank: dict[int, int] = {}  # bank that a table's newest update names, by variable
 
     # ---- write ------------------------------------------------------------------------------------------------------------  # noqa: E501
@@ -278,6 +281,11 @@ class Updates:
         self._flights[self._sequence] = flight
         return self._sequence
 
+    @property
+    def sequence(self) -> int:
+        """Number of the last update."""
+        return self._sequence
+
     # ---- acknowledge ------------------------------------------------------------------------------------------------------  # noqa: E501
 
     def wait_applied(self, sequence: int, timeout: float) -> int:
@@ -298,12 +306,17 @@ class Updates:
         Raises
         ------
         RunnerDied
-            The runner ended before.
+            The runner ended before, or another program was loaded.
         NotYet
             Its sample has not come within the timeout.
         Refused
             No such update.
         """
+        if sequence <= self._before:
+            raise RunnerDied(
+                f"update {sequence}: its program is no longer loaded; the log has it if it took"
+                " effect"
+            )
         end = time.monotonic() + timeout
         left = max(0.0, timeout)
         while True:
