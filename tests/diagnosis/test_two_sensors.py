@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
 from zendsp.diagnosis.data.signals import Parts
+from zendsp.diagnosis.transmission import one_sensor
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.torque_sensor import sides_of
 from zendsp.errors import RecordingError
@@ -186,3 +188,22 @@ def test_friction_over_temperature_between_recordings_that_are_each_at_one_tempe
     assert [f.effect for f in found.findings] == ["friction_temperature"]
     coefficient = found.findings[0].parameters["coefficient"].value
     assert coefficient == pytest.approx(-0.02, rel=0.05)
+
+
+@pytest.mark.parametrize(("rows", "told"), [(700, 0), (3000, 1)])
+def test_of_a_recording_without_a_middle_no_compliance_is_said(
+    rows: int, told: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the first and the last half second feel the filter, so of 0.7 s nothing is left
+    record = SimpleNamespace(
+        columns={}, sample_time=1e-3, inertia_and_bias=lambda model: (1.0, 0.0)
+    )
+    arm = SimpleNamespace(joint_kind=lambda joint: "rotary")
+    parts = SimpleNamespace(test=SimpleNamespace(records=[[record]]))
+    decision = SimpleNamespace(joint=1, after=SimpleNamespace(value=1e-3), scale=1.0)
+    swing = np.sin(0.02 * np.arange(rows))
+    monkeypatch.setattr(one_sensor, "has_bodies", lambda model: True)
+    monkeypatch.setattr(one_sensor, "of_bodies", lambda record, model: swing)
+    monkeypatch.setattr(one_sensor, "torque_unit", lambda model, joint: "N m")
+    found = one_sensor.by_one_sensor(parts, arm, [decision])  # type: ignore[arg-type]
+    assert len(found) == told and all(d.size < 1.0 for d in found)

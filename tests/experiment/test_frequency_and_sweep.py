@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import PATIENCE_S
 
 import zendsp
 from zendsp.errors import AcquisitionError, RecordingError, Refused, VariableError
-from zendsp.experiment.frequency import choose_lines, estimate, make_period
-from zendsp.experiment.sweep import values_of
+from zendsp.experiment.excite import APPROACH_S
+from zendsp.experiment.frequency import FrequencyResponse, choose_lines, estimate, make_period
+from zendsp.experiment.sweep import tried_of, values_of
 from zendsp.link import Target, local
 
 RATE = 1000.0
@@ -66,6 +69,9 @@ def test_values_as_typed() -> None:
     for text in ("", "1:2", "a", "1:2:0", "1:2:x"):
         with pytest.raises(VariableError, match="FIRST:LAST:COUNT"):
             values_of(text)
+    assert tried_of(["Kp1=1,2", "Kd1=3"]) == {"Kp1": [1.0, 2.0], "Kd1": [3.0]}
+    with pytest.raises(VariableError, match="NAME=VALUES"):
+        tried_of(["Kp1"])
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +142,91 @@ def test_while_the_loop_keeps_real_time_the_program_goes_on() -> None:
         held = target.acquire(["r1"], 0.3)["r1"]
         assert np.ptp(held) == 0.0, "nothing moves on, and nothing jumps"
         assert abs(found.magnitude_db[0]) < 6.0, "friction takes its part of so small a motion"
+
+
+def test_interrupted_while_it_swings_the_machine_is_held_where_it_then_is() -> None:
+    def interrupt(share: float) -> None:
+        if share > 0.3:
+            raise KeyboardInterrupt
+
+    def at_once(share: float) -> None:
+        raise KeyboardInterrupt
+
+    with local("imi_planar", options=["--ideal"]) as target:
+        target.download("pd.c")
+        target.start()
+        with pytest.raises(KeyboardInterrupt):
+            zendsp.frequency_response(target, f_min=1.0, lines=4, periods=9, progress=at_once)
+        assert target["use_table"] is False, "while it was tried on the twin, nothing has moved"
+        # at once: before the tables have switched over
+        for running, end in ((True, at_once), (True, interrupt), (False, interrupt)):
+            if not running:
+                target.pause()
+            with pytest.raises(KeyboardInterrupt):
+                zendsp.frequency_response(
+                    target, f_min=1.0, lines=4, periods=9, amplitude=0.02, rehearsed=False,
+                    progress=end,
+                )  # fmt: skip
+            assert (target.status().state == "running") is running, "as it was before"
+            if running:
+                held = target.acquire(["r1"], APPROACH_S + 0.3)["r1"][-200:]
+                assert np.ptp(held) == 0.0, "it swings no more"
+
+
+def test_a_swing_that_trips_says_so(fast: Target) -> None:
+    fast.download("pd.c")
+    try:
+        with pytest.raises(Refused, match=r"exceeds the limit.*take less amplitude"):
+            zendsp.frequency_response(fast, f_min=2.0, lines=20, periods=2, amplitude=0.3)
+    finally:
+        fast.acknowledge()
+
+
+def test_a_stop_while_it_swings_is_called_a_stop(fast: Target) -> None:
+    fast.download("pd.c")
+    swings = threading.Event()
+
+    def stop() -> None:
+        assert swings.wait(PATIENCE_S)
+        fast.stop()
+
+    stopper = threading.Thread(target=stop)
+    stopper.start()
+    try:
+        with pytest.raises(Refused, match=r"^STOP was requested .* acknowledged$"):
+            zendsp.frequency_response(
+                fast, f_min=0.01, f_max=1.0, lines=5, periods=9, progress=lambda _: swings.set()
+            )
+    finally:
+        stopper.join()
+        fast.acknowledge()
+
+
+def test_a_response_travels_in_its_recording(fast: Target, tmp_path: Path) -> None:
+    fast.download("pd.c")
+    found = zendsp.frequency_response(
+        fast, f_min=2.0, f_max=20.0, lines=5, periods=2, channels=["q", "tau"]
+    )
+    assert found.recording.columns == ("q[0]", "q[1]", "tau[0]", "tau[1]", "r1")
+    again = FrequencyResponse.of(zendsp.Recording.load(found.recording.save(tmp_path / "r.mat")))
+    assert again is not None and again.rows() == found.rows()
+    assert again.summary() == found.summary() and again.unit == found.unit
+    assert FrequencyResponse.of(fast.acquire(["q"], 0.1, start=True)) is None
+
+
+def test_a_sweep_can_be_interrupted_within_a_measurement(fast: Target) -> None:
+    shares: list[float] = []
+
+    def interrupt(share: float) -> None:
+        shares.append(share)
+        if share > 0.6:
+            raise KeyboardInterrupt
+
+    fast.download("pd.c")
+    fast.start()
+    with pytest.raises(KeyboardInterrupt):
+        zendsp.sweep(fast, {"Kp1": [700.0, 800.0]}, ["e1"], seconds=60.0, progress=interrupt)
+    assert 0.5 < shares[-1] < 1.0 and fast["Kp1"] == 2000.0
 
 
 def test_a_sweep_measures_every_combination_and_puts_the_parameters_back(

@@ -56,10 +56,14 @@ def test_the_shell_runs_commands_over_one_link_and_survives_mistakes(
 ) -> None:
     installed.target("imi")
     assert installed.run("run", "pd.c", "-t", "imi").returncode == 0
-    lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nget Kp1 --json\nexit\n"
+    lines = "set Kp1=450\nget Kp1\nget nothing\nset Kp1\n'\nnonsense\nhelp\nhelp set\n"
+    lines += "get Kp1 --json\nexit\n"
     done = installed.run("shell", "-t", "imi", input=lines)
     assert done.returncode == 0
     assert "Kp1 set at sample" in done.stdout and "Kp1 = 450 N m/rad" in done.stdout
     assert '"values": {"Kp1": 450.0}' in done.stdout
-    assert "No such command 'nonsense'" in done.stderr and "nothing" in done.stderr
+    assert "zendsp: no command 'nonsense'; 'zendsp --help' lists them\n" in done.stderr
+    assert "zendsp: nothing: no such variable" in done.stderr
+    assert "Commands:" in done.stdout
+    assert "Usage: zendsp set" in done.stdout
     assert "No closing quotation" in done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from journey import Installed
+from screen import Screen
 
 
 def test_a_target_is_started_found_and_named(installed: Installed) -> None:
@@ -10,3 +11,20 @@ def test_a_target_is_started_found_and_named(installed: Installed) -> None:
     said = installed.run("info", "-t", "imi")
     assert said.returncode == 0, said.stderr
     assert "imi_planar" in said.stdout
+    assert "loop       1000 Hz, real clock\n" in said.stdout, "of a loop that is not there no more"
+
+
+def test_the_terminal_brings_its_own_machine_and_takes_it_along(installed: Installed) -> None:
+    screen = Screen(installed, (80, 24), "--machine", "imi_planar", "--source", "pd.c")
+    try:
+        screen.until("○ empty")
+        screen.keys(b"b")
+        screen.until("○ loaded")
+        screen.keys(b"s")
+        screen.until("● running")
+        assert "imi_planar" in installed.run("ls").stdout
+        screen.keys(b"\x11")  # Ctrl+Q
+        assert screen.ended() == 0
+    finally:
+        screen.end()
+    assert "no target answers" in installed.run("ls").stdout

@@ -59,8 +59,10 @@ def test_stop_ends_in_the_right_banner(
     os.killpg(process.pid, signal.SIGKILL)
     screen.until("LINK LOST")
     screen.keys(F9)
-    screen.until("NOT STOPPED: use the machine's emergency stop")
+    screen.until("NOT STOPPED: use the machine's emergency stop, then Ctrl+K")
     assert "STOP sent" not in screen.text()
+    screen.keys(b"\x0b")  # Ctrl+K
+    until(lambda: "NOT STOPPED" not in screen.text(), "the banner goes", screen.text)
 
 
 def runner_of(target: int) -> int:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+import signal
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from journey import Installed, until
+from journey import PATIENCE_S, Installed, until
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "e2e"))
 
@@ -184,6 +188,28 @@ def test_a_role_allows_what_it_says_and_stop_is_for_everyone(
     assert answers[5].startswith("two@") == (may >= 2), answers
 
 
+@contextlib.contextmanager
+def bridged(user: Installed, env: dict[str, str]) -> Iterator[Callable[..., str]]:
+    """A bridge that writes, with somebody's certificate; what a viewer asks of it."""
+    pytest.importorskip("foxglove")
+    connect = pytest.importorskip("websockets.sync.client").connect
+    words = ("bridge", "foxglove", "-t", "imi", "--port", "0", "--write", "--json")
+    bridge = user.start("zendsp", *words, env=env)
+    assert bridge.stdout is not None
+    url = json.loads(bridge.stdout.readline())["url"]
+    with connect(url, subprotocols=["foxglove.sdk.v1"]) as socket:
+
+        def ask(op: str, *, until: str, **values: object) -> str:
+            socket.send(json.dumps({"op": op, "id": "a", **values}))
+            while until not in (said := str(socket.recv(timeout=PATIENCE_S))):
+                pass
+            return said
+
+        yield ask
+    bridge.send_signal(signal.SIGINT)
+    assert bridge.wait(PATIENCE_S) == 130
+
+
 def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) -> None:
     pytest.importorskip("cryptography")
     for line in ("init", "target imi", "user anna --role observe"):
@@ -223,7 +249,13 @@ def test_a_lab_makes_keys_gives_roles_and_takes_them_back(installed: Installed) 
         refused.returncode == 2
         and "needs the role 'tune'; anna has the role 'observe'" in refused.stderr
     )
-    assert installed.run("keys", "user", "anna", "--role", "tune").returncode == 0
+    with bridged(installed, anna) as ask:
+        assert "2000" in ask("getParameters", parameterNames=["Kp1"], until="parameterValues")
+        write = {"parameters": [{"name": "Kp1", "value": 430.0}], "until": "status"}
+        assert "needs the role 'tune'; anna has the role 'observe'" in ask("setParameters", **write)
+        assert installed.run("keys", "user", "anna", "--role", "tune").returncode == 0
+        assert "430" in ask("setParameters", **{**write, "until": "430"})
+        assert installed.run("get", "Kp1", "-t", "imi").stdout == "Kp1 = 430 N m/rad\n"
     assert installed.run("set", "Kp1=410", "-t", "imi", env=anna).returncode == 0
     assert installed.run("keys", "revoke", "anna").returncode == 0
     refused = installed.run("set", "Kp1=420", "-t", "imi", env=anna)

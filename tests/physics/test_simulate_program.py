@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -161,6 +162,38 @@ def test_the_command_line_simulates_checks_the_step_and_writes(tmp_path: Path) -
     assert done.exit_code == 0, done.output
     assert "step check: settled" in done.output
     assert Recording.load(out)["q"].shape == (500, 2)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        # a motor of 0.8 N m under the gains of an arm, and a second joint that is not there
+        ("pendulum.toml", (r"joint 1: a command of 184\.\d N m, the limit is 0\.8 N m \(first",
+                           r"commands joint 2; pendulum has 1\. Is it a program for another")),
+        # without any limit the motion itself is what ends it
+        ("single_pendulum.toml", (r"joint 1 ran away: -?\d+ rad after \d+ of 10000 samples",
+                                  r"commands joint 2; single_pendulum has 1")),
+    ],
+)  # fmt: skip
+def test_a_program_that_does_not_fit_the_machine_is_told_and_fails(
+    model: str, words: tuple[str, ...]
+) -> None:
+    done = CliRunner().invoke(command, ["pd.c", "--model", str(MODELS / model)])
+    assert done.exit_code == 1, done.output
+    said = [line for line in done.output.splitlines() if line.startswith("zendsp: ")]
+    for line, pattern in zip(said, words, strict=True):
+        assert re.search(pattern, line), line
+
+
+def test_a_run_that_leaves_the_models_positions_says_where(tmp_path: Path) -> None:
+    narrow = tmp_path / "narrow.toml"
+    text = (MODELS / "imi_planar.toml").read_text()
+    narrow.write_text(text + "\n[limits]\nposition = [-0.5, 0.5]\n")
+    rec = simulate("pd.c", narrow, seconds=3.0)
+    told = rec.extra["simulation"]["beyond"]
+    assert len(told) == 1 and told[0].startswith("joint 2 leaves its limits: 0.9"), told
+    assert "allowed -0.5 … 0.5 rad" in told[0] and "--position" in told[0]
+    assert not simulate("pd.c", narrow, seconds=0.1).extra["simulation"]["beyond"]
 
 
 def test_seven_joints_follow_under_gravity_compensation() -> None:

@@ -281,3 +281,22 @@ def test_headroom_is_kept_when_a_motion_is_checked_again() -> None:
 def test_a_headroom_that_is_none_is_refused(share: float | str) -> None:
     with pytest.raises(ReferenceError_, match="headroom"):
         make_reference("point_to_point", "imi_planar", headroom=share)
+
+
+def test_a_reference_that_cannot_be_written_leaves_nothing_half(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import scipy.io
+
+    rest = Reference(np.zeros(3), 0.001)
+    kept = save_reference(rest, tmp_path / "rest.mat").read_bytes()
+
+    def full(path: Any, *_: Any, **__: Any) -> None:
+        Path(path).write_bytes(b"the first part")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(scipy.io, "savemat", full)
+    with pytest.raises(ReferenceError_, match=r"rest\.mat: cannot be written \(No space left"):
+        save_reference(rest, tmp_path / "rest.mat")
+    assert [p.name for p in tmp_path.iterdir()] == ["rest.mat"]
+    assert (tmp_path / "rest.mat").read_bytes() == kept

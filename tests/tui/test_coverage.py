@@ -14,6 +14,7 @@ def test_every_action_is_carried_out_by_some_test(request: pytest.FixtureRequest
         "test_console.py",
         "test_diagnose_screen.py",
         "test_execute.py",
+        "test_execute_measure.py",
         "test_reference_screen.py",
         "test_stop_and_loss.py",
     }

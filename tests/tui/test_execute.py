@@ -383,6 +383,7 @@ def test_simulate_this_repeats_the_run_and_keeps_the_result_beside_it(folder: Pa
     simulated = Recording.from_columns(
         {"q": t, "e": 0.0 * t}, 1e-3, parameters={"approach_time": 0.2}, machine="imi_planar"
     )
+    assert keep() == "", "of a program that was not simulated there is nothing to keep"
     simulated.save(Path(words[words.index("--out") + 1]))
     assert "circle simulated" in keep()
     newest = list_runs(folder / "runs")[0]

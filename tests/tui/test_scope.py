@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 import unicodedata
 from dataclasses import replace
 
@@ -9,14 +11,17 @@ import numpy as np
 import pytest
 from textual.app import App, ComposeResult
 from textual.color import Color
+from waiting import PATIENCE_S
 
 from zendsp.tui.colours import DARK, LIGHT
 from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
-from zendsp.tui.scope.ticks import duration, label, number, ticks
+from zendsp.tui.scope.spectrum import ready
+from zendsp.tui.scope.ticks import duration, label, log_ticks, number, ticks
 from zendsp.tui.scope.trigger import last_crossing
+from zendsp.tui.scope.widget import legend_lines
 from zendsp.tui.values import show_value
 
 
@@ -370,3 +375,52 @@ def test_the_statistics_between_the_cursors_are_those_of_the_samples() -> None:
     assert found.rise == pytest.approx(share, abs=2e-3)
     gap = np.where(t < 1.0, np.nan, 1.0)
     assert measure(t, gap, 0.0, 2.0).mean == 1.0 and np.isnan(measure(t, gap, 0.0, 0.5).mean)
+
+
+def test_a_logarithmic_axis_has_round_numbers() -> None:
+    def numbers(low: float, high: float, most: int) -> list[float]:
+        return [float(f"{10.0**v:.3g}") for v in log_ticks(math.log10(low), math.log10(high), most)]
+
+    assert numbers(0.5, 30.0, 8) == [0.5, 1.0, 2.0, 5.0, 10.0, 20.0]
+    assert numbers(0.1, 1e4, 6) == [0.1, 1.0, 10.0, 100.0, 1e3, 1e4]
+    assert len(numbers(3.1, 4.9, 6)) >= 2, "within a decade two numbers at the least"
+    assert len(numbers(1e-12, 1e9, 4)) <= 5 and numbers(2.0, 2.0, 4) == []
+
+
+@pytest.mark.parametrize("width", [80, 60, 160])
+def test_every_curve_has_its_place_in_the_legend(width: int) -> None:
+    names = ["q[0]", "q[1]", "e[0]", "e[1]", "tau[0]", "tau[1]", "r1", "r2"]
+    texts = [
+        [f" {k + 1}▐ {n}  -0.123456 N m/rad ", f" {k + 1}▐ {n}  -0.123456 ", f" {k + 1}▐ {n} "]
+        for k, n in enumerate(names)
+    ]
+    lines = legend_lines(texts, width, 10)
+    assert [k for line in lines for k, _ in line] == list(range(8)) and len(lines) <= 3
+    assert all(sum(len(t) for _, t in line) <= width for line in lines)
+    long = [[f" {k + 1}▐ {'a name of a signal' * 3} "] for k in range(8)]
+    lines = legend_lines(long, width, 10)
+    assert [k for line in lines for k, _ in line] == list(range(8)) and len(lines) <= 3
+    assert legend_lines([], width, 10) == [[]]
+
+
+@pytest.mark.parametrize(
+    ("view", "numbers"), [("spectrum", "1 10 1e-4 0.01"), ("xy", "-1.0 0 1.0")]
+)
+async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, numbers: str) -> None:
+    class One(App[None]):
+        def compose(self) -> ComposeResult:
+            yield Scope()
+
+    app = One()
+    async with app.run_test(size=(80, 16)) as pilot:
+        scope = app.query_one(Scope)
+        scope.show_channels([Channel("x", "m"), Channel("y", "m")])
+        scope.set(replace(scope.settings, view=view))
+        deadline = time.monotonic() + PATIENCE_S
+        while not ready() and time.monotonic() < deadline:
+            await pilot.pause(0.05)
+        scope.redraw()
+        await pilot.pause()
+        shown = "\n".join(strip.text for strip in app.screen._compositor.render_strips()).split()
+        found = {word.strip("▏") for word in shown}
+        assert found.issuperset(numbers.split()), sorted(found)

@@ -140,20 +140,28 @@ def main() -> None:
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(2)
-    except click.ClickException as error:
-        click.echo(f"zendsp: {shown(_wrong_use(error))}", err=True)
+    except (click.ClickException, ZendspError) as error:
+        say(error)
         sys.exit(2)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
         sys.exit(130)
-    except ZendspError as error:
-        click.echo(f"zendsp: {shown(str(error))}", err=True)
-        sys.exit(2)
     except OSError as error:  # a full disk, a folder without the right to write, a full output
-        where = f"{error.filename}: " if error.filename else ""
-        click.echo(f"zendsp: {shown(f'{where}{error.strerror or error}')}", err=True)
+        say(error)
         _let_go_of_output()
         sys.exit(2)
+
+
+def say(error: Exception) -> None:
+    """Print an expected error as one line."""
+    if isinstance(error, click.ClickException):
+        words = _wrong_use(error)
+    elif isinstance(error, OSError) and not isinstance(error, ZendspError):
+        where = f"{error.filename}: " if error.filename else ""
+        words = f"{where}{error.strerror or error}"
+    else:
+        words = str(error)
+    click.echo(f"zendsp: {shown(words)}", err=True)
 
 
 def _wrong_use(error: click.ClickException) -> str:

@@ -60,7 +60,7 @@ def command(
 
     for path, kinds in ((out, (".csv",)), (plot, (".png", ".svg", ".pdf"))):
         if path is not None and path.suffix.lower() not in kinds:
-            raise click.BadParameter(f"{path}: ends in {' or '.join(kinds)}")
+            raise click.BadParameter(f"{path}: must end in {' or '.join(kinds)}")
     quantity: Literal["position", "torque"] = "torque" if torque else "position"
     seconds = (periods + 1) / f_min if f_min > 0.0 else 0.0
     with open_target(target, connect) as t, progress("measuring", seconds, as_json) as tell:

@@ -60,7 +60,8 @@ def _text(
             f" {info.versions.get('zendsp', '?')}"
         ),
         f"machine    {described}",
-        f"loop       {status.rate_hz:g} Hz, {status.clock} clock; {status.scheduling}",
+        f"loop       {status.rate_hz:g} Hz, {status.clock} clock"
+        + (f"; {status.scheduling}" if status.scheduling else ""),
         f"state      {status.state}, tick {status.tick}, drive {status.drive}",
         f"program    {_program(status.program, sources)}",
         f"hosts      {', '.join(status.hosts) or 'none'}",

@@ -15,7 +15,8 @@ LEAVE = ("exit", "quit")
 @click.command("shell")
 @target_options
 def command(target: str, connect: str | None, as_json: bool) -> None:
-    """Type commands without their 'zendsp', all over one link; Tab completes, Ctrl-D leaves.
+    """Type commands without their 'zendsp', all over one link; Tab completes, help lists them,
+    Ctrl-D leaves.
 
     \b
     Example:  zendsp shell -t imi
@@ -47,9 +48,11 @@ def command(target: str, connect: str | None, as_json: bool) -> None:
 
 def run_line(words: list[str], target: object, as_json: bool) -> None:
     """Run one command; what goes wrong is said, and the prompt comes back."""
-    from zendsp.cli import cli
+    from zendsp.cli import cli, say
     from zendsp.errors import ZendspError
 
+    if words[0] == "help":
+        words = [*words[1:], "--help"]
     try:
         cli.main(
             [*words, *(["--json"] if as_json else [])],
@@ -57,14 +60,14 @@ def run_line(words: list[str], target: object, as_json: bool) -> None:
             standalone_mode=False,
             obj=target,
         )
-    except click.ClickException as error:
+    except click.exceptions.NoArgsIsHelpError as error:
         error.show()
+    except (click.ClickException, ZendspError, OSError) as error:
+        say(error)
     except (click.Abort, KeyboardInterrupt):
         click.echo("interrupted", err=True)
     except click.exceptions.Exit:
         return
-    except ZendspError as error:
-        click.echo(f"zendsp: {error}", err=True)
 
 
 def offers(complete: ShellComplete, line: str) -> list[str]:

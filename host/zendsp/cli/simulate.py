@@ -91,7 +91,7 @@ def command(
     is tried before the machine moves.
 
     In fast time and deterministic; the recording has the form of an acquisition. Exit status 1
-    where the code does not compile.
+    where the code does not compile, or a limit of the model is left.
 
     Example:  zendsp simulate inverse_dynamics.c --model imi_planar.toml --reference
     circle.mat --out circle_sim.mat
@@ -135,6 +135,7 @@ def command(
             "seconds": len(rec) * rec.sample_time,
             "largest": _peaks(rec),
             "step_check": rec.extra.get("step_check"),
+            "beyond": rec.extra["simulation"]["beyond"],
             **files,
         }
         click.echo(json.dumps(summary))
@@ -142,8 +143,11 @@ def command(
         _say(rec)
         for path in files.values():
             click.echo(f"wrote {path}")
+    beyond = rec.extra["simulation"]["beyond"]
+    for words in beyond:
+        click.echo(f"zendsp: {words}", err=True)
     found = rec.extra.get("step_check")
-    if found is not None and not found["converged"]:
+    if beyond or (found is not None and not found["converged"]):
         raise click.exceptions.Exit(1)
 
 

@@ -47,14 +47,9 @@ def command(
 
     Example:  zendsp sweep Kp1=500:2500:5 Kd1=60,120 -c e1 -s 2
     """
-    from zendsp.experiment.sweep import sweep, values_of
+    from zendsp.experiment.sweep import sweep, tried_of
 
-    tried = {}
-    for pair in values:
-        name, equals, text = pair.partition("=")
-        if not equals:
-            raise click.BadParameter(f"{pair!r}: expected NAME=VALUES")
-        tried[name] = values_of(text)
+    tried = tried_of(values)
     if out is not None and out.suffix.lower() != ".csv":
         raise click.BadParameter(f"{out}: a sweep is written as .csv", param_hint="--out")
     with open_target(target, connect) as t, progress("sweep", 2.0, as_json) as tell:

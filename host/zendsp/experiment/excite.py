@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.errors import AcquisitionError, Refused
+from zendsp.errors import AcquisitionError, Refused, ZendspError
 from zendsp.link import Target, rehearse
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
@@ -21,6 +22,7 @@ APPROACH_S = 0.5  # from where the machine stands into the first row
 FADE = 0.5  # of a period: in within the first, out after the last
 LEAD_S = 0.5  # from the request to the sample in which everything switches over
 SLOWEST = 2e6  # bytes a second that a link carries at the least
+REST_S = 1.0  # for a machine to come to rest under its control law
 SLACK_S = 1.0  # of the ring on the real clock, before the switch-over and after the end
 
 
@@ -40,7 +42,7 @@ def play(
 
     At the end the machine holds the last row, where it stood before. The program keeps use_table,
     row_rate and approach_time as they were played: another value would move the reference along
-    the table.
+    the table. Whatever ends it early, Ctrl-C too, the machine is then held where it is.
 
     Parameters
     ----------
@@ -74,19 +76,40 @@ def play(
     length = APPROACH_S + seconds * times + FADE * seconds
     real = target.info.clock == "real"
     if rehearsed and real:
-        found = rehearse(target, tables, wanted, length)
+        found = rehearse(target, tables, wanted, length, _sign_of_life(progress))
         if found.simulated and not found.good:
             raise Refused(f"not played, the twin was stopped: {found.text}; take less amplitude")
     running = target.status().state == ProgramState.RUNNING
     swing = _Swing(target, tables, wanted, channels, length, progress)
-    recording, begin = swing.while_it_runs() if real and running else swing.from_the_start()
+    try:
+        recording, begin = swing.while_it_runs() if real and running else swing.from_the_start()
+    except BaseException as error:  # Ctrl-C too: nobody waits for what the machine goes on doing
+        with suppress(ZendspError):
+            swing.come_to_rest(real, running)
+        if isinstance(error, ZendspError):
+            _refuse_trip(target)  # that it tripped says more than that rows are missing
+        raise
     if running and not real:
         target.start()
-    trip = target.status().trip
-    if trip is not None:
-        raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
+    _refuse_trip(target)
     rate = target.info.rate_hz
     return recording, begin + round(APPROACH_S * rate) - recording.start_tick
+
+
+def _sign_of_life(progress: Callable[[float], None] | None) -> Callable[[float], None] | None:
+    """What a rehearsal tells: nothing is done yet, but it can be interrupted."""
+    if progress is None:
+        return None
+    tell = progress
+    return lambda _: tell(0.0)
+
+
+def _refuse_trip(target: Target) -> None:
+    trip = target.status().trip if target.alive else None
+    if trip is not None:
+        if trip.reason == "stop":
+            raise Refused(trip.text)
+        raise Refused(f"the machine stopped itself: {trip.text}; take less amplitude")
 
 
 def _tables(
@@ -161,6 +184,36 @@ class _Swing:
     length: float
     progress: Callable[[float], None] | None
 
+    def come_to_rest(self, real: bool, running: bool) -> None:
+        """Hold the machine where it is; pause it when it stands, where it was paused before."""
+        target = self.target
+        if not target.alive or target.status().state != ProgramState.RUNNING:
+            return
+        here = np.atleast_1d(np.asarray(_position(target, dict(target.variables()))))
+        for name in self.tables:
+            self._replace(name, np.tile(here if name == "ref" else 0.0 * here, (2, 1)))
+        if real and not running:
+            time.sleep(REST_S)
+        if not running:
+            target.pause()
+
+    def _replace(self, name: str, rows: Floats) -> None:
+        """Send a table as soon as the one before it is in effect."""
+        deadline = time.monotonic() + 2.0 * LEAD_S + self.size / SLOWEST
+        while True:
+            try:
+                self.target.upload(name, rows)
+                return
+            except Refused:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.02)  # until the target's clock has come so far
+
+    @property
+    def size(self) -> int:
+        """Bytes of all tables."""
+        return sum(rows.nbytes for rows in self.tables.values())
+
     def from_the_start(self) -> tuple[Recording, int]:
         """Start the program together with the recording: the first row is the first sample."""
         target = self.target
@@ -177,8 +230,7 @@ class _Swing:
     def while_it_runs(self) -> tuple[Recording, int]:
         """Switch the table over while the recorder runs, and keep the rows from there on."""
         target, length, rate = self.target, self.length, self.target.info.rate_hz
-        size = sum(rows.nbytes for rows in self.tables.values())
-        begin = target.status().tick + round((LEAD_S + size / SLOWEST) * rate)
+        begin = target.status().tick + round((LEAD_S + self.size / SLOWEST) * rate)
         target.update(at_tick=begin, **self.values)  # all in one sample, so that nothing jumps
         for name, rows in self.tables.items():
             begin = max(begin, target.upload(name, rows, at_tick=begin))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
+KEPT = "frequency_response"  # where a recording carries it
 SURE = 0.9  # coherence below which a line is shown, and not believed
 
 
@@ -52,7 +53,7 @@ class FrequencyResponse:
     input, output, unit : str
     periods : int
     recording : Recording
-        Input and output, all of it.
+        Input and output, all of it; it carries the response with it, see :meth:`of`.
     """
 
     f: Floats
@@ -71,6 +72,11 @@ class FrequencyResponse:
         return np.asarray(20.0 * np.log10(np.abs(self.gain)))
 
     @property
+    def sure(self) -> npt.NDArray[np.bool_]:
+        """Which lines are to be believed: those whose coherence is 0.9 or more."""
+        return np.asarray(self.coherence >= SURE)
+
+    @property
     def phase_deg(self) -> Floats:
         """Phase, deg, unwrapped from the lowest frequency up."""
         return np.asarray(np.degrees(np.unwrap(np.angle(self.gain))))
@@ -86,6 +92,28 @@ class FrequencyResponse:
         k = int(below[0])
         share = level[k - 1] / (level[k - 1] - level[k])
         return float(self.f[k - 1] * (self.f[k] / self.f[k - 1]) ** share)
+
+    @classmethod
+    def of(cls, recording: Recording) -> FrequencyResponse | None:
+        """Return the response that was measured by a recording; None where it is of something else.
+
+        Parameters
+        ----------
+        recording : Recording
+            That a response has brought (``response.recording``), also out of a file.
+        """
+        kept = recording.extra.get(KEPT)
+        if not isinstance(kept, Mapping):
+            return None
+        f, real, imaginary, std, coherence = (
+            np.asarray(kept[name], dtype=np.float64)
+            for name in ("f", "real", "imaginary", "std", "coherence")
+        )
+        words = {name: str(kept[name]) for name in ("input", "output", "unit")}
+        return cls(
+            f, real + 1j * imaginary, std, coherence,
+            periods=int(kept["periods"]), recording=recording, **words,
+        )  # fmt: skip
 
     def rows(self) -> list[dict[str, float]]:
         """Return one row a frequency: Hz, dB, deg, standard deviations, coherence."""
@@ -104,7 +132,7 @@ class FrequencyResponse:
 
     def summary(self) -> str:
         """Return one sentence."""
-        unsure = int((self.coherence < SURE).sum())
+        unsure = int((~self.sure).sum())
         text = (
             f"{self.output} over {self.input}: {len(self.f)} frequencies from {self.f[0]:.3g} to"
             f" {self.f[-1]:.3g} Hz, {self.periods} periods"
@@ -187,6 +215,7 @@ def frequency_response(
     input: str = "",
     output: str = "",
     periods: int = 6,
+    channels: Sequence[str] = (),
     rehearsed: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> FrequencyResponse:
@@ -218,6 +247,8 @@ def frequency_response(
         the closed loop; of a torque the command (``tau``) and the position: the machine itself.
     periods : int
         That are used, at least 2; the standard deviation falls with the square root.
+    channels : sequence of str
+        What else the recording is to hold, for example what a diagnosis needs.
     rehearsed : bool
         Try it on a simulated twin first, where the clock is real.
     progress : callable, optional
@@ -250,7 +281,7 @@ def frequency_response(
         quantity=quantity,
         seconds=samples / rate,
         times=periods + 1,
-        channels=[given, found],
+        channels=[*channels, *(n for n in (given, found) if not _among(n, channels))],
         rehearsed=rehearsed,
         progress=progress,
     )
@@ -267,6 +298,12 @@ def frequency_response(
     unit = f"{units[found] or '1'} / ({units[given] or '1'})"
     if units[found] == units[given]:
         unit = "1"
+    kept = {
+        "f": f, "real": gain.real, "imaginary": gain.imag, "std": std, "coherence": coherence,
+    }  # fmt: skip
+    words = {"input": given, "output": found, "unit": unit, "periods": periods}
+    extra = {KEPT: {**{name: v.tolist() for name, v in kept.items()}, **words}}
+    recording = replace(recording, extra={**recording.extra, **extra})
     return FrequencyResponse(
         f, gain, std, coherence, given, found, unit, periods, recording
     )  # fmt: skip
@@ -352,6 +389,10 @@ def estimate(
         for s in spectra
     ]
     return gain, std, np.minimum(*parts)
+
+
+def _among(name: str, channels: Sequence[str]) -> bool:
+    return name in channels or name.partition("[")[0] in channels
 
 
 def _first(infos: Mapping[str, Any], joint: int, name: str) -> str:

@@ -62,10 +62,18 @@ class Sweep:
         name = result or self.results[0]
         if name not in self.results:
             raise AcquisitionError(f"no result {name!r}; there are {', '.join(self.results)}")
-        whole = [row for row in self.rows if not row["ended"]]
-        if not whole:
+        k = self.best_row(name)
+        if k is None:
             raise AcquisitionError("no run came to its end")
-        return min(whole, key=lambda row: abs(float(row[name])))
+        return self.rows[k]
+
+    def best_row(self, result: str = "") -> int | None:
+        """Return the number of the row that :meth:`best` returns; None where no run came to its
+        end.
+        """
+        name = result or self.results[0]
+        whole = [k for k, row in enumerate(self.rows) if not row["ended"]]
+        return min(whole, key=lambda k: abs(float(self.rows[k][name])), default=None)
 
     def save(self, path: str | Path) -> Path:
         """Write the table as CSV.
@@ -168,7 +176,8 @@ def sweep(
     rows: list[Mapping[str, Any]] = []
     try:
         for number, run in enumerate(runs, 1):
-            recording, ended = _one(target, run, channels, seconds, settle)
+            tell = _part(progress, number - 1, len(runs))
+            recording, ended = _one(target, run, channels, settle + seconds, tell)
             results = _measured(recording, channels, measures, settle, ended)
             rows.append({**run, **results, "ended": ended})
             if folder is not None and recording is not None:
@@ -205,17 +214,27 @@ def _one(
     run: Mapping[str, Any],
     channels: Sequence[str],
     seconds: float,
-    settle: float,
+    tell: Callable[[float], None] | None,
 ) -> tuple[Recording | None, str]:
     """One run: its recording, and why it ended early."""
     target.variables.update_alone(run)
     try:
-        recording = target.acquire(channels, settle + seconds)
+        recording = target.acquire(channels, seconds, progress=tell)
     except ZendspError:  # not running any more, or not for long enough
         if ended := _trouble(target):
             return None, ended
         raise
     return recording, _trouble(target)
+
+
+def _part(
+    progress: Callable[[float], None] | None, done: int, runs: int
+) -> Callable[[float], None] | None:
+    """What a run tells of itself, as a part of all runs."""
+    if progress is None:
+        return None
+    tell = progress
+    return lambda share: tell((done + share) / runs)
 
 
 def _trouble(target: Target) -> str:
@@ -255,6 +274,28 @@ def _columns(
 
 def _short(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def tried_of(words: Sequence[str]) -> dict[str, list[float]]:
+    """Read what is to be tried as typed: ``Kp1=500:2500:5``, ``Kd1=60,120``.
+
+    Parameters
+    ----------
+    words : sequence of str
+        ``NAME=VALUES`` each; VALUES as :func:`values_of` reads them.
+
+    Raises
+    ------
+    VariableError
+        Anything else.
+    """
+    tried = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not (name and equals):
+            raise VariableError(f"{word!r}: expected NAME=VALUES, for example Kp1=100:500:5")
+        tried[name] = values_of(text)
+    return tried
 
 
 def values_of(text: str) -> list[float]:

@@ -304,7 +304,7 @@ def _numbers(
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
     torque = command is not None and command.unit in ("N m", "Nm", "N")
-    said, ask = unit, "the recording does not show it: what does the drawing say?"
+    said, ask = unit, f"the recording does not show the {key}: what does the drawing say?"
     if all(ideas):
         shares = ", ".join(f"{idea.share:.0%}" for idea in ideas if idea)
         said = f"{unit}: a first idea; with friction it explains {shares} of the command"

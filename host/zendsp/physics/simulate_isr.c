@@ -36,6 +36,9 @@ typedef struct host {
     const host_channel *channel;
     int32_t channels, rows;
     double *out;
+    double low_q[8], high_q[8]; /* positions reached, rad or m */
+    double most_aout[8];        /* largest magnitude, mV */
+    int32_t beyond[8];          /* first tick at which aout exceeded what the joint takes, or -1 */
 } host;
 
 static host the_host;
@@ -159,6 +162,25 @@ host *host_open(const char *path, int joints, double period, const double *count
     return h;
 }
 
+/* What the run reached, joint by joint; also the outputs that no joint of the machine has. */
+static void note_extremes(host *h, int n) {
+    for (int i = 0; i < n; i++) {
+        if (h->q[i] < h->low_q[i])
+            h->low_q[i] = h->q[i];
+        if (h->q[i] > h->high_q[i])
+            h->high_q[i] = h->q[i];
+    }
+    for (int i = 0; i < 8; i++) {
+        const double mv = fabs(h->io.aout[i]);
+        const double most = i < n ? h->io.torque_max[i] * h->io.mv_per_torque[i] : 0.0;
+        if (mv > h->most_aout[i])
+            h->most_aout[i] = mv;
+        /* a joint without a limit has 0; a millionth, as sums are rounded */
+        if (h->beyond[i] < 0 && mv > most * (1.0 + 1e-6) && (most > 0.0 || i >= n))
+            h->beyond[i] = (int32_t)h->io.tick;
+    }
+}
+
 /* Run `ticks` samples; UserBackground is called `background` times between two of them. progress[0]
  * is the tick being computed. Returns the samples completed; motion (when it ran away) stops it
  * early. */
@@ -169,6 +191,11 @@ int host_run(host *h, sim *S, int ticks, int decimation, int background,
     h->channels = channels;
     h->out = 0;
     h->rows = 0;
+    for (int i = 0; i < 8; i++) {
+        h->low_q[i] = INFINITY;
+        h->high_q[i] = -INFINITY;
+        h->beyond[i] = -1;
+    }
     int k = 0;
     for (; k < ticks; k++) {
         if (progress)
@@ -191,6 +218,7 @@ int host_run(host *h, sim *S, int ticks, int decimation, int background,
         h->out = k % decimation == 0 ? out : 0;
         h->isr();
         acquire();
+        note_extremes(h, n);
         double command[SIM_MAX];
         /* WRITE_TORQUE counts in torque, the model's commands in their own unit */
         for (int i = 0; i < n; i++)

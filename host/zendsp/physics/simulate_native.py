@@ -82,6 +82,7 @@ typedef struct {
     char problem[256];
     void *isr, *background;
     const host_channel *channel; int32_t channels, rows; double *out;
+    double low_q[8], high_q[8], most_aout[8]; int32_t beyond[8];
 } host;
 typedef struct { const double *data; int32_t rows, columns; uint32_t version; } isr_table;
 int host_size(void);

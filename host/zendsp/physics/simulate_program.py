@@ -55,15 +55,33 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Reached:
+    """How far one output of a run went.
+
+    ``low``, ``high``: positions, rad or m (of a joint of the model). ``command``: its largest
+    magnitude, in torque (mV where the model has no such joint). ``limit``: of the command, in
+    torque; 0: none. ``beyond``: the first sample that asked for more, or -1.
+    """
+
+    low: float
+    high: float
+    command: float
+    limit: float
+    beyond: int
+
+
+@dataclass(frozen=True)
 class Outcome:
     """A run: columns by channel name (rows,) or (rows, m), units, parameters at the end, samples
-    completed.
+    completed and wanted, how far each of the eight outputs went.
     """
 
     columns: Mapping[str, Array]
     units: Mapping[str, str]
     parameters: Mapping[str, Any]
     ticks: int
+    wanted: int
+    reached: tuple[Reached, ...]
 
 
 @dataclass(frozen=True)
@@ -282,7 +300,21 @@ class _Session:
             block = out[:, first : first + width]
             found[name] = np.ascontiguousarray(block[:, 0] if width == 1 else block)
             first += width
-        return Outcome(found, units, self._parameters(), done)
+        return Outcome(found, units, self._parameters(), done, ticks, self._reached())
+
+    def _reached(self) -> tuple[Reached, ...]:
+        host, limits = self.host, self.plant.config.limit
+        limited = [k < self.plant.joints and limits[k] > 0.0 for k in range(8)]
+        return tuple(
+            Reached(
+                host.low_q[k],
+                host.high_q[k],
+                host.most_aout[k] / host.io.mv_per_torque[k],
+                host.io.torque_max[k] if limited[k] else 0.0,
+                host.beyond[k],
+            )
+            for k in range(8)
+        )
 
     def _ticks(self, job: Job) -> int:
         if job.seconds is not None:

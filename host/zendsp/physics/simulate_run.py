@@ -94,6 +94,8 @@ def simulate(
     Recording
         Of the same form as an acquisition.
 
+        ``extra["simulation"]["beyond"]`` has a sentence for each limit of the model that it left.
+
     Raises
     ------
     CompileFailed, RunnerDied, VariableError, AcquisitionError, ModelError
@@ -146,6 +148,7 @@ def simulate(
     outcome = run(inner, channels)
     if not outcome.columns:
         raise RecordingError("the program declares no SIGNAL: name channels, for example plant_q")
+    extra["simulation"]["beyond"] = beyond(model, outcome)
     return Recording.from_columns(
         outcome.columns,
         sample_time=(model.sample_time or 0.0) * decimation,
@@ -160,6 +163,42 @@ def simulate(
         created=began,
         extra=extra,
     )
+
+
+def beyond(model: Model, outcome: Outcome) -> list[str]:
+    """Return a sentence for each limit of the model that a run left: what, how far, what to do."""
+    n, period = joint_count(model), model.sample_time or 0.0
+    linear = model.joint_kind(1) == "linear"
+    unit, torque = ("m", "N") if linear else ("rad", "N m")
+    low, high = model.limits.get("position", (-np.inf, np.inf))
+    said = []
+    for j, r in enumerate(outcome.reached[:n], 1):
+        far = max(r.low, r.high, key=abs)
+        if outcome.ticks < outcome.wanted and abs(far) == max(
+            abs(v) for q in outcome.reached[:n] for v in (q.low, q.high)
+        ):
+            said.append(
+                f"joint {j} ran away: {far:.4g} {unit} after {outcome.ticks} of {outcome.wanted}"
+                f" samples. Is the program one for {model.name}? Else take smaller gains"
+            )
+        elif r.low < low or r.high > high:
+            said.append(
+                f"joint {j} leaves its limits: {far:.4g} {unit}, allowed {low:g} … {high:g} {unit}."
+                " Begin elsewhere (--position), or plan a smaller motion"
+            )
+        if r.beyond >= 0 and r.limit > 0.0:
+            said.append(
+                f"joint {j}: a command of {r.command:.4g} {torque}, the limit is {r.limit:.4g}"
+                f" {torque} (first at {r.beyond * period:.4g} s). A target would stop the machine:"
+                " take smaller gains, or a slower motion"
+            )
+    more = [str(k + 1) for k in range(n, len(outcome.reached)) if outcome.reached[k].beyond >= 0]
+    if more:
+        said.append(
+            f"the program commands joint {', '.join(more)}; {model.name} has {n}. Is it a program"
+            " for another machine?"
+        )
+    return said
 
 
 def _converge(

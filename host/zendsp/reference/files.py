@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +45,8 @@ def save_reference(
     Raises
     ------
     ReferenceError_
-        A limit is broken: which, by how much, when, by which joint. Nothing is written.
+        A limit is broken: which, by how much, when, by which joint; or the file cannot be written.
+        What was there before stays.
 
     Examples
     --------
@@ -77,8 +80,19 @@ def save_reference(
         "tau": empty if reference.tau is None else reference.tau,
         "parameters": json.dumps(dict(reference.parameters)),
     }
-    target.parent.mkdir(parents=True, exist_ok=True)
-    savemat(target, table, do_compression=True)
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        savemat(part, table, appendmat=False, do_compression=True)
+        os.replace(part, target)
+    except OSError as error:
+        # SciPy turns what the system said into words of its own, and keeps it as the cause
+        cause = error.__context__ if isinstance(error.__context__, OSError) else error
+        why = error.strerror or cause.strerror or error
+        raise ReferenceError_(f"{target}: cannot be written ({why})") from error
+    finally:
+        with suppress(OSError):  # nothing is there where the folder is none
+            part.unlink(missing_ok=True)
     return target
 
 

@@ -396,6 +396,20 @@ def _table() -> tuple[Action, ...]:
         ),
         A(
             "execute",
+            "respond",
+            "f",
+            "Bode",
+            "Swing a joint by many sines at once and show its frequency response.",
+        ),
+        A(
+            "execute",
+            "sweep",
+            "p",
+            "Sweep",
+            "Try values of parameters on the running program; a table shows what each did.",
+        ),
+        A(
+            "execute",
             "overlay",
             "space",
             "Overlay",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,12 @@ from zendsp.link.live import LiveBlock
 from zendsp.link.programs import stopped
 from zendsp.link.variables import plain
 from zendsp.recording import Recording
-from zendsp.tui.port import Build, Remark, Shot, Sink
+from zendsp.tui.port import Build, Remark, Shot, Sink, Tell
 from zendsp.tui.snapshot import Snapshot, TripView, Variable
 from zendsp_protocol import messages as m
+
+if TYPE_CHECKING:
+    from zendsp.experiment import FrequencyResponse, Sweep
 
 LIVE_RATE = 5000.0  # rows a second of a live curve at the most
 LIVE_INTERVAL_S = 0.02  # between live messages: a screen needs no more
@@ -196,6 +199,24 @@ class LinkPort:
     ) -> Rehearsal:
         """Try a run on a simulated twin of the machine; this one does not move."""
         return rehearse(self.target, tables, values, seconds, tell)
+
+    def respond(self, settings: Mapping[str, Any], tell: Tell) -> FrequencyResponse:
+        """Measure a frequency response."""
+        from zendsp.experiment import frequency_response
+
+        return frequency_response(self.target, **settings, progress=tell)
+
+    def sweep(
+        self,
+        values: Mapping[str, Sequence[Any]],
+        channels: Sequence[str],
+        settings: Mapping[str, Any],
+        tell: Tell,
+    ) -> Sweep:
+        """Try values of parameters on the running program."""
+        from zendsp.experiment import sweep
+
+        return sweep(self.target, values, channels, **settings, progress=tell)
 
     # -- drives
     # ----------------------------------------------------------------------------------------------

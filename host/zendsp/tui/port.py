@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,10 @@ from zendsp.link import Rehearsal
 from zendsp.recording import Recording
 from zendsp.tui.snapshot import Snapshot
 
+if TYPE_CHECKING:  # the experiments are loaded when one is asked for
+    from zendsp.experiment import FrequencyResponse, Sweep
+
+Tell = Callable[[float], None]  # what is told of the share that is done; may raise, to end it
 Sink = Callable[[npt.NDArray[np.int64], npt.NDArray[np.float64], float], None]
 
 
@@ -75,6 +79,15 @@ class Port(Protocol):
         tables: Mapping[str, npt.NDArray[np.float64]],
         values: Mapping[str, Any],
         seconds: float,
-        tell: Callable[[float], None],
+        tell: Tell,
     ) -> Rehearsal: ...
+    # the arguments of zendsp.frequency_response and zendsp.sweep
+    def respond(self, settings: Mapping[str, Any], tell: Tell) -> FrequencyResponse: ...
+    def sweep(
+        self,
+        values: Mapping[str, Sequence[Any]],
+        channels: Sequence[str],
+        settings: Mapping[str, Any],
+        tell: Tell,
+    ) -> Sweep: ...
     def close(self) -> None: ...

@@ -27,6 +27,7 @@ from zendsp.tui.workspace import file_name
 
 DATA, CARD = "recording.mat", "run.json"
 SIMULATED = "simulated"  # outcome of a run that no machine has made
+RESPONSE = "bode"  # outcome of a run whose recording carries a frequency response
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Run:
     rows: int = 0
     seconds: float = 0.0
     lost: int = 0
-    outcome: str = "complete"  # "complete" | "aborted" | SIMULATED | the words of a trip
+    outcome: str = "complete"  # "complete" | "aborted" | SIMULATED | RESPONSE | a trip's words
     errors: Mapping[str, float] = field(default_factory=dict)  # rms of each error signal
 
     def recording(self) -> Recording:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from textual.pilot import Pilot
+from textual.widgets import Input
 
 from zendsp.reference import make_reference, save_reference
 from zendsp.tui.app import ZendspApp
@@ -114,7 +115,21 @@ async def _execute(folder: Path, work: Path) -> list[Path]:
         await pilot.pause(1.0)
         await _keys(pilot, "space")
         made.append(_write(app, folder / "execute-runs.svg"))
+        await _measure(app, pilot, "f", f_min="1", periods="3")
+        made.append(_write(app, folder / "execute-bode.svg"))
     return made
+
+
+async def _measure(app: ZendspApp, pilot: Pilot[None], key: str, **values: str) -> None:
+    """Fill in the form of a measurement, and wait for its end."""
+    await _keys(pilot, key)
+    for name, value in values.items():
+        app.screen.query_one(f"#f-{name}", Input).value = value
+    await _keys(pilot, "enter")
+    screen = app.screen
+    assert isinstance(screen, ExecuteScreen)
+    await _until(pilot, lambda: screen.job is None)
+    await pilot.pause(0.5)
 
 
 async def _reference(folder: Path, work: Path) -> list[Path]:

@@ -181,10 +181,11 @@ class StatusBar(Widget):
         """Return the one or two lines that say how STOP ended, over the whole width."""
         c = self.app.theme_variables
         colour = c["warning"] if verdict.state == "stopped" else c["error"]
+        after = ", then Ctrl+K" if verdict.state == "not stopped" else ""
         width = self._line1.size.width
         return [
             Text(line.ljust(width), Style(bold=True, color=colour, reverse=True), no_wrap=True)
-            for line in banner_lines(verdict.text, width)
+            for line in banner_lines(verdict.text + after, width)
         ]
 
     def where(self, s: Snapshot) -> Text:

@@ -34,6 +34,11 @@ class Workspace:
         return self.root / "diagnoses"
 
     @property
+    def sweeps(self) -> Path:
+        """Tables of sweeps, CSV."""
+        return self.root / "sweeps"
+
+    @property
     def sets(self) -> Path:
         """Parameter sets, JSON."""
         return self.root / "sets"

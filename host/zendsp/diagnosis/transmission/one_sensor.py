@@ -46,8 +46,10 @@ def by_one_sensor(
             edge = max(2, round(0.5 * fs))
             squares += float(np.sum(bend[edge:-edge] ** 2))
             count += len(bend[edge:-edge])
+        if squares <= 0.0:  # too short, or at rest: no compliance would have shown
+            continue
         hidden = max(decision.after.value, FINEST) * decision.scale
-        least = hidden / max(math.sqrt(squares / max(count, 1.0)), 1e-300)
+        least = hidden / math.sqrt(squares / count)
         unit = unit_of("position", model.joint_kind(joint)) + "/(" + torque_unit(model, joint) + ")"
         out.append(Detectable(joint, "transmission", "elasticity", least, unit, 0.0))
     return tuple(out)

@@ -18,7 +18,7 @@ from textual.widget import Widget
 
 from zendsp.tui.colours import TraceColours, trace_colours
 from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, braille, encode
-from zendsp.tui.scope.ticks import label, ticks
+from zendsp.tui.scope.ticks import label, log_ticks, ticks
 
 Floats = npt.NDArray[np.float64]
 GUTTER = 8
@@ -118,11 +118,12 @@ def plot_lines(
         return faint if trace < 0 else back + Style(color=pens.traces[trace])
 
     lines = [Strip(_legend(curves, axes, pen, faint, back)).adjust_cell_length(full, back)]
-    values = ticks(y0, y1, max(height // 4, 4))
-    y_ticks = {int((y1 - v) / (y1 - y0) * height): v for v in values}
-    step = abs(values[1] - values[0]) if len(values) > 1 else 1.0
+    y_ticks = {
+        int((y1 - v) / (y1 - y0) * height): text
+        for v, text in _numbers(y0, y1, max(height // 4, 4), axes.log)
+    }
     for r in range(height):
-        text = _label(y_ticks[r], step, axes.log) if r in y_ticks else ""
+        text = y_ticks.get(r, "")
         row = braille(codes[r])
         borders = [0, *(np.flatnonzero(owner[r][1:] != owner[r][:-1]) + 1).tolist(), width]
         parts = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", faint)]
@@ -145,11 +146,8 @@ def _legend(
 
 def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> str:
     x0, x1 = ends
-    values = ticks(x0, x1, max(width // 12, 4))
-    step = abs(values[1] - values[0]) if len(values) > 1 else 1.0
     line = [" "] * max(full - len(axes.names[0]) - 1, 0)
-    for v in values:
-        text = _label(v, step, axes.log_x)
+    for v, text in _numbers(x0, x1, max(width // 12, 4), axes.log_x):
         at = GUTTER + int((v - x0) / (x1 - x0) * width) - len(text) // 2
         if at >= GUTTER - 2 and at + len(text) <= len(line):
             line[at : at + len(text)] = list(text)
@@ -177,10 +175,19 @@ def _in_order(curves: Sequence[Curve]) -> list[Curve]:
     return sorted(curves, key=lambda c: (c.trace >= 0, level[c.style], c.trace))
 
 
-def _label(value: float, step: float, log: bool) -> str:
-    if not log:
-        return label(value, step)
-    return f"{10.0**value:.1e}".replace("e-0", "e-").replace("e+0", "e").replace(".0", "")
+def _numbers(bottom: float, top: float, most: int, log: bool) -> list[tuple[float, str]]:
+    """Where the numbers of an axis stand, and what they are."""
+    if log:
+        return [(v, _power(10.0**v)) for v in log_ticks(bottom, top, most)]
+    values = ticks(bottom, top, most)
+    step = abs(values[1] - values[0]) if len(values) > 1 else 1.0
+    return [(v, label(v, step)) for v in values]
+
+
+def _power(value: float) -> str:
+    if 1e-3 <= value < 1e5:
+        return f"{value:.3g}" if value < 1e3 else f"{value:.0f}"
+    return f"{value:.1e}".replace("e-0", "e-").replace("e+0", "e").replace(".0", "")
 
 
 class PathPlot(Widget):

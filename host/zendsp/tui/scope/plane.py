@@ -29,9 +29,12 @@ def over_selected(
 
 
 def over_frequency(
-    channels: Sequence[Channel], f: Floats, amplitude: Floats
+    channels: Sequence[Channel],
+    f: Floats,
+    amplitude: Floats,
+    lacking: str = "too few rows for a spectrum: widen the time (-)",
 ) -> tuple[list[Curve], Axes]:
-    """Return the curves of a spectrum, both axes logarithmic."""
+    """Return the curves of a spectrum, both axes logarithmic; `lacking` says why there are none."""
     with np.errstate(divide="ignore", invalid="ignore"):
         x, y = np.log10(f), np.log10(amplitude)
     y[~np.isfinite(y)] = np.nan
@@ -41,6 +44,6 @@ def over_frequency(
         Curve(c.name if same else f"{c.name} {unit}", np.stack((x, y[:, k]), axis=1), k)
         for k, (c, unit) in enumerate(zip(channels, units, strict=True))
     ]
-    title = "" if len(f) else "too few rows for a spectrum: widen the time (-)"
+    title = "" if len(f) else lacking
     above = units[0] if same else "…/√Hz"
     return curves, Axes(("f [Hz]", above), equal=False, title=title, log=True, log_x=True)

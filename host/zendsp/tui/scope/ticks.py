@@ -40,6 +40,23 @@ def ticks(bottom: float, top: float, most: int) -> list[float]:
     return found
 
 
+def log_ticks(bottom: float, top: float, most: int) -> list[float]:
+    """Return the powers of some ``most`` round numbers (1, 2, 5 · 10ᵏ, or decades) within
+    10**bottom … 10**top; where there are fewer than two of these, of evenly spaced powers.
+    """
+    if not (math.isfinite(top - bottom) and top > bottom):
+        return []
+    fine = [
+        k + math.log10(step)
+        for k in range(math.floor(bottom), math.ceil(top) + 1)
+        for step in STEPS
+    ]
+    found = [v for v in fine if bottom - 1e-9 <= v <= top + 1e-9]
+    if len(found) > most + 1:
+        found = [v for v in found if v == round(v)]
+    return found if 2 <= len(found) <= most + 1 else ticks(bottom, top, most)
+
+
 def _multiples(bottom: float, top: float, step: float) -> list[float]:
     first, last = math.ceil(bottom / step - 1e-9), math.floor(top / step + 1e-9)
     return [k * step for k in range(first, last + 1)]

@@ -20,7 +20,7 @@ from textual.widget import Widget
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
 from zendsp.tui.scope.measure import measure
-from zendsp.tui.scope.path import Axes, plot_lines
+from zendsp.tui.scope.path import plot_lines
 from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
 from zendsp.tui.scope.raster import braille
@@ -33,6 +33,44 @@ Floats = npt.NDArray[np.float64]
 GUTTER = 9  # columns of the y axis
 LOADING_S = 0.2  # between looks whether the spectrum is ready
 FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
+LEGEND_ROWS = 3  # at the most: what is below is the picture
+
+
+def legend_lines(
+    texts: Sequence[Sequence[str]], width: int, taken: int
+) -> list[list[tuple[int, str]]]:
+    """Return the rows of a legend in which every curve has its place: number and text of each.
+
+    Parameters
+    ----------
+    texts : sequence of sequence of str
+        Of each curve, from the longest to the shortest; as many for each. The longest are taken
+        that fit; where none do, the shortest are cut.
+    width : int
+        Columns.
+    taken : int
+        Columns at the end of the first row that are not free.
+    """
+    for form in zip(*texts, strict=True):
+        lines = _broken(form, width, taken)
+        if len(lines) <= LEGEND_ROWS:
+            return lines
+    each = max(1, -(-len(texts) // LEGEND_ROWS))
+    room = max((width - taken) // each, 1)
+    cut = [f"{t[-1].rstrip()[: room - 2]}… " if len(t[-1]) > room else t[-1] for t in texts]
+    return _broken(cut, width, taken)[:LEGEND_ROWS]
+
+
+def _broken(texts: Sequence[str], width: int, taken: int) -> list[list[tuple[int, str]]]:
+    lines: list[list[tuple[int, str]]] = [[]]
+    room = width - taken
+    for k, text in enumerate(texts):
+        if len(text) > room and lines[-1]:
+            lines.append([])
+            room = width
+        lines[-1].append((k, text))
+        room -= len(text)
+    return lines
 
 
 class Scope(Widget, can_focus=True):
@@ -230,10 +268,14 @@ class Scope(Widget, can_focus=True):
         if self.settings.view == "xy":
             curves, axes = over_selected(self.channels, self.settings.selected, seen[1])
         elif not ready():
-            curves, axes = [], Axes(("f [Hz]", ""), equal=False, title="one moment …")
+            curves, axes = over_frequency([], np.zeros(0), np.zeros((0, 0)), "one moment …")
             self.set_timer(LOADING_S, self.redraw)
         else:
             curves, axes = over_frequency(self.channels, *density(*seen))
+        if not any(len(curve.xy) for curve in curves):  # numbers before there is anything
+            low = -float(np.log10(self.settings.window))
+            empty = (low, low + 3.0, -6.0, 0.0) if axes.log_x else (-1.0, 1.0, -1.0, 1.0)
+            axes = replace(axes, frame=empty)
         colours = trace_colours(self.app.current_theme)
         return plot_lines(curves, axes, size, colours, self._pens[EMPTY])
 
@@ -336,28 +378,32 @@ class Scope(Widget, can_focus=True):
         mode = f" {state} {duration(s.window)}{'' if s.auto else ' fixed'} "
         mode_style = self._pens[CURSOR] + Style(reverse=True) if self.paused else self._pens[CURSOR]
         rows: list[list[tuple[str, Style]]] = [[]]
-        room = width - len(mode)
-        values = getattr(self, "_values", np.zeros(0))
-        for k, channel in enumerate(self.channels):
-            value = (
-                f" {number(float(values[k])) if k < len(values) else '—':>9}" if self._live else ""
-            )
-            text = f" {k + 1}▐ {channel.name}{value}{' ' + channel.unit if channel.unit else ''} "
-            if sum(len(part) for part, _ in rows[-1]) + len(text) > room and rows[-1]:
-                if len(rows) == 3:
-                    break
-                rows.append([])
-                room = width
-            style = (
-                self._pens[k] + Style(bold=True, underline=True)
-                if k == s.selected
-                else self._pens[k]
-            )
-            rows[-1].append((text, style))
+        for line in legend_lines(self._legend_texts(), width, len(mode)):
+            styles = [self._pens[k] for k, _ in line]
+            rows[-1] += [
+                (text, style + Style(bold=True, underline=True) if k == s.selected else style)
+                for (k, text), style in zip(line, styles, strict=True)
+            ]
+            rows.append([])
+        rows = rows[:-1] or rows
         used = sum(len(part) for part, _ in rows[0])
         rows[0].append((" " * max(width - used - len(mode), 0), self._pens[GRID]))
         rows[0].append((mode, mode_style))
         return rows
+
+    def _legend_texts(self) -> list[list[str]]:
+        """Each curve's part of the legend: with value and unit, without the unit (the axis has it),
+        and its name alone.
+        """
+        values = getattr(self, "_values", np.zeros(0))
+        found = []
+        for k, channel in enumerate(self.channels):
+            name = f" {k + 1}▐ {channel.name}"
+            value = f" {number(float(values[k])) if k < len(values) else '—':>9}"
+            unit = f" {channel.unit}" if channel.unit else ""
+            full = [f"{name}{value}{unit} ", f"{name}{value} "] if self._live else []
+            found.append([*full, f"{name}{unit} ", f"{name} "])
+        return found
 
     def readout(self, t: Floats, y: Floats) -> str:
         """Return what the cursors measure, of the selected channel."""

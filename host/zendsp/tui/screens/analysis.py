@@ -44,7 +44,7 @@ class ProcessView(Dialog[bool]):
     ) -> None:
         super().__init__()
         self._title, self._arguments, self._folder = title, list(arguments), folder
-        self._finish = finish  # what is done with the result; returns a sentence about it
+        self._finish = finish  # with the result; returns a sentence about it, "" if there is none
         self._began = time.monotonic()
         self.status: int | None = None
 
@@ -73,9 +73,10 @@ class ProcessView(Dialog[bool]):
     async def _run(self) -> None:
         log = self.query_one(RichLog)
         status = await self._command.run()
-        if status == 0 and self._finish is not None:
+        if status in (0, 1) and self._finish is not None:  # 1: done, and something is wrong in it
             try:
-                log.write(self._finish())
+                if said := self._finish():
+                    log.write(said)
             except (ZendspError, OSError) as error:
                 log.write(str(error))
         log.write("— done —" if status == 0 else f"— ended with status {status} —")
@@ -183,6 +184,7 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
         if not played or k not in ("use_table", "row_rate")
     }
     out = run.folder / "simulation.mat"
+    out.unlink(missing_ok=True)  # of an earlier one
     words = [
         "--channels",
         ",".join(dict.fromkeys(c.split("[")[0] for c in taken.columns)),
@@ -198,6 +200,8 @@ def simulation_of(run: Run, runs: Path) -> tuple[list[str], Callable[[], str]]:
     )
 
     def keep() -> str:
+        if not out.is_file():
+            return ""
         made = Recording.load(out)
         approach = float(made.parameters.get("approach_time", 0.0)) if played else 0.0
         first = min(round(approach / made.sample_time), len(made))

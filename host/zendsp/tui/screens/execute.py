@@ -20,6 +20,9 @@ from zendsp.errors import ZendspError
 from zendsp.reference import Reference, load_reference
 from zendsp.tui.actions import bindings
 from zendsp.tui.dialogs import Choose, Field, Form, Option
+from zendsp.tui.measure_job import MeasureJob
+from zendsp.tui.panels.response import ResponseView
+from zendsp.tui.panels.sweep import SweepView
 from zendsp.tui.play_job import PlayJob, usual_channels
 from zendsp.tui.playing import Setup
 from zendsp.tui.preflight import Condition, machine_of, preflight
@@ -27,14 +30,14 @@ from zendsp.tui.preview import curves_of, limits_of
 from zendsp.tui.scope import Channel, Scope
 from zendsp.tui.screens.console_program import positive, whole
 from zendsp.tui.screens.console_scope import percent, real
-from zendsp.tui.screens.execute_runs import RunActions
+from zendsp.tui.screens.execute_measure import MeasureActions
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.trial import Trial
 
 LOOK_S = 0.5  # between looks at the conditions, where nothing told that they changed
 
 
-class ExecuteScreen(RunActions):
+class ExecuteScreen(MeasureActions):
     """Plan and runs on the left, curves on the right."""
 
     NAME: ClassVar[str] = "execute"
@@ -46,7 +49,6 @@ class ExecuteScreen(RunActions):
         self.files: tuple[Path, ...] = ()
         self.references: tuple[Reference, ...] = ()
         self.conditions: list[Condition] = []
-        self.job: PlayJob | None = None
         self.trial = Trial()
         self._looked = 0
         self._checked: object = None
@@ -75,7 +77,9 @@ class ExecuteScreen(RunActions):
                             compact=True,
                             disabled=True,
                         )
-                        yield Static("", id="progress", markup=False)
+                        yield Button("Bode f", id="run-bode", compact=True)
+                        yield Button("Sweep p", id="run-sweep-button", compact=True)
+                    yield Static("", id="progress", markup=False)
                     yield Static("", id="preflight", markup=False)
                 with Vertical(id="runs-box", classes="panel") as box:
                     box.border_title = "Runs"
@@ -83,12 +87,15 @@ class ExecuteScreen(RunActions):
             with Vertical(id="show", classes="panel"):
                 yield Scope(id="run-preview", live=False)
                 yield Scope(id="run-live")
+                yield ResponseView(id="run-response")
+                yield SweepView(id="run-sweep")
 
     def ready(self) -> None:
         self.query_one("#run-preview", Scope).empty_text = (
             "o chooses a planned reference; space lays a run over it"
         )
-        self.query_one("#run-live", Scope).display = False
+        self.query_one("#progress").display = False  # no line of its own before there is any
+        self.show_only("#run-preview")
         self.fill_runs()
         self.query_one("#runs", DataTable).focus()
 
@@ -190,8 +197,7 @@ class ExecuteScreen(RunActions):
     def preview(self) -> None:
         """Show the first chosen reference, or the overlaid runs."""
         scope = self.query_one("#run-preview", Scope)
-        self.query_one("#run-live", Scope).display = False
-        scope.display = True
+        self.show_only("#run-preview")
         if self.marked_runs:
             self.show_overlay(scope)
         elif self.references:
@@ -239,7 +245,7 @@ class ExecuteScreen(RunActions):
                 "warning",
             )
             return
-        self._live(snapshot)
+        self.follow_live(snapshot)
         self.job = PlayJob(
             self.lab.session,
             self.references,
@@ -252,7 +258,7 @@ class ExecuteScreen(RunActions):
         )
         self.job.start()
 
-    def _live(self, snapshot: Snapshot) -> None:
+    def follow_live(self, snapshot: Snapshot) -> None:
         """Follow the run's channels live."""
         units = {v.name: (v.unit, v.length) for v in snapshot.variables}
         channels: list[Channel] = []
@@ -264,35 +270,39 @@ class ExecuteScreen(RunActions):
                 if one
                 else [Channel(f"{name}[{k}]", unit) for k in range(length)]
             )
-        live, still = self.query_one("#run-live", Scope), self.query_one("#run-preview", Scope)
+        live = self.query_one("#run-live", Scope)
         live.show_channels(channels[:8], self.lab.session.watch(channels[:8]))
         live.set(replace(live.settings, window=10.0))
-        live.display, still.display = True, False
+        self.show_only("#run-live")
 
     @on(Button.Pressed, "#run-abort")
     def action_abort(self) -> None:
         """Bring the run to rest."""
         if self.job is not None and self.job.busy:
             self.job.abort()
-            self.say("aborting the run: soft stop", "warning")
+            self.say("aborting: soft stop", "warning")
         else:
             self.say("no run is in progress")
 
-    def _follow(self, job: PlayJob, busy: bool) -> None:
-        p = job.progress
-        width = max(self.query_one("#progress").size.width - 22, 4)
+    def _follow(self, job: PlayJob | MeasureJob[Any], busy: bool) -> None:
+        p, shown = job.progress, self.query_one("#progress", Static)
+        shown.display = True
+        width = max(shown.size.width - 32, 4)
         done = round(p.share * width)
         c = self.app.theme_variables
-        text = Text("  ", no_wrap=True, overflow="ellipsis")
+        text = Text(no_wrap=True, overflow="ellipsis")
         text.append("━" * done, Style(color=c["success"]))
         text.append("─" * (width - done), Style(dim=True))
         text.append(f" {100 * p.share:3.0f} % {p.phase}", Style(bold=True))
-        self.query_one("#progress", Static).update(text, layout=False)
+        shown.update(text, layout=False)
         if not busy:
             self._finished(job)
 
-    def _finished(self, job: PlayJob) -> None:
+    def _finished(self, job: PlayJob | MeasureJob[Any]) -> None:
         self.job = None
+        if isinstance(job, MeasureJob):
+            self.measured(job)
+            return
         error = job.result.exception()
         if error is not None:
             self.say(f"run failed: {error}", "error")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from textual.widgets.data_table import CellDoesNotExist
 from zendsp.errors import ZendspError
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.dialogs import Field, Form, Message, not_empty
-from zendsp.tui.runs import Run, compare, discard_run, list_runs, rename_run
+from zendsp.tui.runs import RESPONSE, Run, compare, discard_run, list_runs, rename_run
 from zendsp.tui.scope import Channel, History, Scope
 from zendsp.tui.screens.analysis import AnalysisActions
 
@@ -118,12 +119,22 @@ class RunActions(AnalysisActions):
         """Show what is to be seen; the screen knows."""
         raise NotImplementedError
 
+    def show_responses(self, runs: Sequence[Run]) -> None:
+        """Draw frequency responses; the screen knows how."""
+        raise NotImplementedError
+
     def show_overlay(self, scope: Scope) -> None:
-        """Put up to two error (or position) curves of each overlaid run on one time axis."""
+        """Show the overlaid runs that are of the kind of the last one: frequency responses, or up
+        to two error (or position) curves of each on one time axis.
+        """
+        marked = [r for folder in self.marked_runs for r in self.runs if r.folder == folder]
+        responses = [run for run in marked if run.outcome == RESPONSE]
+        if responses and marked[-1].outcome == RESPONSE:
+            self.show_responses(responses)
+            return
         loaded = []
-        for folder in self.marked_runs:
-            run = next((r for r in self.runs if r.folder == folder), None)
-            if run is None:
+        for run in marked:
+            if run.outcome == RESPONSE:
                 continue
             try:
                 loaded.append((run, run.recording()))

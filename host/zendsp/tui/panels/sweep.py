@@ -1,0 +1,52 @@
+"""The table of a sweep: what each set of parameters did."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.widgets import DataTable, Static
+
+if TYPE_CHECKING:
+    from zendsp.experiment.sweep import Sweep
+
+
+class SweepView(Vertical):
+    """One row for each set of parameters; the best is marked."""
+
+    DEFAULT_CSS = """
+    SweepView Static { height: auto; }
+    SweepView DataTable { height: 1fr; }
+    SweepView #sweep-keys { color: $text-muted; }
+    """
+
+    def __init__(self, *, id: str | None = None) -> None:
+        super().__init__(id=id)
+        self.sweep: Sweep | None = None
+
+    def compose(self) -> ComposeResult:
+        yield Static("", id="sweep-words", markup=False)
+        yield DataTable(id="sweep", cursor_type="row")
+        yield Static("⏎ or a click writes the values of a row", id="sweep-keys", markup=False)
+
+    def show(self, sweep: Sweep) -> None:
+        """Show another sweep, the cursor on its best row."""
+        self.sweep = sweep
+        self.query_one("#sweep-words", Static).update(Text(repr(sweep)[1:-1]))
+        table = self.query_one("#sweep", DataTable)
+        table.clear(columns=True)
+        for name in ("", *sweep.parameters, *sweep.results, "ended"):
+            table.add_column(Text(name))
+        best = sweep.best_row()
+        for k, cells in enumerate(sweep.cells()):
+            style = "bold" if k == best else ""
+            table.add_row(Text("●" if k == best else " "), *(Text(c, style) for c in cells))
+        table.move_cursor(row=best or 0)
+
+    def values(self, row: int) -> dict[str, float]:
+        """Return the parameters of a row."""
+        if self.sweep is None:
+            return {}
+        return {name: self.sweep.rows[row][name] for name in self.sweep.parameters}

@@ -1,0 +1,262 @@
+"""Execute: frequency responses and sweeps of the running program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from textual import on
+from textual.widgets import Button, DataTable
+
+from zendsp.errors import ZendspError
+from zendsp.tui.dialogs import Field, Form
+from zendsp.tui.measure_job import MeasureJob
+from zendsp.tui.panels.response import ResponseView
+from zendsp.tui.panels.sweep import SweepView
+from zendsp.tui.play_job import PlayJob, usual_channels
+from zendsp.tui.runs import RESPONSE, Run, store_run
+from zendsp.tui.screens.console_program import positive, whole
+from zendsp.tui.screens.console_scope import real
+from zendsp.tui.screens.execute_runs import RunActions
+from zendsp.tui.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from zendsp.experiment.frequency import FrequencyResponse
+    from zendsp.experiment.sweep import Sweep
+
+MOVES = "Moves the machine; b ends it, F9 stops."
+BODE = (
+    "One joint swings about where it stands, by many sines at once. It is tried on a simulated"
+    " twin, then takes (periods + 1.5) / from seconds."
+)
+SWEEP = (
+    "The program goes on as it does now, so let it move; every combination is measured, then the"
+    " parameters are put back. Values: Kp1=100,200 or FIRST:LAST:COUNT."
+)
+
+
+class MeasureActions(RunActions):
+    """What measures the machine by itself, and what it found."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.job: PlayJob | MeasureJob[Any] | None = None
+        self._asked: dict[str, Mapping[str, Any]] = {}  # last answers of the two forms
+
+    # -- frequency response
+    # ----------------------------------------------------------------------------------------------
+
+    @on(Button.Pressed, "#run-bode")
+    def action_respond(self) -> None:
+        """Ask which joint swings and how."""
+        snapshot = self._ready_to_measure()
+        if snapshot is None:
+            return
+        last = self._asked.get(RESPONSE, {})
+        joints = max(snapshot.joints, 1)
+        swings = ["position"]
+        if any(v.name == "ref_tau" for v in snapshot.variables):
+            swings.append("torque")
+        quantity = last.get("quantity", "position")
+        fields = [
+            Field(
+                "joint", "Joint", last.get("joint", 1), f"1 … {joints}", lambda t: _up_to(t, joints)
+            ),
+            Field(
+                "quantity", "What swings", quantity if quantity in swings else "position",
+                choices=swings,
+            ),
+            Field("amplitude", "Peak", last.get("amplitude", 0.02), "rad, N m", positive),
+            Field("f_min", "From", last.get("f_min", 0.5), "Hz", positive),
+            Field("f_max", "To", last.get("f_max", 30.0), "Hz", positive),
+            Field("lines", "Frequencies at most", last.get("lines", 30), "", whole),
+            Field("periods", "Periods", last.get("periods", 6), "", whole),
+            Field("input", "Input", last.get("input", ""), hint="reference, or torque"),
+            Field("output", "Output", last.get("output", ""), hint="position"),
+        ]  # fmt: skip
+        form = Form("Frequency response", fields, f"{BODE} {MOVES}", ok="Measure")
+        self.app.push_screen(form, lambda r: self._respond(r) if r else None)
+
+    def _respond(self, asked: Mapping[str, Any]) -> None:
+        self._asked[RESPONSE] = asked
+        settings = {**asked, "channels": usual_channels(self.lab.session.snapshot)}
+        runs = self.lab.workspace.runs
+        name = f"bode joint {asked['joint']}"
+
+        def keep(found: FrequencyResponse) -> Run:
+            sources = self.lab.source_texts()
+            run = store_run(runs, name, found.recording, sources=sources, outcome=RESPONSE)
+            found.save(run.folder / "response.csv")  # for any other tool
+            return run
+
+        self._measure(
+            MeasureJob(
+                self.lab.session,
+                "frequency response",
+                lambda port, tell: port.respond(settings, tell),
+                keep,
+            )
+        )
+
+    def show_responses(self, runs: Sequence[Run]) -> None:
+        """Draw the responses of these runs over one another."""
+        from zendsp.experiment.frequency import FrequencyResponse
+
+        found = []
+        for run in runs:
+            try:
+                response = FrequencyResponse.of(run.recording())
+            except (ZendspError, OSError) as error:
+                self.say(f"{run.name}: {error}", "error")
+                continue
+            if response is not None:
+                found.append((run.name, 2 * self.marked_runs.index(run.folder) % 8, response))
+        if found:
+            self.query_one("#run-response", ResponseView).show(found)
+            self.show_only("#run-response")
+
+    # -- sweep
+    # ----------------------------------------------------------------------------------------------
+
+    @on(Button.Pressed, "#run-sweep-button")
+    def action_sweep(self) -> None:
+        """Ask for the parameters and their values."""
+        snapshot = self._ready_to_measure()
+        if snapshot is None:
+            return
+        if snapshot.state != "running":
+            self.say("a sweep is of a program that runs: start it first (F2, s)", "warning")
+            return
+        last = self._asked.get("sweep", {})
+        errors = [c for c in usual_channels(snapshot) if c.rstrip("0123456789") == "e"]
+        fields = [
+            Field("words", "Parameters", last.get("words", ""), check=_parameters,
+                  hint="Kp1=500:2500:5 Kd1=60,120"),
+            Field("channels", "Measured of", last.get("channels", " ".join(errors)), check=_words),
+            Field("measures", "Measures", last.get("measures", "rms max"), check=_words,
+                  hint="rms max mean std p2p"),
+            Field("seconds", "Measured for", last.get("seconds", 2.0), "s", positive),
+            Field("settle", "Left out before", last.get("settle", 0.5), "s", _from_zero),
+            Field("together", "Not all combinations", bool(last.get("together", False))),
+        ]  # fmt: skip
+        form = Form("Sweep", fields, f"{SWEEP} {MOVES}", ok="Measure")
+        self.app.push_screen(form, lambda r: self._sweep(r) if r else None)
+
+    def _sweep(self, asked: Mapping[str, Any]) -> None:
+        self._asked["sweep"] = asked
+        from zendsp.experiment.sweep import tried_of
+
+        options = {name: asked[name] for name in ("seconds", "settle", "together")}
+        tried = tried_of(asked["words"].split())
+        channels, measures = asked["channels"].split(), asked["measures"].split()
+        workspace = self.lab.workspace
+
+        def keep(found: Sweep) -> tuple[Sweep, Path]:
+            stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{'-'.join(found.parameters)}"
+            return found, found.save(workspace.free(workspace.sweeps, stem, ".csv"))
+
+        self._measure(
+            MeasureJob(
+                self.lab.session,
+                "sweep",
+                lambda port, tell: port.sweep(
+                    tried, channels, {**options, "measures": measures}, tell
+                ),
+                keep,
+            )
+        )
+
+    @on(DataTable.RowSelected, "#sweep")
+    def _use_row(self, event: DataTable.RowSelected) -> None:
+        """Write the values of a row, all in one sample."""
+        values = self.query_one(SweepView).values(event.cursor_row)
+        words = ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
+        self.lab.session.do("sweep", lambda port: port.update(values)).add_done_callback(
+            lambda done: None if done.exception() else self.lab.session.events.add(words, "good")
+        )
+        self.lab.toast(words)
+
+    # -- both
+    # ----------------------------------------------------------------------------------------------
+
+    def _ready_to_measure(self) -> Snapshot | None:
+        """What is there, or a word on what is missing."""
+        snapshot = self.lab.session.snapshot
+        if self.job is not None and self.job.busy:
+            self.say("a run is in progress: abort it with b", "warning")
+        elif snapshot.link != "up":
+            self.say("no link to a target: Ctrl+O chooses one", "warning")
+        elif snapshot.state not in ("loaded", "paused", "running"):
+            self.say("no program is loaded: build one on Console (F2, b)", "warning")
+        else:
+            return snapshot
+        return None
+
+    def _measure(self, job: MeasureJob[Any]) -> None:
+        self.follow_live(self.lab.session.snapshot)
+        self.job = job
+        job.start()
+
+    def measured(self, job: MeasureJob[Any]) -> None:
+        """Show what a measurement found."""
+        error, found = job.result.exception(), None
+        if error is None:
+            found = job.result.result()
+        if error is not None:
+            self.lab.toast(f"{job.label}: {error}", "error")  # the job has put it into the log
+            self.preview()
+        elif found is None:
+            self.say(f"{job.label} aborted; nothing is kept", "warning")
+            self.preview()
+        elif isinstance(found, Run):
+            self.marked_runs = [found.folder]
+            self.fill_runs(found.folder)
+            self.preview()
+            self.say(f"{job.label}: {found.name} is kept as a run", "good")
+        else:
+            swept, path = found
+            self.query_one(SweepView).show(swept)
+            self.show_only("#run-sweep")
+            self.query_one("#sweep", DataTable).focus()
+            self.say(f"{repr(swept)[1:-1]}; {path}", "good")
+
+    def show_only(self, widget: str) -> None:
+        """Show one of what the right side can show."""
+        for child in self.query_one("#show").children:
+            child.display = f"#{child.id}" == widget
+
+    def follow_live(self, snapshot: Snapshot) -> None:
+        """Follow the run's channels live; the screen knows how."""
+        raise NotImplementedError
+
+
+def _words(text: str) -> str:
+    if not text.split():
+        raise ValueError("name at least one")
+    return text.replace(",", " ")
+
+
+def _up_to(text: str, most: int) -> int:
+    value = whole(text)
+    if value > most:
+        raise ValueError(f"{value}: the machine has {most}, counted from 1")
+    return value
+
+
+def _from_zero(text: str) -> float:
+    value = real(text)
+    return value if value == 0.0 else positive(text)
+
+
+def _parameters(text: str) -> str:
+    from zendsp.experiment.sweep import tried_of
+
+    if not text.split():
+        raise ValueError("for example Kp1=500:2500:5 Kd1=60,120")
+    try:
+        tried_of(text.split())
+    except ZendspError as error:
+        raise ValueError(str(error)) from error
+    return text

@@ -1,0 +1,147 @@
+"""Execute: frequency responses and sweeps, by keys and mouse, as from the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable, Input, Static
+
+from zendsp.experiment import FrequencyResponse
+from zendsp.link import Target
+from zendsp.tui.app import ZendspApp
+from zendsp.tui.dialogs import Form
+from zendsp.tui.measure_job import MeasureJob
+from zendsp.tui.panels.response import ResponseView
+from zendsp.tui.panels.sweep import SweepView
+from zendsp.tui.runs import RESPONSE, list_runs
+from zendsp.tui.scope.path import PathPlot
+from zendsp.tui.screens.execute import ExecuteScreen
+
+Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
+Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
+
+
+async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> ExecuteScreen:
+    await pilot.press("f3")
+    await until(pilot, lambda: isinstance(app.screen, ExecuteScreen), "Execute is shown")
+    screen = app.screen
+    assert isinstance(screen, ExecuteScreen)
+    return screen
+
+
+def _type(app: ZendspApp, **values: str) -> None:
+    for key, value in values.items():
+        app.screen.query_one(f"#f-{key}", Input).value = value
+
+
+@pytest.mark.covers("execute.respond")
+async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(160, 45)) as pilot:
+        await built(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        await pilot.press("f")
+        await until(pilot, lambda: isinstance(lab.screen, Form), "it asks")
+        _type(lab, f_min="2", f_max="1", periods="2", amplitude="0.01")
+        await pilot.press("enter")
+        # a band that cannot be is refused in words, and nothing is kept
+        await until(
+            pilot,
+            lambda: any("f_min below f_max" in e.text for e in lab.session.events.since(0)[1]),
+            "the refusal is shown",
+        )
+        await until(pilot, lambda: screen.job is None, "over")
+        assert not list_runs(lab.workspace.runs)
+
+        for gain, name in ((2000.0, "stiff"), (200.0, "soft")):
+            await until(pilot, lambda: screen.job is None, "free")
+            target.update(Kp1=gain)
+            await pilot.click("#run-bode")
+            await until(pilot, lambda: isinstance(lab.screen, Form), "the mouse asks too")
+            assert lab.screen.query_one("#f-f_min", Input).value == "2.0", "what was typed last"
+            _type(lab, f_max="40")
+            await pilot.press("enter")
+            await until(
+                pilot, lambda: screen.job is None and screen.marked_runs, f"{name} is measured"
+            )
+            marked, screen.marked_runs = screen.marked_runs, []
+        runs = list_runs(lab.workspace.runs)
+        assert [r.outcome for r in runs] == [RESPONSE, RESPONSE]
+        assert {"e[0]", "tau[0]", "q[1]"} <= set(runs[0].recording().columns), "to be diagnosed"
+        assert (runs[0].folder / "response.csv").read_text().startswith("f,magnitude_db,")
+        soft, stiff = (FrequencyResponse.of(r.recording()) for r in runs)
+        assert soft is not None and stiff is not None
+        assert soft.magnitude_db[0] < stiff.magnitude_db[0] - 1.0, "friction holds the soft loop"
+        screen.marked_runs = [r.folder for r in runs]
+        screen.preview()
+        view = screen.query_one(ResponseView)
+        assert view.display and not screen.query_one("#run-preview").display
+        magnitude = screen.query_one("#magnitude", PathPlot).curves
+        assert len(magnitude) == 4 and len({c.trace for c in magnitude}) == 2
+        assert np.allclose(magnitude[0].xy[:, 1], soft.magnitude_db)
+        assert "−3 dB at" in str(screen.query_one("#response-words", Static).render())
+        assert marked == [runs[0].folder]
+
+
+@pytest.mark.covers("execute.sweep")
+async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
+    lab: ZendspApp, target: Target, built: Step, until: Until, folder: Path
+) -> None:
+    async with lab.run_test(size=(160, 45)) as pilot:
+        await built(lab, pilot)
+        screen = await _open(lab, pilot, until)
+        await pilot.press("p")
+        await pilot.pause()
+        assert not isinstance(lab.screen, Form), "of a program that does not run there is none"
+        await pilot.press("f2", "s")
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        await _open(lab, pilot, until)
+        await pilot.click("#run-sweep-button")
+        await until(pilot, lambda: isinstance(lab.screen, Form), "the mouse asks")
+        _type(lab, words="Kp1=1500")
+        await pilot.pause()
+        _type(lab, words="Kp1 1500")
+        await until(
+            pilot,
+            lambda: "NAME=VALUES" in str(lab.screen.query_one("#problem", Static).render()),
+            "what is typed is checked",
+        )
+        _type(lab, words="Kp1=500,2000 Kd1=120", channels="e1", seconds="1", settle="0")
+        await pilot.press("enter")
+        view = screen.query_one(SweepView)
+        await until(pilot, lambda: screen.job is None and view.sweep is not None, "measured")
+        assert view.display and view.sweep is not None
+        assert [r["Kp1"] for r in view.sweep.rows] == [500.0, 2000.0]
+        assert target["Kp1"] == 2000.0, "put back"
+        table = screen.query_one("#sweep", DataTable)
+        assert table.has_focus and table.cursor_row == view.sweep.best_row()
+        (kept,) = (folder / "sweeps").glob("*-Kp1-Kd1.csv")
+        assert kept.read_text().startswith("Kp1,Kd1,rms e1,max e1,ended")
+        table.move_cursor(row=0)
+        await pilot.press("enter")
+        await until(pilot, lambda: target["Kp1"] == 500.0, "the row's values are written")
+
+
+async def test_a_measurement_can_be_aborted(
+    lab: ZendspApp, target: Target, built: Step, until: Until
+) -> None:
+    async with lab.run_test(size=(80, 24)) as pilot:
+        await built(lab, pilot)
+        await pilot.press("s")
+        await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
+        screen = await _open(lab, pilot, until)
+        await pilot.press("p")
+        await until(pilot, lambda: isinstance(lab.screen, Form), "it asks")
+        _type(lab, words="Kp1=700", channels="e1", seconds="3000")
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(screen.job, MeasureJob), "it measures")
+        await until(pilot, lambda: target["Kp1"] == 700.0, "the value is tried")
+        await pilot.press("b")
+        await until(pilot, lambda: screen.job is None, "it ends")
+        assert target["Kp1"] == 2000.0, "as it was before"
+        assert any("aborted" in e.text for e in lab.session.events.since(0)[1])
