@@ -113,6 +113,7 @@ def _table() -> tuple[Action, ...]:
             "ctrl+k",
             "Acknowledge",
             "Acknowledge a trip or a STOP, so that the drives can be enabled again.",
+            priority=True,
         ),
         A(
             "app",
