@@ -136,6 +136,7 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
         ("coulomb", 0.007, 0.008, True),  # what every machine has
         ("dead_zone", 0.02, 0.01, False),  # a function of the state, as others may be
         ("dead_zone", 0.02, 0.0, True),  # and nothing is left that speaks against it
+        ("elasticity", 0.02, 0.01, True),  # no function of the state
         ("gain_drift", 0.02, 0.005, True),  # over time: no function of the state resembles it
     ],
 )

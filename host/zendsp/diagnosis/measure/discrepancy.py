@@ -181,7 +181,7 @@ def difference(data: Data, one: Model, other: Model, joint: int, band: float = B
 
 def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
     """Part of the energy of the torque between two models that acts where the joint turns round:
-    below a tenth of its speed, and as long after as an observer remembers.
+    below a tenth of its speed, and as long before and after as an observer remembers.
     """
     band = BANDS[0]
     pairs = zip(

@@ -285,8 +285,8 @@ class Effect:
         Of hypotheses that explain a recording alike the commoner goes first: what this one counts
         less (or, below 0, more), in parameters.
     common : bool
-        Every machine has some of it: it is tried whatever a screen promises, and named by its law
-        where another one would have to leave less.
+        Every machine has some of it: it is tried whatever a screen promises, and the evidence for
+        its mechanism is enough to name it.
     slow : bool
         A fast observer follows it: it is fitted under a slow one.
     rough : bool
