@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from textual.geometry import Region
 from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, Static
+from textual.widgets import Button, DataTable, Input, Static
 
 from zendsp.experiment import FrequencyResponse
 from zendsp.link import Target
@@ -36,6 +37,24 @@ async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> ExecuteScre
 def _type(app: ZendspApp, **values: str) -> None:
     for key, value in values.items():
         app.screen.query_one(f"#f-{key}", Input).value = value
+
+
+@pytest.mark.parametrize("size", [(160, 45), (80, 24)])
+async def test_no_button_moves_under_the_mouse(
+    lab: ZendspApp, target: Target, built: Step, until: Until, size: tuple[int, int]
+) -> None:
+    def places() -> dict[str | None, Region]:
+        return {b.id: b.region for b in lab.screen.query(Button)}
+
+    async with lab.run_test(size=size) as pilot:
+        await built(lab, pilot)
+        for key in ("f3", "f2", "f5", "f3"):
+            screen = lab.screen
+            await pilot.press(key)
+            await until(pilot, lambda screen=screen: lab.screen is not screen, "another screen")  # type: ignore[misc]
+            first = places()
+            await pilot.pause(3 * lab.frame_s)
+            assert places() == first, key
 
 
 @pytest.mark.covers("execute.respond")

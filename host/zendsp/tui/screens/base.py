@@ -55,6 +55,12 @@ class LabScreen(Screen[None]):
     def on_mount(self) -> None:
         self.set_interval(self.lab.frame_s, self._pull)
         self.ready()
+        self._pull()  # what is shown first is what stays, not an empty screen
+
+    def on_screen_resume(self) -> None:
+        """Show what happened meanwhile at once."""
+        if self.is_mounted:
+            self._pull()
 
     def ready(self) -> None:
         """Do what a screen does once, when its widgets are there."""
