@@ -16,6 +16,7 @@ import pytest
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.process.runner import RunnerProcess
 
 CRASHING = """
 #include "isr.h"
@@ -265,6 +266,21 @@ runtime.start()
 print(runtime.programs.session.process.pid, runtime.programs.folder.path, flush=True)
 time.sleep(600)
 """
+
+
+def test_a_program_that_hangs_is_ended_before_anything_is_asked_about_its_end(
+    make_runtime: Make, wait_for: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_of_the_living = []
+
+    def status(process: RunnerProcess) -> None:  # which waits two seconds for an end
+        asked_of_the_living.append(process.alive())
+
+    monkeypatch.setattr(RunnerProcess, "_status", status)
+    runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), hang_s=0.2)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert True not in asked_of_the_living
 
 
 @pytest.mark.parametrize(
