@@ -133,6 +133,11 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
             Refused,
             "'x': its limits are 2.5 and -1: the first must not be above the second",
         ),
+        (
+            "".join(f'static double v{k}; SIGNAL(v{k}, "", "");' for k in range(1100)),
+            Refused,
+            "'v1003': one too many: a program has at most 1003 variables; declare arrays",
+        ),
     ],
 )
 def test_what_goes_wrong_in_userinit_is_told_at_load(
