@@ -288,6 +288,16 @@ def test_a_program_that_hangs_is_ended_before_anything_is_asked_about_its_end(
     assert True not in asked_of_the_living
 
 
+def test_a_runner_that_was_stopped_by_a_signal_is_told_as_that(
+    make_runtime: Make, wait_for: Wait
+) -> None:
+    runtime = make_runtime(GOOD, clock="real", realtime=False, hang_s=0.3)
+    runtime.start()
+    os.kill(runtime.runner_pid(), signal.SIGSTOP)
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert "the runner was stopped from outside (SIGSTOP" in runtime.status().crash
+
+
 @pytest.mark.parametrize(
     "code", [GOOD, GOOD.replace("x += 1.0;", "for (;;) x += 1.0;")], ids=["well", "hung"]
 )

@@ -273,6 +273,11 @@ class RunnerProcess:
         within = int(self.control.crash_within) if crashed else int(self.control.within)
         where = _WITHIN.get(within, "in the runtime") + self._line()
         last = f"last sample {tick - 1}" if tick > 0 else "before the first sample"
+        if hung and self._stands_still():
+            return (
+                "the runner was stopped from outside (SIGSTOP, a debugger, a frozen container) for"
+                f" {self.settings.hang_s:g} s: ended by the watchdog; {last}"
+            )
         if (
             hung and within not in _WITHIN
         ):  # not in anybody's code: it waited for its next sample and was not woken
@@ -289,6 +294,14 @@ class RunnerProcess:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
             return f"{name} {where}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
+
+    def _stands_still(self) -> bool:
+        """Whether the system has it stopped."""
+        try:
+            stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return False
+        return stat.rpartition(")")[2].split()[0] in ("T", "t")
 
     def _status(self) -> int | None:
         """Exit status of a process that has ended; `poll` alone answers None while another thread
