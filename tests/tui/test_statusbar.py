@@ -21,3 +21,8 @@ from zendsp.tui.stopper import EMERGENCY
 def test_how_stop_ended_is_said_on_narrow_terminals_too(width: int, lines: list[str]) -> None:
     assert banner_lines(EMERGENCY, width) == lines
     assert all(len(line) <= width for line in lines)
+
+
+@pytest.mark.parametrize("width", [0, 1, 2])
+def test_before_there_is_a_width_how_stop_ended_is_one_line(width: int) -> None:
+    assert banner_lines(EMERGENCY, width) == [f" ■ {EMERGENCY} "]

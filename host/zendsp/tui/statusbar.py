@@ -56,13 +56,16 @@ def latency(seconds: float) -> str:
     return f"{seconds * 1e3:.1f} ms" if seconds == seconds else "—"
 
 
+LEAST = 3  # columns that can hold a character and the sign that something is left out
+
+
 def banner_lines(text: str, width: int) -> list[str]:
     """Return how STOP ended on one line, or on two of a narrow terminal: its first words are always
-    whole.
+    whole. Before there is a width, on one.
     """
-    if len(text) + 4 <= width:
+    if len(text) + 4 <= width or width < LEAST:
         return [f" ■ {text} "]
-    lines = wrap(text, max(width, 1))
+    lines = wrap(text, width)
     rest = " ".join(lines[1:])
     return lines if len(lines) < 3 else [lines[0], shorten(rest, width, placeholder=" …")]
 
@@ -159,7 +162,7 @@ class StatusBar(Widget):
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
         """Paint a snapshot; does nothing while nothing has changed."""
         clock = time.strftime("%H:%M:%S")
-        now = (id(snapshot), clock, self.app.theme, verdict)
+        now = (id(snapshot), clock, self.app.theme, verdict, self._line1.size.width)
         if now == self._shown:
             return
         self._shown = now
