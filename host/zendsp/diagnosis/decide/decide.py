@@ -122,8 +122,8 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     of_state = state.size > OF_STATE and state.z > SURE
     if before.value > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
-        here = bursts(parts.held, base.model, joint) or bursts(
-            parts.fit, base.model, joint, many=FEW
+        here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
+            parts.fit, base.model, joint, many=FEW, turning=turning
         )
         if here is not None:
             both = everywhere(here, (parts.fit, parts.held), base.model, joint)
