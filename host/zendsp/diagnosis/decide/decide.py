@@ -133,7 +133,7 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
     lawful = before.value > LAWFUL and _lawful(parts, base, joint, turning)
-    if of_state or lawful or before.low > MACHINE:
+    if of_state or lawful or before.value > MACHINE:
         return replace(out, kind="unexplained")
     return out
 
