@@ -155,7 +155,7 @@ def _turns(data: Data, acting: _Acting, joint: int, band: float) -> bool:
         total += float(energy.sum())
         change = np.flatnonzero(np.diff(np.r_[0, round_.astype(int), 0]))
         count += len(change) // 2
-        met += sum(high[a:b].any() for a, b in zip(change[::2], change[1::2], strict=True))
+        met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
     return there > MOSTLY * total and met > REVISITED * count
 
 
