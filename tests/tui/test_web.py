@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -23,7 +24,7 @@ from zendsp.link import Target
 
 aiohttp = pytest.importorskip("aiohttp")
 pyte = pytest.importorskip("pyte")
-pytest.importorskip("textual_serve")
+web = pytest.importorskip("zendsp.tui.web")
 
 END_S = 20.0  # what waited for pages took 28 or 60 s, or had no end
 
@@ -104,13 +105,17 @@ async def _open(served: Served) -> AsyncIterator[Page]:
         yield Page(websocket)
 
 
-def _below(pid: int) -> set[int]:
-    """The processes that this one has started, and those that they have."""
-    children = [
+def _children(pid: int) -> list[int]:
+    return [
         int(child)
         for task in Path(f"/proc/{pid}/task").iterdir()
         for child in (task / "children").read_text().split()
     ]
+
+
+def _below(pid: int) -> set[int]:
+    """The processes that this one has started, and those that they have."""
+    children = _children(pid)
     return set(children).union(*map(_below, children))
 
 
@@ -179,10 +184,10 @@ async def test_pages_end_with_the_server_and_let_the_target_go(
             await page.until(lambda: "homed" in page.lines[1])
             await page.press("es")
             await page.until(lambda: "● running" in page.lines[1] and "cmd you" in page.lines[1])
-            (child,) = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children").open()
             everything = {served.process.pid, *_below(served.process.pid)}
             if how == "page hangs":
-                os.kill(int(child), signal.SIGSTOP)
+                (child,) = _children(served.process.pid)
+                os.kill(child, signal.SIGSTOP)
             served.process.send_signal(signal.SIGKILL if how == "killed" else signal.SIGTERM)
             await _all_ended(everything)
     deadline = time.monotonic() + PATIENCE_S
@@ -214,6 +219,45 @@ async def test_a_browser_that_hangs_does_not_hold_the_server(served: Served) -> 
             time.sleep(0.02)
 
 
+async def test_the_clock_goes_on_under_a_dialog(served: Served) -> None:
+    """So that a page which hears nothing knows that its picture is old."""
+    async with _open(served) as page:
+        await page.until(lambda: "zendsp" in page.lines[0])
+        await page.press("?")
+        await page.until(lambda: "Everywhere" in "".join(page.lines))
+        first = page.lines[0]
+        await page.until(lambda: page.lines[0] != first)
+
+
+BROWSER = """
+const bar = {}, ears = {};
+let now = 0, tick;
+Date.now = () => now;
+globalThis.window = globalThis;
+globalThis.document = { querySelector: () => bar };
+globalThis.setInterval = (f) => { tick = f; };
+globalThis.WebSocket = class { addEventListener(what, f) { ears[what] = f; } };
+SCRIPT
+new WebSocket("ws://");
+const look = (s) => { now = 1000 * s; tick(); console.log(bar.hidden ? "" : bar.textContent); };
+look(3); look(5); ears.message(); look(6); look(20); ears.close(); look(21);
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node here: it runs the page's script")
+def test_a_page_that_hears_nothing_says_so() -> None:
+    page = (Path(web.__file__).parent / "page" / "app_index.html").read_text()
+    (script,) = re.findall("<script>(.*?)</script>", page, re.DOTALL)
+    said = subprocess.run(
+        ["node", "-e", BROWSER.replace("SCRIPT", script)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+    silent = [re.findall(r"No word from zendsp for (\d+) s", line) for line in said]
+    assert silent == [[], ["5"], [], ["15"], []], "not after the end: that has words of its own"
+
+
 async def test_pages_of_strangers_are_refused(served: Served) -> None:
     async with aiohttp.ClientSession() as session:
         assert (await session.get(served.base, headers={"Host": "evil.example"})).status == 403
@@ -233,6 +277,4 @@ async def test_pages_of_strangers_are_refused(served: Served) -> None:
     ],
 )
 def test_who_is_a_stranger(host: str, origin: str | None, ours: bool) -> None:
-    from zendsp.tui.web import is_ours
-
-    assert is_ours(host, origin) is ours
+    assert web.is_ours(host, origin) is ours

@@ -59,10 +59,16 @@ class Page(AppService):
             shlex.join(words),
             write_bytes=websocket.send_bytes,
             write_str=websocket.send_str,
-            close=websocket.close,
+            close=self._close,
             **options,
         )
-        self._words = words
+        self._words, self._websocket = words, websocket
+
+    async def _close(self) -> None:
+        """Say good-bye to the browser; one that does not take it has gone."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GRACE_S):
+                await self._websocket.close()
 
     async def _open_app_process(self, width: int = 80, height: int = 24) -> Process:
         # not in the server's session: Ctrl-C there is for the server, which ends its pages
@@ -82,16 +88,13 @@ class Page(AppService):
         try:
             await super().run()
         finally:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(GRACE_S):
-                    await self.remote_close()
+            await self._close()
 
     async def stop(self) -> None:
         """Ask it to end, and end it where it does not; to the target its host is gone."""
-        task, self._task = self._task, None
-        if task is None:
+        task, self._task, process = self._task, None, self._process
+        if task is None or process is None:
             return
-        process = self._process
         try:
             async with asyncio.timeout(GRACE_S):
                 await self._download_manager.cancel_app_downloads(
