@@ -33,6 +33,8 @@ STATE_MARKS = {
     "crashed": ("✖", "error"),
 }
 
+LEAST = 4  # columns that words are wrapped to
+
 
 def microseconds(ns: float) -> str:
     """Return a time of execution with three digits: ``3.21 µs``, ``104 µs``, ``1.20 ms``."""
@@ -56,15 +58,14 @@ def latency(seconds: float) -> str:
     return f"{seconds * 1e3:.1f} ms" if seconds == seconds else "—"
 
 
-LEAST = 3  # columns that can hold a character and the sign that something is left out
-
-
 def banner_lines(text: str, width: int) -> list[str]:
     """Return how STOP ended on one line, or on two of a narrow terminal: its first words are always
-    whole. Before there is a width, on one.
+    whole.
     """
-    if len(text) + 4 <= width or width < LEAST:
+    if len(text) + 4 <= width:
         return [f" ■ {text} "]
+    if width < LEAST:  # a screen that is being built has no size yet
+        return [text]
     lines = wrap(text, width)
     rest = " ".join(lines[1:])
     return lines if len(lines) < 3 else [lines[0], shorten(rest, width, placeholder=" …")]

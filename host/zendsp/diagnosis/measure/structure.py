@@ -21,6 +21,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
     noise,
+    reversals,
 )
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
@@ -151,7 +152,11 @@ class Structure:
 
 
 def structure(
-    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], above: float = 0.0
+    parts: Sequence[Data],
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    turning: bool = True,
 ) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
@@ -164,8 +169,8 @@ def structure(
         1-based.
     mechanisms : sequence of str
         Of ``STRUCTURED``.
-    above : float
-        Part of the joint's speed below which nothing counts: where it turns round.
+    turning : bool
+        Whether what acts where the joint turns round counts.
 
     Returns
     -------
@@ -178,11 +183,12 @@ def structure(
     stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
     for band, detail in product(BANDS[:3], DETAILS):
         made = [_seen(part, model, joint, mechanisms, ranges, band, detail) for part in parts]
+        counted = [[_counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
         if not made[0][0][0].shape[0]:
             return best
         normals = [
-            _normal(part, seen, joint, band, stride, above * ranges.speed)
-            for part, seen in zip(parts, made, strict=True)
+            _normal(part, seen, use, joint, band, stride)
+            for part, seen, use in zip(parts, made, counted, strict=True)
         ]
         sums, counts, excess = [], [], 0.0
         for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
@@ -193,13 +199,12 @@ def structure(
                 square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
             )
             gains = [
-                (lack**2 - (lack - theta @ columns) ** 2)
-                * (np.abs(rec[joint - 1].motion.states[1]) >= above * ranges.speed)
-                for (columns, lack), rec in zip(seen, part.records, strict=True)
+                (lack**2 - (lack - theta @ columns) ** 2) * use
+                for (columns, lack), use in zip(seen, counted[k], strict=True)
             ]
-            for (_, lack), rec in zip(seen, part.records, strict=True):
-                use = kept(rec[joint - 1], band)
-                excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
+            for (_, lack), rec, use in zip(seen, part.records, counted[k], strict=True):
+                beyond = (lack**2 - noise(rec[joint - 1], model, band)) * use
+                excess += float(np.sum(beyond[kept(rec[joint - 1], band)]))
             found = energy_blocks(part, gains, joint, band)
             sums.append(found[0])
             counts.append(found[1])
@@ -210,6 +215,11 @@ def structure(
         if size > best.size and z > 1.0:
             best = Structure(size, min(1.0, total / excess) if excess > 0 else 1.0, z)
     return best
+
+
+def _counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
+    """Samples that count, (n,)."""
+    return np.ones(record.n, bool) if turning else ~reversals(record, band_of(record, band))
 
 
 def _seen(
@@ -232,18 +242,17 @@ def _seen(
 def _normal(
     data: Data,
     seen: Sequence[tuple[Array, Array]],
+    counted: Sequence[npt.NDArray[np.bool_]],
     joint: int,
     band: float,
     stride: int,
-    slowest: float,
 ) -> tuple[Array, Array]:
     """Normal equations of a part, thinned: squares (m, m), products (m,)."""
     m = seen[0][0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
-    for (columns, lack), rec in zip(seen, data.records, strict=True):
+    for (columns, lack), rec, there in zip(seen, data.records, counted, strict=True):
         use = kept(rec[joint - 1], band)
-        fast = np.abs(rec[joint - 1].motion.states[1][use]) >= slowest
-        a, d = columns[:, use][:, fast][:, ::stride], lack[use][fast][::stride]
+        a, d = columns[:, use][:, there[use]][:, ::stride], lack[use][there[use]][::stride]
         square += a @ a.T
         product += a @ d
     return square, product
