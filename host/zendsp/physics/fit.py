@@ -9,9 +9,10 @@ than they do.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +23,12 @@ from zendsp.physics.handles import Handle, free_handles, get_values, set_values
 from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Quantity
 from zendsp.physics.native import LANES
+from zendsp.physics.points import Points
 from zendsp.physics.predict import ran_away, run, run_many
+from zendsp.physics.threads import Each, threads
 
 Array = npt.NDArray[np.float64]
+T = TypeVar("T")
 
 # factor within which an inertial figure is calibrated where the recordings give no range of their
 # own
@@ -127,21 +131,26 @@ def residuals(
     data: Data,
     models: Sequence[Model],
     joints: Sequence[int],
-    pool: ThreadPoolExecutor | None = None,
+    each: Each = map,
 ) -> Array:
     """As ``residual`` for models that differ in numbers only, (N, models)."""
-    groups = [models[i : i + LANES] for i in range(0, len(models), LANES)]
-    tasks = [
-        (rec[j - 1], group, data.bandwidth[j - 1])
+    works = [
+        partial(run_many, rec[j - 1], bandwidth=data.bandwidth[j - 1], inner=data.inner)
         for rec in data.records
         for j in joints
-        for group in groups
     ]
+    return _side_by_side(works, models, each)
 
-    def work(task: tuple[JointRecord, Sequence[Model], float]) -> Array:
-        return run_many(*task, inner=data.inner)
 
-    done = list(map(work, tasks) if pool is None or len(tasks) == 1 else pool.map(work, tasks))
+def _side_by_side(
+    works: Sequence[Callable[[Sequence[T]], Array]], items: Sequence[T], each: Each
+) -> Array:
+    """Columns of some items, as many at a time as the kernel takes, below one another by who works
+    them out.
+    """
+    groups = [items[i : i + LANES] for i in range(0, len(items), LANES)]
+    tasks = [(work, group) for work in works for group in groups]
+    done = list((map if len(tasks) == 1 else each)(lambda task: task[0](task[1]), tasks))
     if len(groups) > 1:
         done = [
             np.concatenate(done[i : i + len(groups)], axis=1)
@@ -208,11 +217,15 @@ class _Problem:
         model: Model,
         handles: Sequence[Handle],
         joints: Sequence[int],
-        pool: ThreadPoolExecutor,
+        each: Each,
         central: bool,
     ) -> None:
-        self.data, self.model, self.handles, self.joints = data, model, handles, joints
-        self.pool, self.central = pool, central
+        self.each, self.central = each, central
+        self.works = [
+            Points(rec[j - 1], model, handles, data.bandwidth[j - 1], data.inner).innovations
+            for rec in data.records
+            for j in joints
+        ]
         self.low, self.high, self.size = bounds_and_steps(data, model, handles)
         self.prior = np.array(
             [
@@ -227,8 +240,7 @@ class _Problem:
 
     def evaluate(self, points: Sequence[Array]) -> Array:
         """Residuals at some points, the prior's included, (N, points)."""
-        models = [set_values(self.model, self.handles, at) for at in points]
-        columns = residuals(self.data, models, self.joints, self.pool)
+        columns = _side_by_side(self.works, points, self.each)
         if not self.prior.any():
             return columns
         held = self.prior > 0
@@ -343,8 +355,8 @@ def fit(
     """
     handles = tuple(handles)
     wanted = tuple(joints or range(1, data.joints + 1))
-    with ThreadPoolExecutor(max(1, jobs)) as pool:
-        problem = _Problem(data, model, handles, wanted, pool, central)
+    with threads(jobs) as each:
+        problem = _Problem(data, model, handles, wanted, each, central)
         low, high = problem.low, problem.high
         x = np.clip(get_values(model, handles) if start is None else start, low, high)
         r, jac = problem.jacobian(x)

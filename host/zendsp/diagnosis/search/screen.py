@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
 from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import response, sensed, trace
 from zendsp.physics.terms import grid_of, make_term, usable
+from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
 
@@ -168,8 +168,8 @@ class Screen:
             for e in library().values()
             if self._applies(e, present) and (not only or e.name in only)
         ]
-        with ThreadPoolExecutor(jobs) as pool:
-            found = pool.map(self._best, effects)
+        with threads(jobs) as each:
+            found = each(self._best, effects)
             return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
 
     def _applies(self, effect: Effect, present: set[str]) -> bool:
