@@ -176,8 +176,20 @@ def structure(
     scale = mean_square(whole, joint)
     ranges = ranges_of(whole, joint)
     stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
+    drawn = {
+        d: [[_drawn(rec, joint, mechanisms, ranges, d) for rec in part.records] for part in parts]
+        for d in DETAILS
+    }
+    lacks = {band: [lacking(part, model, joint, band) for part in parts] for band in BANDS[:3]}
+    noises = {
+        band: [[noise(rec[joint - 1], model, band) for rec in part.records] for part in parts]
+        for band in BANDS[:3]
+    }
     for band, detail in product(BANDS[:3], DETAILS):
-        made = [_seen(part, model, joint, mechanisms, ranges, band, detail) for part in parts]
+        made = [
+            _seen(part, model, joint, band, columns, lack)
+            for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
+        ]
         if not made[0][0][0].shape[0]:
             return best
         normals = [
@@ -197,9 +209,9 @@ def structure(
                 * (np.abs(rec[joint - 1].motion.states[1]) >= above * ranges.speed)
                 for (columns, lack), rec in zip(seen, part.records, strict=True)
             ]
-            for (_, lack), rec in zip(seen, part.records, strict=True):
+            for (_, lack), rec, noisy in zip(seen, part.records, noises[band][k], strict=True):
                 use = kept(rec[joint - 1], band)
-                excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
+                excess += float(np.sum(lack[use] ** 2 - noisy))
             found = energy_blocks(part, gains, joint, band)
             sums.append(found[0])
             counts.append(found[1])
@@ -216,16 +228,16 @@ def _seen(
     data: Data,
     model: Model,
     joint: int,
-    mechanisms: Sequence[str],
-    ranges: Ranges,
     band: float,
-    detail: int,
+    drawn: Sequence[Array],
+    lacks: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Columns (m, n) and lacking torque (n,), one pair a recording."""
-    lacks = lacking(data, model, joint, band)
+    """Columns (m, n), as the observer sees what was ``drawn``, and lacking torque (n,), one pair a
+    recording.
+    """
     return [
-        (_columns(rec, model, joint, mechanisms, ranges, band, detail), lack)
-        for rec, lack in zip(data.records, lacks, strict=True)
+        (_columns(rec[joint - 1], model, band, raw), lack)
+        for rec, raw, lack in zip(data.records, drawn, lacks, strict=True)
     ]
 
 
@@ -243,23 +255,22 @@ def _normal(
     for (columns, lack), rec in zip(seen, data.records, strict=True):
         use = kept(rec[joint - 1], band)
         fast = np.abs(rec[joint - 1].motion.states[1][use]) >= slowest
-        a, d = columns[:, use][:, fast][:, ::stride], lack[use][fast][::stride]
+        rows = (np.arange(len(lack))[use][fast])[::stride]
+        a, d = np.take(columns, rows, axis=1), lack[rows]
         square += a @ a.T
         product += a @ d
     return square, product
 
 
-def _columns(
-    rec: Sequence[JointRecord],
-    model: Model,
-    joint: int,
-    mechanisms: Sequence[str],
-    ranges: Ranges,
-    band: float,
-    detail: int,
+def _drawn(
+    rec: Sequence[JointRecord], joint: int, mechanisms: Sequence[str], ranges: Ranges, detail: int
 ) -> Array:
-    record = rec[joint - 1]
+    """The shapes of all mechanisms, (m, n)."""
+    made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
+    return np.ascontiguousarray(np.concatenate(made))
+
+
+def _columns(record: JointRecord, model: Model, band: float, raw: Array) -> Array:
     here = band_of(record, band)
-    raw = np.concatenate([shapes(rec, joint, m, ranges, detail) for m in mechanisms])
     r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
     return as_torque(record, model, r, here)
