@@ -90,12 +90,16 @@ async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) ->
         assert any(line.startswith(24 * " ") for line in lines)
 
 
-async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp) -> None:
+async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.pause(0.3)
-        line = app.screen.query_one(Tabs).render().plain
-        assert re.search(r"rec \d\d:\d\d:\d\d *$", line[:67]), line
-        assert "F5 Diagnose" in line
+
+        def line() -> str:
+            return app.screen.query_one(Tabs).render().plain
+
+        await until(
+            pilot, lambda: re.search(r"rec \d\d:\d\d:\d\d *$", line()[:67]), "the time is shown"
+        )
+        assert "F5 Diagnose" in line()
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

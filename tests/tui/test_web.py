@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
+import os
 import re
+import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from waiting import PATIENCE_S
@@ -19,32 +24,33 @@ from zendsp.link import Target
 
 aiohttp = pytest.importorskip("aiohttp")
 pyte = pytest.importorskip("pyte")
-pytest.importorskip("textual_serve")
+web = pytest.importorskip("zendsp.tui.web")
+
+END_S = 20.0  # what waited for pages took 28 or 60 s, or had no end
+
+
+@dataclass
+class Served:
+    """A running server and where it is."""
+
+    base: str
+    process: subprocess.Popen[bytes]
 
 
 @pytest.fixture
-def port(tmp_path: Path) -> Iterator[int]:
-    yield from _served(tmp_path, "--screen", "reference")
+def served(tmp_path: Path) -> Iterator[Served]:
+    with _serve(tmp_path, "--screen", "reference") as served:
+        yield served
 
 
-def _served(folder: Path, *options: str) -> Iterator[int]:
+@contextlib.contextmanager
+def _serve(folder: Path, *options: str) -> Iterator[Served]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         number: int = probe.getsockname()[1]
-    call = "from zendsp.cli import main; main()"
+    words = ["tui", "--web", "--port", str(number), "--folder", str(folder), *options]
     process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            call,
-            "tui",
-            "--web",
-            "--port",
-            str(number),
-            "--folder",
-            str(folder),
-            *options,
-        ],
+        [sys.executable, "-c", "from zendsp.cli import main; main()", *words],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -55,13 +61,82 @@ def _served(folder: Path, *options: str) -> Iterator[int]:
                 break
         assert process.poll() is None and time.monotonic() < deadline, "the server did not start"
         time.sleep(0.05)
-    yield number
+    yield Served(f"http://127.0.0.1:{number}", process)
     process.terminate()
-    process.wait(PATIENCE_S)
+    process.wait(END_S)
 
 
-async def test_the_page_shows_the_screen_and_needs_no_other_computer(port: int) -> None:
-    base = f"http://127.0.0.1:{port}"
+class Page:
+    """A page as a browser has it open: what it shows, and what the user presses there."""
+
+    def __init__(self, websocket: Any) -> None:
+        self.websocket = websocket
+        self._shown = pyte.Screen(120, 36)
+        self._stream = pyte.ByteStream(self._shown)
+
+    @property
+    def lines(self) -> list[str]:
+        return list(self._shown.display)
+
+    async def press(self, keys: str) -> None:
+        await self.websocket.send_json(["stdin", keys])
+
+    async def hear(self) -> bool:
+        """Take one message; False where it was the end."""
+        message = await asyncio.wait_for(self.websocket.receive(), PATIENCE_S)
+        if message.type == aiohttp.WSMsgType.BINARY:
+            self._stream.feed(message.data.replace(b"\x1b[>", b"\x1b["))
+        return message.type in (aiohttp.WSMsgType.BINARY, aiohttp.WSMsgType.TEXT)
+
+    async def until(self, done: Callable[[], object]) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < deadline and await self.hear(), "\n".join(self.lines)
+
+
+@contextlib.asynccontextmanager
+async def _open(served: Served) -> AsyncIterator[Page]:
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(
+            f"{served.base}/ws?width=120&height=36", headers={"Origin": served.base}
+        ) as websocket,
+    ):
+        yield Page(websocket)
+
+
+def _children(pid: int) -> list[int]:
+    return [
+        int(child)
+        for task in Path(f"/proc/{pid}/task").iterdir()
+        for child in (task / "children").read_text().split()
+    ]
+
+
+def _below(pid: int) -> set[int]:
+    """The processes that this one has started, and those that they have."""
+    children = _children(pid)
+    return set(children).union(*map(_below, children))
+
+
+def _running(pid: int) -> bool:
+    """Whether it has not ended; what only waits to be looked at has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+async def _all_ended(pids: set[int]) -> None:
+    deadline = time.monotonic() + END_S
+    while left := [pid for pid in pids if _running(pid)]:
+        lines = [Path(f"/proc/{pid}/cmdline").read_bytes() for pid in left]
+        assert time.monotonic() < deadline, lines
+        await asyncio.sleep(0.02)
+
+
+async def test_the_page_shows_the_screen_and_needs_no_other_computer(served: Served) -> None:
+    base = served.base
     async with aiohttp.ClientSession() as session:
         page = await (await session.get(base)).text()
         others = [
@@ -72,62 +147,122 @@ async def test_the_page_shows_the_screen_and_needs_no_other_computer(port: int) 
         assert others == [], "nothing is fetched from elsewhere"
         for name in ("css/xterm.css", "js/textual.js", "fonts/RobotoMono-VariableFont_wght.ttf"):
             assert (await session.get(f"{base}/static/{name}")).status == 200
-        url = f"{base}/ws?width=120&height=36"
-        async with session.ws_connect(url, headers={"Origin": base}) as socket_:
-            seen = b""
-            deadline = time.monotonic() + PATIENCE_S
-            while b"Reference and Diagnose work without a target" not in seen:
-                assert time.monotonic() < deadline, seen[-500:]
-                message = await asyncio.wait_for(socket_.receive(), PATIENCE_S)
-                if message.type == aiohttp.WSMsgType.BINARY:
-                    seen += message.data
-                elif message.type == aiohttp.WSMsgType.TEXT:
-                    seen += json.dumps(message.data).encode()
+    async with _open(served) as shown:
+        words = "Reference and Diagnose work without a target"
+        await shown.until(lambda: words in "".join(shown.lines))
 
 
 @pytest.mark.parametrize("press", ["\x1b[20~", "\x1b[<0;114;2M\x1b[<0;114;2m"], ids=["F9", "click"])
 async def test_stop_from_a_page(target: Target, tmp_path: Path, press: str) -> None:
     target.download("pd.c")
     target.start()
-    shown = pyte.Screen(120, 36)
-    stream = pyte.ByteStream(shown)
+    with _serve(tmp_path, target.name) as served:
+        async with _open(served) as page:
 
-    def clock() -> list[str]:
-        return re.findall(r"\d\d:\d\d:\d\d", shown.display[0])
+            def clock() -> list[str]:
+                return re.findall(r"\d\d:\d\d:\d\d", page.lines[0])
 
-    for number in _served(tmp_path, target.name):
-        base = f"http://127.0.0.1:{number}"
-        async with aiohttp.ClientSession() as session:
-            page = await session.ws_connect(
-                f"{base}/ws?width=120&height=36", headers={"Origin": base}
-            )
-
-            async def until(
-                done: Callable[[], object], page: aiohttp.ClientWebSocketResponse = page
-            ) -> None:
-                deadline = time.monotonic() + PATIENCE_S
-                while not done():
-                    assert time.monotonic() < deadline, "\n".join(shown.display)
-                    message = await asyncio.wait_for(page.receive(), PATIENCE_S)
-                    if message.type == aiohttp.WSMsgType.BINARY:
-                        stream.feed(message.data.replace(b"\x1b[>", b"\x1b["))
-
-            await until(lambda: "● running" in shown.display[1] and clock())
+            await page.until(lambda: "● running" in page.lines[1] and clock())
             first = clock()
-            await until(lambda first=first: clock() != first)  # type: ignore[misc]  # where the field is was told before this picture
-            await page.send_json(["stdin", press])
-            await until(lambda: "stopped, at sample" in shown.display[1])
-            await page.close()
-        trip = target.status().trip
-        assert trip is not None and trip.reason == "stop"
+            # where the field is was told before this picture
+            await page.until(lambda: clock() != first)
+            await page.press(press)
+            await page.until(lambda: "stopped, at sample" in page.lines[1])
+    trip = target.status().trip
+    assert trip is not None and trip.reason == "stop"
 
 
-async def test_pages_of_strangers_are_refused(port: int) -> None:
+@pytest.mark.parametrize("how", ["asked", "page hangs", "killed"])
+async def test_pages_end_with_the_server_and_let_the_target_go(
+    target: Target, tmp_path: Path, how: str
+) -> None:
+    target.download("pd.c")
+    with _serve(tmp_path, target.name) as served:
+        async with _open(served) as page:
+            await page.until(lambda: "○ loaded" in page.lines[1])
+            await page.press("o")
+            await page.until(lambda: "homed" in page.lines[1])
+            await page.press("es")
+            await page.until(lambda: "● running" in page.lines[1] and "cmd you" in page.lines[1])
+            everything = {served.process.pid, *_below(served.process.pid)}
+            if how == "page hangs":
+                (child,) = _children(served.process.pid)
+                os.kill(child, signal.SIGSTOP)
+            served.process.send_signal(signal.SIGKILL if how == "killed" else signal.SIGTERM)
+            await _all_ended(everything)
+    deadline = time.monotonic() + PATIENCE_S
+    while (trip := target.status().trip) is None:
+        assert time.monotonic() < deadline, "the target did not notice"
+        await asyncio.sleep(0.02)
+    assert trip.reason == "host lost"
+
+
+async def test_a_page_whose_process_died_is_closed(served: Served) -> None:
+    """What it shows is old, and STOP would go nowhere."""
+    async with _open(served) as page:
+        await page.until(lambda: "zendsp" in page.lines[0])
+        for pid in _below(served.process.pid):
+            os.kill(pid, signal.SIGKILL)
+        while await asyncio.wait_for(page.hear(), END_S):
+            pass
+
+
+async def test_a_browser_that_hangs_does_not_hold_the_server(served: Served) -> None:
+    """It reads nothing and answers no goodbye."""
+    async with _open(served) as page:
+        await page.until(lambda: "zendsp" in page.lines[0])
+        everything = {served.process.pid, *_below(served.process.pid)}
+        served.process.terminate()
+        deadline = time.monotonic() + END_S
+        while any(map(_running, everything)):  # nothing is read meanwhile
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+async def test_the_clock_goes_on_under_a_dialog(served: Served) -> None:
+    """So that a page which hears nothing knows that its picture is old."""
+    async with _open(served) as page:
+        await page.until(lambda: "zendsp" in page.lines[0])
+        await page.press("?")
+        await page.until(lambda: "Everywhere" in "".join(page.lines))
+        first = page.lines[0]
+        await page.until(lambda: page.lines[0] != first)
+
+
+BROWSER = """
+const bar = {}, ears = {};
+let now = 0, tick;
+Date.now = () => now;
+globalThis.window = globalThis;
+globalThis.document = { querySelector: () => bar };
+globalThis.setInterval = (f) => { tick = f; };
+globalThis.WebSocket = class { addEventListener(what, f) { ears[what] = f; } };
+SCRIPT
+new WebSocket("ws://");
+const look = (s) => { now = 1000 * s; tick(); console.log(bar.hidden ? "" : bar.textContent); };
+look(3); look(5); ears.message(); look(6); look(20); ears.close(); look(21);
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node here: it runs the page's script")
+def test_a_page_that_hears_nothing_says_so() -> None:
+    page = (Path(web.__file__).parent / "page" / "app_index.html").read_text()
+    (script,) = re.findall("<script>(.*?)</script>", page, re.DOTALL)
+    said = subprocess.run(
+        ["node", "-e", BROWSER.replace("SCRIPT", script)],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+    silent = [re.findall(r"No word from zendsp for (\d+) s", line) for line in said]
+    assert silent == [[], ["5"], [], ["15"], []], "not after the end: that has words of its own"
+
+
+async def test_pages_of_strangers_are_refused(served: Served) -> None:
     async with aiohttp.ClientSession() as session:
-        base = f"http://127.0.0.1:{port}"
-        assert (await session.get(base, headers={"Host": "evil.example"})).status == 403
+        assert (await session.get(served.base, headers={"Host": "evil.example"})).status == 403
         with pytest.raises(aiohttp.WSServerHandshakeError):
-            await session.ws_connect(f"{base}/ws", headers={"Origin": "http://evil.example"})
+            await session.ws_connect(f"{served.base}/ws", headers={"Origin": "http://evil.example"})
 
 
 @pytest.mark.parametrize(
@@ -142,6 +277,4 @@ async def test_pages_of_strangers_are_refused(port: int) -> None:
     ],
 )
 def test_who_is_a_stranger(host: str, origin: str | None, ours: bool) -> None:
-    from zendsp.tui.web import is_ours
-
-    assert is_ours(host, origin) is ours
+    assert web.is_ours(host, origin) is ours

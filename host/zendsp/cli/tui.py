@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shlex
 import signal
 import sys
 from pathlib import Path
@@ -190,9 +189,8 @@ def _serve(
     # one machine for all pages, not one for each
     with local(machine, clock=clock) if machine else contextlib.nullcontext() as started:
         name = started.name if started is not None else target
-        words = [sys.executable, "-c", "from zendsp.cli import main; main()", "tui"]
-        words += [name] if name else []
+        words = ["tui", *([name] if name else [])]
         for option, value in (("--source", source), ("--folder", folder), ("--channels", channels)):
             words += [option, str(value)] if value else []
         words += ["--screen", screen, "--theme", theme, "--frames", str(frames)]
-        serve(shlex.join(words), port)
+        serve(words, port)

@@ -4,7 +4,6 @@ known.
 
 from __future__ import annotations
 
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -19,40 +18,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zendsp.cluster import connect
+from zendsp.parent import call, die_with
 
-PR_SET_PDEATHSIG = 1  # <sys/prctl.h>
 POLL = 0.02  # s, between two looks at a child
-
-
-def die_with(parent: int) -> None:
-    """Have the kernel end this process when `parent` ends, however that ends (Linux; elsewhere
-    nothing happens).
-
-    Parameters
-    ----------
-    parent : int
-        Process id that this process was started by.
-    """
-    if not sys.platform.startswith("linux"):
-        return
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it ended before the kernel was told
-        os._exit(1)
 
 
 def command(*words: str) -> tuple[str, ...]:
     """``zendsp WORDS…`` as a process that ends with this one."""
-    code = (
-        f"from zendsp.proof.children import die_with; die_with({os.getpid()}); from zendsp.cli"
-        " import main; main()"
-    )
-    return (sys.executable, "-c", code, *words)
+    return (sys.executable, "-c", call(os.getpid()), *words)
 
 
 def module(name: str, *words: str) -> tuple[str, ...]:
     """``python -m NAME WORDS…`` as a process that ends with this one."""
     code = (
-        f"import runpy; from zendsp.proof.children import die_with; die_with({os.getpid()}); "
+        f"import runpy; from zendsp.parent import die_with; die_with({os.getpid()}); "
         f"runpy.run_module({name!r}, run_name='__main__', alter_sys=True)"
     )
     return (sys.executable, "-c", code, *words)

@@ -9,8 +9,10 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from zendsp.parent import call
+
 # Politely: what computes for a minute must not take the CPU of a screen or of a loop.
-CALL = "import os; os.nice(10); from zendsp.cli import main; main()"
+POLITELY = "import os; os.nice(10); "
 
 
 class Command:
@@ -48,7 +50,7 @@ class Command:
         self._process = process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-c",
-            CALL,
+            POLITELY + call(os.getpid()),
             *self.arguments,
             cwd=self._folder,
             stdin=asyncio.subprocess.DEVNULL,

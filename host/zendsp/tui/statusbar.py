@@ -33,6 +33,8 @@ STATE_MARKS = {
     "crashed": ("✖", "error"),
 }
 
+LEAST = 4  # columns that words are wrapped to
+
 
 def microseconds(ns: float) -> str:
     """Return a time of execution with three digits: ``3.21 µs``, ``104 µs``, ``1.20 ms``."""
@@ -62,7 +64,9 @@ def banner_lines(text: str, width: int) -> list[str]:
     """
     if len(text) + 4 <= width:
         return [f" ■ {text} "]
-    lines = wrap(text, max(width, 1))
+    if width < LEAST:  # a screen that is being built has no size yet
+        return [text]
+    lines = wrap(text, width)
     rest = " ".join(lines[1:])
     return lines if len(lines) < 3 else [lines[0], shorten(rest, width, placeholder=" …")]
 

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import asyncio
+import contextlib
+import os
+import shlex
+import signal
+import sys
+from asyncio.subprocess import PIPE, Process
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from aiohttp import web
-from textual_serve.server import Server
+from textual_serve.app_service import AppService
+from textual_serve.server import Server, to_int
+
+from zendsp.parent import call
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+BEAT_S = 15.0  # between questions whether a page's browser is there; half of it for the answer
+GRACE_S = 1.0  # for a process or a browser to end by itself
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
@@ -39,17 +51,79 @@ async def refuse_strangers(request: web.Request, handler: Handler) -> web.Stream
     return await handler(request)
 
 
-class LoopbackServer(Server):
-    """textual-serve with a page that needs no network, and with an eye on who asks."""
+class Page(AppService):
+    """What runs behind one page: a terminal of its own, which ends with the page or the server."""
 
-    def __init__(self, command: str, port: int) -> None:
+    def __init__(self, words: Sequence[str], websocket: web.WebSocketResponse, **options: Any):
         super().__init__(
-            command,
+            shlex.join(words),
+            write_bytes=websocket.send_bytes,
+            write_str=websocket.send_str,
+            close=self._close,
+            **options,
+        )
+        self._words, self._websocket = words, websocket
+
+    async def _close(self) -> None:
+        """Say good-bye to the browser; one that does not take it has gone."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GRACE_S):
+                await self._websocket.close()
+
+    async def _open_app_process(self, width: int = 80, height: int = 24) -> Process:
+        # not in the server's session: Ctrl-C there is for the server, which ends its pages
+        self._process = process = await asyncio.create_subprocess_exec(
+            *self._words,
+            stdin=PIPE,
+            stdout=PIPE,
+            stderr=PIPE,
+            env=self._build_environment(width, height),
+            start_new_session=True,
+        )
+        self._stdin = process.stdin
+        return process
+
+    async def run(self) -> None:
+        """Pass on what it shows until it ends; the page is closed with it, and says so."""
+        try:
+            await super().run()
+        finally:
+            await self._close()
+
+    async def stop(self) -> None:
+        """Ask it to end, and end it where it does not; to the target its host is gone."""
+        task, self._task, process = self._task, None, self._process
+        if task is None or process is None:
+            return
+        try:
+            async with asyncio.timeout(GRACE_S):
+                await self._download_manager.cancel_app_downloads(
+                    app_service_id=self.app_service_id
+                )
+                await self.send_meta({"type": "quit"})
+                await process.wait()
+        except TimeoutError:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await process.wait()
+        _, late = await asyncio.wait([task], timeout=GRACE_S)
+        for task in late:
+            task.cancel()
+
+
+class LoopbackServer(Server):
+    """textual-serve with a page that needs no network, an eye on who asks, and an end."""
+
+    def __init__(self, words: Sequence[str], port: int) -> None:
+        super().__init__(
+            shlex.join(words),
             host="127.0.0.1",
             port=port,
             title="zendsp",
             templates_path=Path(__file__).parent / "page",
         )
+        self._words = (sys.executable, "-c", call(os.getpid()), *words)
+        self._pages = set[Page]()
 
     async def _make_app(self) -> web.Application:
         app = await super()._make_app()
@@ -60,7 +134,36 @@ class LoopbackServer(Server):
         """Say where it is."""
         self.console.print(f"{self.public_url}  (Ctrl-C ends it)", highlight=False)
 
+    async def on_shutdown(self, app: web.Application) -> None:
+        """End all pages, before what waits for their handlers."""
+        await asyncio.gather(*(page.stop() for page in self._pages))
 
-def serve(command: str, port: int, debug: Any = False) -> None:
-    """Serve until Ctrl-C; each page that is opened runs ``command`` in a process of its own."""
-    LoopbackServer(command, port).serve(debug=bool(debug))
+    async def handle_websocket(self, request: web.Request) -> web.WebSocketResponse:
+        """Serve one page, until it or what runs behind it ends."""
+        websocket = web.WebSocketResponse(heartbeat=BEAT_S, timeout=GRACE_S)
+        await websocket.prepare(request)
+        page = Page(self._words, websocket, download_manager=self.download_manager)
+        self._pages.add(page)
+        try:
+            await page.start(
+                to_int(request.query.get("width", ""), 80),
+                to_int(request.query.get("height", ""), 24),
+            )
+            await self._process_messages(websocket, page)
+        finally:
+            await page.stop()
+            self._pages.discard(page)
+        return websocket
+
+    def serve(self, debug: bool = False) -> None:
+        """Serve until Ctrl-C or SIGTERM."""
+        self.initialize_logging()
+        web.run_app(
+            self._make_app(), host=self.host, port=self.port, print=None, shutdown_timeout=GRACE_S
+        )
+
+
+def serve(words: Sequence[str], port: int) -> None:
+    """Serve until Ctrl-C; each page that is opened runs ``zendsp WORDS`` in a process of its own.
+    """
+    LoopbackServer(words, port).serve()

@@ -111,9 +111,16 @@ def _finding(
             claim.mechanism,
             laws,
         )
-    values = estimates(whole.fits[joint], term, kind, given.actuator.unit, unit)
+
+    def numbers_of(fit: Fit) -> dict[str, Estimate]:
+        left = decision.after.value / max(claim.size, 1e-300)
+        h = whole.data.records[0][joint - 1].sample_time
+        units = given.actuator.unit, unit
+        return estimates(fit, term, kind, *units, left=left, sample_time=h)
+
+    values = numbers_of(whole.fits[joint])
     if (alone := _unrefined(decision, claim)) is not None:
-        values = between(values, estimates(alone, term, kind, given.actuator.unit, unit))
+        values = between(values, numbers_of(alone))
     text = sentence(term, values)
     if term.effect == "inertia":
         weight = [

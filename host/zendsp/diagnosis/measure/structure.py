@@ -21,6 +21,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
     noise,
+    reversals,
 )
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
@@ -151,7 +152,11 @@ class Structure:
 
 
 def structure(
-    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], above: float = 0.0
+    parts: Sequence[Data],
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    turning: bool = True,
 ) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
@@ -164,8 +169,8 @@ def structure(
         1-based.
     mechanisms : sequence of str
         Of ``STRUCTURED``.
-    above : float
-        Part of the joint's speed below which nothing counts: where it turns round.
+    turning : bool
+        Whether what acts where the joint turns round counts.
 
     Returns
     -------
@@ -190,11 +195,12 @@ def structure(
             _seen(part, model, joint, band, columns, lack)
             for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
         ]
+        counted = [[_counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
         if not made[0][0][0].shape[0]:
             return best
         normals = [
-            _normal(part, seen, joint, band, stride, above * ranges.speed)
-            for part, seen in zip(parts, made, strict=True)
+            _normal(part, seen, use, joint, band, stride)
+            for part, seen, use in zip(parts, made, counted, strict=True)
         ]
         sums, counts, excess = [], [], 0.0
         for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
@@ -205,13 +211,14 @@ def structure(
                 square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
             )
             gains = [
-                (lack**2 - (lack - theta @ columns) ** 2)
-                * (np.abs(rec[joint - 1].motion.states[1]) >= above * ranges.speed)
-                for (columns, lack), rec in zip(seen, part.records, strict=True)
+                (lack**2 - (lack - theta @ columns) ** 2) * use
+                for (columns, lack), use in zip(seen, counted[k], strict=True)
             ]
-            for (_, lack), rec, noisy in zip(seen, part.records, noises[band][k], strict=True):
-                use = kept(rec[joint - 1], band)
-                excess += float(np.sum(lack[use] ** 2 - noisy))
+            for (_, lack), rec, use, noisy in zip(
+                seen, part.records, counted[k], noises[band][k], strict=True
+            ):
+                beyond = (lack**2 - noisy) * use
+                excess += float(np.sum(beyond[kept(rec[joint - 1], band)]))
             found = energy_blocks(part, gains, joint, band)
             sums.append(found[0])
             counts.append(found[1])
@@ -222,6 +229,11 @@ def structure(
         if size > best.size and z > 1.0:
             best = Structure(size, min(1.0, total / excess) if excess > 0 else 1.0, z)
     return best
+
+
+def _counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
+    """Samples that count, (n,)."""
+    return np.ones(record.n, bool) if turning else ~reversals(record, band_of(record, band))
 
 
 def _seen(
@@ -244,18 +256,17 @@ def _seen(
 def _normal(
     data: Data,
     seen: Sequence[tuple[Array, Array]],
+    counted: Sequence[npt.NDArray[np.bool_]],
     joint: int,
     band: float,
     stride: int,
-    slowest: float,
 ) -> tuple[Array, Array]:
     """Normal equations of a part, thinned: squares (m, m), products (m,)."""
     m = seen[0][0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
-    for (columns, lack), rec in zip(seen, data.records, strict=True):
+    for (columns, lack), rec, there in zip(seen, data.records, counted, strict=True):
         use = kept(rec[joint - 1], band)
-        fast = np.abs(rec[joint - 1].motion.states[1][use]) >= slowest
-        rows = (np.arange(len(lack))[use][fast])[::stride]
+        rows = (np.arange(len(lack))[use][there[use]])[::stride]
         a, d = np.take(columns, rows, axis=1), lack[rows]
         square += a @ a.T
         product += a @ d
