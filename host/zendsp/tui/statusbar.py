@@ -144,6 +144,7 @@ class StatusBar(Widget):
         self._tabs = Tabs(current)
         self._line1 = Lines(classes="line")
         self._line2 = Lines(classes="line")
+        self._stop = StopButton()
         self._shown: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -152,14 +153,14 @@ class StatusBar(Widget):
                 yield self._tabs
                 yield self._line1
                 yield self._line2
-            yield StopButton()
+            yield self._stop
 
     @property
     def field(self) -> Field:
         """Where STOP is on the screen: the process of the keys sees to a click there, and only
         without it the click comes here.
         """
-        return Field(*self.query_one(StopButton).region)
+        return Field(*self._stop.region)
 
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
         """Paint a snapshot; does nothing while nothing has changed."""

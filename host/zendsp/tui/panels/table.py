@@ -156,7 +156,7 @@ class LiveTable(ScrollView, can_focus=True):
     def render_line(self, y: int) -> Strip:
         width = self.size.width
         x = self.scroll_offset.x
-        back = Style(bgcolor=self.background_colors[1].rich_color)
+        back = Style(bgcolor=self.rich_style.bgcolor)
         row = y - 1 + self.scroll_offset.y
         if y == 0:
             cells: tuple[Cell, ...] = tuple(
@@ -183,8 +183,6 @@ class LiveTable(ScrollView, can_focus=True):
             )  # a number cut in silence would be another number
             shown = short.rjust(wide) if column.right else short.ljust(wide)
             parts.append(Segment(shown + " ", back + style))
-        return (
-            Strip(parts)
-            .adjust_cell_length(max(x + width, sum(self._widths) + len(self._widths)), back)
-            .crop(x, x + width)
-        )
+        full = sum(self._widths) + len(self._widths)
+        strip = Strip(parts, full).adjust_cell_length(max(x + width, full), back)
+        return strip.crop(x, x + width)

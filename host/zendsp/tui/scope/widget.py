@@ -35,14 +35,13 @@ from zendsp.tui.scope.trigger import last_crossing
 Floats = npt.NDArray[np.float64]
 STILL_S = 0.1  # between pictures where only numbers change
 LOADING_S = 0.2  # between looks whether the spectrum is ready
-FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
 
 
 class Scope(Widget, can_focus=True):
     """Up to eight live curves.
 
-    Data come through :attr:`history`, which any thread may fill; the widget looks at it at 30 Hz
-    and repaints only when there is something new. Everything the user can set is in
+    Data come through :attr:`history`, which any thread may fill; :meth:`tick` looks at it and
+    repaints only when there is something new. Everything the user can set is in
     :attr:`settings`.
     """
 
@@ -148,8 +147,6 @@ class Scope(Widget, can_focus=True):
     # ----------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
-        if self._live:
-            self.set_interval(getattr(self.app, "frame_s", FRAME_S), self._tick)
         self.app.theme_changed_signal.subscribe(self, self._theme_changed)
 
     def _theme_changed(self, _: object) -> None:
@@ -159,12 +156,9 @@ class Scope(Widget, can_focus=True):
     def on_resize(self, event: events.Resize) -> None:
         self.redraw()
 
-    def _tick(self) -> None:
-        if (
-            self.paused
-            or self.history.count == self._seen
-            or self.screen not in self.app.screen_stack
-        ):
+    def tick(self) -> None:
+        """Repaint where there is something new; the screen asks thirty times a second."""
+        if not self._live or self.paused or self.history.count == self._seen:
             return
         if self._moves() or time.monotonic() - self._drawn_at >= STILL_S:
             self.redraw()
@@ -389,9 +383,8 @@ class Scope(Widget, can_focus=True):
         return text
 
     def _text(self, parts: Sequence[tuple[str, Style]], width: int) -> Strip:
-        return Strip([Segment(text, style) for text, style in parts]).adjust_cell_length(
-            width, self._pens[EMPTY]
-        )
+        strip = Strip([Segment(*part) for part in parts], sum(len(text) for text, _ in parts))
+        return strip.adjust_cell_length(width, self._pens[EMPTY])
 
     def _make_pens(self) -> dict[int, Style]:
         app: App[object] = self.app

@@ -16,6 +16,7 @@ from textual.widgets import Footer
 
 from zendsp.tui.actions import actions
 from zendsp.tui.lab import Lab
+from zendsp.tui.scope import Scope
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar
 
@@ -53,13 +54,15 @@ class LabScreen(Screen[None]):
         raise NotImplementedError
 
     def on_mount(self) -> None:
-        self.set_interval(self.lab.frame_s, self._pull)
+        self._scopes = [*self.query(Scope)]
+        self._clock = self.set_interval(self.lab.frame_s, self._pull)
         self.ready()
         self._pull()  # what is shown first is what stays, not an empty screen
 
     def on_screen_resume(self) -> None:
         """Show what happened meanwhile at once."""
         if self.is_mounted:
+            self._clock.resume()
             self._pull()
 
     def ready(self) -> None:
@@ -68,6 +71,7 @@ class LabScreen(Screen[None]):
     def _pull(self) -> None:
         # another screen is shown; a dialog over this one is not another screen
         if self not in self.app.screen_stack:
+            self._clock.pause()
             return
         snapshot = self.lab.session.snapshot
         self.lab.session.place_stop(self.bar.field)
@@ -75,6 +79,9 @@ class LabScreen(Screen[None]):
         fresh = snapshot is not self._pulled
         self._pulled = snapshot
         self.pull(snapshot, fresh)
+        for scope in self._scopes:
+            if scope.is_on_screen:
+                scope.tick()
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
         """Show a snapshot; ``fresh`` tells whether it is another one than last time."""
