@@ -1,4 +1,4 @@
-"""Lines of text that change ten times a second; those that changed are painted."""
+"""Lines of text that change all the time; those that changed are painted."""
 
 from __future__ import annotations
 

@@ -66,10 +66,12 @@ def plot_rows(
     """Return the picture with the numbers of its y axes, by row; a note in its middle."""
     strips = []
     owners = _pens_held(picture.owner)
+    columns = owners.shape[1]
+    cells = braille(picture.codes.ravel())
     for r, owner in enumerate(owners):
         text, style = numbers.get(r, ("", pens[GRID]))
         segments = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", style)]
-        line = braille(picture.codes[r])
+        line = cells[r * columns : (r + 1) * columns]
         if note and r == len(owners) // 2:
             segments.append(Segment(note.center(len(line))[: len(line)], pens[GRID]))
         else:

@@ -4,6 +4,7 @@ at 30 Hz.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from textwrap import wrap
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 HANGING = "\n" + 24 * " "  # under the explanation of a key
+NUMBERS_S = 0.2  # between numbers that change all the time: nobody reads faster
 WIDE = 116  # columns from which panels stand side by side
 
 
@@ -38,6 +40,7 @@ class LabScreen(Screen[None]):
         super().__init__()
         self.bar = StatusBar(self.NAME)
         self._pulled: Snapshot | None = None
+        self._shown_at = 0.0  # of the monotonic clock
 
     @property
     def lab(self) -> Lab:
@@ -73,18 +76,24 @@ class LabScreen(Screen[None]):
         if self not in self.app.screen_stack:
             self._clock.pause()
             return
-        snapshot = self.lab.session.snapshot
+        snapshot, shown = self.lab.session.snapshot, self._pulled
         self.lab.session.place_stop(self.bar.field)
-        self.bar.show(snapshot, self.lab.session.verdict)
-        fresh = snapshot is not self._pulled
-        self._pulled = snapshot
+        now = time.monotonic()
+        fresh = snapshot is not shown and (
+            shown is None or now >= self._shown_at + NUMBERS_S or snapshot.news(shown)
+        )
+        if fresh:
+            self._pulled, self._shown_at = snapshot, now
+        self.bar.show(self._pulled or snapshot, self.lab.session.verdict)
         self.pull(snapshot, fresh)
         for scope in self._scopes:
             if scope.is_on_screen:
                 scope.tick()
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
-        """Show a snapshot; ``fresh`` tells whether it is another one than last time."""
+        """Show a snapshot; ``fresh`` tells whether its numbers are to be shown: five times a
+        second, and at once where more than numbers changed.
+        """
 
     def say(self, text: str, level: str = "info") -> None:
         """Put a line into the event log, and before the user's eyes where it matters."""
