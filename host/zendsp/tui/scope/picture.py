@@ -48,6 +48,12 @@ class Picture:
     time_ticks: tuple[float, ...]
 
 
+def blank(view: tuple[float, float, float]) -> Picture:
+    """Return a picture of nothing, with borders and zero in time."""
+    codes = np.zeros((0, 0), dtype=np.uint8)
+    return Picture(codes, codes.astype(np.int8), (), *view, ())
+
+
 def arrange(channels: Sequence[Channel], settings: ScopeSettings, height: int) -> list[Lane]:
     """Give each unit, or each curve, a lane of its own where there is room, else the whole height.
     """

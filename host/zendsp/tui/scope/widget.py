@@ -23,7 +23,7 @@ from zendsp.tui.scope.history import History
 from zendsp.tui.scope.lines import GUTTER, legend_lines, plot_rows, time_axis, y_numbers
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.path import plot_lines
-from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
+from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, blank, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
 from zendsp.tui.scope.raster import DOTS_X, envelope
 from zendsp.tui.scope.rolling import Rolling
@@ -239,15 +239,16 @@ class Scope(Widget, can_focus=True):
         self._values = newest[-1] if len(newest) else np.zeros(0)
         legend = self._legend_rows(width)
         rows = max(height - len(legend) - readout - 1, 1)
-        size = (max(width - GUTTER, 1), rows)
-        self.picture = compose(
-            bands, self.channels, self.settings, view, self._ranges, size, self.limits
-        )
-        self._ranges = {lane.key: (lane.bottom, lane.top) for lane in self.picture.lanes}
         strips = [self._text(row, width) for row in legend]
         if self.settings.view != "time" and self.channels:
+            self.picture = blank(view)
             strips += self._plane((width, rows + 1))
         else:
+            size = (max(width - GUTTER, 1), rows)
+            self.picture = compose(
+                bands, self.channels, self.settings, view, self._ranges, size, self.limits
+            )
+            self._ranges = {lane.key: (lane.bottom, lane.top) for lane in self.picture.lanes}
             numbers = y_numbers(self.picture, self.settings.selected, self._pens)
             note = "" if self.channels else self.empty_text
             strips += plot_rows(self.picture, numbers, self._pens, width, note)
