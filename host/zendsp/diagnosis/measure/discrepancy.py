@@ -58,10 +58,11 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
         * effective_inertia(record, model)
         / record.sample_time
     )
-    out = -innovations * factor
-    lag = min(out.shape[-1], round(np.sqrt(2) / band / record.sample_time))
-    moved = np.zeros_like(out)
-    moved[..., : out.shape[-1] - lag] = out[..., lag:]
+    n = innovations.shape[-1]
+    lag = min(n, round(np.sqrt(2) / band / record.sample_time))
+    moved = np.empty_like(innovations)
+    np.multiply(innovations[..., lag:], -factor[lag:], out=moved[..., : n - lag])
+    moved[..., n - lag :] = 0.0
     return moved
 
 

@@ -181,8 +181,20 @@ def structure(
     scale = mean_square(whole, joint)
     ranges = ranges_of(whole, joint)
     stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
+    drawn = {
+        d: [[_drawn(rec, joint, mechanisms, ranges, d) for rec in part.records] for part in parts]
+        for d in DETAILS
+    }
+    lacks = {band: [lacking(part, model, joint, band) for part in parts] for band in BANDS[:3]}
+    noises = {
+        band: [[noise(rec[joint - 1], model, band) for rec in part.records] for part in parts]
+        for band in BANDS[:3]
+    }
     for band, detail in product(BANDS[:3], DETAILS):
-        made = [_seen(part, model, joint, mechanisms, ranges, band, detail) for part in parts]
+        made = [
+            _seen(part, model, joint, band, columns, lack)
+            for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
+        ]
         counted = [[_counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
         if not made[0][0][0].shape[0]:
             return best
@@ -202,8 +214,10 @@ def structure(
                 (lack**2 - (lack - theta @ columns) ** 2) * use
                 for (columns, lack), use in zip(seen, counted[k], strict=True)
             ]
-            for (_, lack), rec, use in zip(seen, part.records, counted[k], strict=True):
-                beyond = (lack**2 - noise(rec[joint - 1], model, band)) * use
+            for (_, lack), rec, use, noisy in zip(
+                seen, part.records, counted[k], noises[band][k], strict=True
+            ):
+                beyond = (lack**2 - noisy) * use
                 excess += float(np.sum(beyond[kept(rec[joint - 1], band)]))
             found = energy_blocks(part, gains, joint, band)
             sums.append(found[0])
@@ -226,16 +240,16 @@ def _seen(
     data: Data,
     model: Model,
     joint: int,
-    mechanisms: Sequence[str],
-    ranges: Ranges,
     band: float,
-    detail: int,
+    drawn: Sequence[Array],
+    lacks: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Columns (m, n) and lacking torque (n,), one pair a recording."""
-    lacks = lacking(data, model, joint, band)
+    """Columns (m, n), as the observer sees what was ``drawn``, and lacking torque (n,), one pair a
+    recording.
+    """
     return [
-        (_columns(rec, model, joint, mechanisms, ranges, band, detail), lack)
-        for rec, lack in zip(data.records, lacks, strict=True)
+        (_columns(rec[joint - 1], model, band, raw), lack)
+        for rec, raw, lack in zip(data.records, drawn, lacks, strict=True)
     ]
 
 
@@ -252,23 +266,22 @@ def _normal(
     square, product = np.zeros((m, m)), np.zeros(m)
     for (columns, lack), rec, there in zip(seen, data.records, counted, strict=True):
         use = kept(rec[joint - 1], band)
-        a, d = columns[:, use][:, there[use]][:, ::stride], lack[use][there[use]][::stride]
+        rows = (np.arange(len(lack))[use][there[use]])[::stride]
+        a, d = np.take(columns, rows, axis=1), lack[rows]
         square += a @ a.T
         product += a @ d
     return square, product
 
 
-def _columns(
-    rec: Sequence[JointRecord],
-    model: Model,
-    joint: int,
-    mechanisms: Sequence[str],
-    ranges: Ranges,
-    band: float,
-    detail: int,
+def _drawn(
+    rec: Sequence[JointRecord], joint: int, mechanisms: Sequence[str], ranges: Ranges, detail: int
 ) -> Array:
-    record = rec[joint - 1]
+    """The shapes of all mechanisms, (m, n)."""
+    made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
+    return np.ascontiguousarray(np.concatenate(made))
+
+
+def _columns(record: JointRecord, model: Model, band: float, raw: Array) -> Array:
     here = band_of(record, band)
-    raw = np.concatenate([shapes(rec, joint, m, ranges, detail) for m in mechanisms])
     r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
     return as_torque(record, model, r, here)
