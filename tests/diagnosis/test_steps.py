@@ -12,6 +12,7 @@ import reality
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.thresholds import LAWFUL
 from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import deviation, discrepancy
@@ -29,7 +30,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.physics.fit import Data, joint_handles, residual
+from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model
 
@@ -245,3 +246,19 @@ def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturb
     many = turns[np.random.default_rng(1).random(len(turns)) < 0.45]
     assert found(many, turning=True)
     assert not found(many, turning=False)
+
+
+def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
+    reference = reality.multisine(8.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    one, same, other = (
+        data_of(reality.simulate(reality.Machine(coulomb=level), reference, RATE, seed), model)
+        for level, seed in ((0.03, 1), (0.03, 2), (0.033, 3))
+    )
+    fitted = fit(one, model, joint_handles(one, model, 1), joints=(1,))
+    at = next(i for i, h in enumerate(fitted.handles) if h.key == "level")
+    agreed, apart = (
+        with_disagreement(one, held, fitted, (1,), 1).std[at] for held in (same, other)
+    )
+    assert agreed < 2.0 * fitted.std[at]
+    assert apart == pytest.approx(0.003, rel=0.1)

@@ -28,6 +28,7 @@ from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
+from zendsp.tui.stopper import EMERGENCY
 from zendsp.tui.trial import Trial
 
 Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
@@ -100,6 +101,17 @@ async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp, until: Until) 
             pilot, lambda: re.search(r"rec \d\d:\d\d:\d\d *$", line()[:67]), "the time is shown"
         )
         assert "F5 Diagnose" in line()
+
+
+async def test_a_stop_that_ended_before_the_screens_were_there_is_shown_on_each(
+    app: ZendspApp, until: Until
+) -> None:
+    app.session._told("not stopped", EMERGENCY, EMERGENCY)
+    async with app.run_test(size=(80, 24)) as pilot:
+        for screen in ("console", "execute", "reference", "diagnose"):
+            await app.action_show(screen)
+            line = app.screen.query_one(StatusBar)._line1
+            await until(pilot, lambda line=line: EMERGENCY in str(line.render()), screen)  # type: ignore[misc]
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

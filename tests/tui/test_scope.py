@@ -15,13 +15,14 @@ from waiting import PATIENCE_S
 
 from zendsp.tui.colours import DARK, LIGHT
 from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
+from zendsp.tui.scope.lines import legend_lines
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
+from zendsp.tui.scope.rolling import Rolling
 from zendsp.tui.scope.spectrum import ready
 from zendsp.tui.scope.ticks import duration, label, log_ticks, number, ticks
 from zendsp.tui.scope.trigger import last_crossing
-from zendsp.tui.scope.widget import legend_lines
 from zendsp.tui.values import show_value
 
 
@@ -87,18 +88,59 @@ def test_empty_data_and_an_empty_window_draw_nothing() -> None:
     assert np.isnan(low).all()
 
 
+@pytest.mark.parametrize("dots", [7, 40, 400])
+@pytest.mark.parametrize("period_s", [1.013e-3, 0.041713])
+def test_a_rolling_picture_is_that_of_all_rows(dots: int, period_s: float) -> None:
+    """However few rows came, across gaps, restarts and in a ring that is full. No row is on a
+    border, where it might be on either side.
+    """
+    random = np.random.default_rng(dots)
+    history, rolling, tick = History(2, rows=1500), Rolling(), 1
+    step = 1.0 / dots
+    for k in range(120):
+        n = int(random.integers(0, 60))
+        if k == 70:
+            tick = 1  # the target begins anew
+        elif k % 9 == 0:
+            tick += 50
+        history.append(tick + np.arange(n), random.normal(size=(n, 2)), period_s)
+        tick += n
+        first, low, high = rolling.look(history, step, dots)
+        t, y = history.newest()
+        assert len(t) == 0 or first * step + 1.0 - step <= t[-1] <= first * step + 1.0
+        whole = envelope(t, y, first * step, (first + dots) * step, dots)
+        # at the left end the ring may have lost the row before the border meanwhile
+        kept = slice(1, None) if history.count > 1500 else slice(None)
+        assert np.allclose(low[kept], whole[0][kept], equal_nan=True)
+        assert np.allclose(high[kept], whole[1][kept], equal_nan=True)
+
+
+def test_a_picture_whose_curves_stand_still_does_not_move() -> None:
+    history, rolling = History(1), Rolling()
+    history.append(np.arange(100), np.zeros((100, 1)), 1e-3)
+    assert rolling.moves(history, 0.15, 60)
+    rolling.look(history, 0.15, 60)
+    history.append(np.arange(100, 120), np.zeros((20, 1)), 1e-3)
+    assert not rolling.moves(history, 0.15, 60), "the newest row is in the same column"
+    assert rolling.moves(history, 0.15, 50)
+    history.append(np.arange(120, 180), np.zeros((60, 1)), 1e-3)
+    assert rolling.moves(history, 0.15, 60)
+
+
 def test_where_traces_cross_both_stay_whole() -> None:
     t = np.linspace(0.0, 1.0, 500)
     y = np.stack((t, 1.0 - t), axis=1)
     settings = ScopeSettings(window=1.0)
     channels = [Channel("a"), Channel("b")]
-    both = compose(t, y, channels, settings, (0.0, 1.0, 0.0), {"": (0.0, 1.0)}, (40, 10))
+    view, bands = (0.0, 1.0, 0.0), envelope(t, y, 0.0, 1.0, 80)
+    both = compose(bands, channels, settings, view, {"": (0.0, 1.0)}, (40, 10))
     fixed = replace(settings, auto=False)
     ranges = {"": (both.lanes[0].bottom, both.lanes[0].top)}
     nothing = np.full_like(t, np.nan)
     for k in (0, 1):
         alone = np.stack((t if k == 0 else nothing, 1.0 - t if k == 1 else nothing), axis=1)
-        one = compose(t, alone, channels, fixed, (0.0, 1.0, 0.0), ranges, (40, 10))
+        bands = envelope(t, alone, 0.0, 1.0, 80)
+        one = compose(bands, channels, fixed, view, ranges, (40, 10))
         mine = one.owner == k
         assert mine.any()
         assert (
@@ -129,13 +171,10 @@ def test_the_axis_grows_at_once_and_shrinks_late() -> None:
 def test_limits_are_drawn_where_they_are_in_sight() -> None:
     t = np.linspace(0.0, 1.0, 100)
     y = np.sin(6 * t)[:, None]
-    seen = compose(
-        t, y, [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}, (40, 10), {"rad": [0.9, 50.0]}
-    )
+    shown = envelope(t, y, 0.0, 1.0, 80), [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}
+    seen = compose(*shown, (40, 10), {"rad": [0.9, 50.0]})
     assert (seen.owner == LIMIT).any()
-    unseen = compose(
-        t, y, [Channel("q", "rad")], ScopeSettings(), (0, 1, 0), {}, (40, 10), {"rad": [50.0]}
-    )
+    unseen = compose(*shown, (40, 10), {"rad": [50.0]})
     assert not (unseen.owner == LIMIT).any()
 
 

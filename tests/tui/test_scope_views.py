@@ -13,7 +13,7 @@ from textual.app import App, ComposeResult
 
 from zendsp.errors import RecordingError, ZendspError
 from zendsp.recording import Recording
-from zendsp.tui.scope import Channel, History, Scale, Scope, ScopeSettings
+from zendsp.tui.scope import Channel, History, Scale, Scope, ScopeSettings, envelope
 from zendsp.tui.scope.export import Seen, check_name, export
 from zendsp.tui.scope.formula import Computed, Formula, FormulaError, sources
 from zendsp.tui.scope.layouts import Layout, load_layout, save_layout
@@ -167,7 +167,7 @@ def test_a_curve_may_have_a_lane_and_an_axis_of_its_own() -> None:
     t = np.linspace(0.0, 1.0, 50)
     y = np.stack((t, 100.0 * t, t), axis=1)
     fixed = ScopeSettings(scales={"b": Scale(low=-50.0, high=500.0)})
-    seen = compose(t, y, channels, fixed, (0.0, 1.0, 0.0), {}, (40, 24))
+    seen = compose(envelope(t, y, 0.0, 1.0, 80), channels, fixed, (0.0, 1.0, 0.0), {}, (40, 24))
     mine = next(lane for lane in seen.lanes if lane.channels == (1,))
     assert (mine.bottom, mine.top) == (-50.0, 500.0)
     other = next(lane for lane in seen.lanes if lane.channels == (0,))

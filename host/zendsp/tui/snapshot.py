@@ -5,7 +5,7 @@ never changed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 
@@ -98,3 +98,20 @@ class Snapshot:
     def period_s(self) -> float:
         """Sample time, s."""
         return 1.0 / self.rate_hz if self.rate_hz else 0.001
+
+    def news(self, before: Snapshot) -> bool:
+        """Tell whether more than numbers that always change differs from another one."""
+        return replace(self, **NUMBERS) != replace(before, **NUMBERS)
+
+
+NUMBERS: dict[str, Any] = {
+    "tick": 0,
+    "t": 0.0,
+    "exec_mean_ns": 0.0,
+    "exec_max_ns": 0.0,
+    "late_max_ns": 0.0,
+    "latency_s": 0.0,
+    "io": {},
+    "position": (),
+    "values": {},
+}

@@ -15,6 +15,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from zendsp.tui.actions import SCREENS
+from zendsp.tui.panels.lines import Lines
 from zendsp.tui.session import Verdict
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.stopper import Field
@@ -134,15 +135,16 @@ class StatusBar(Widget):
     DEFAULT_CSS = """
     StatusBar { height: 3; background: $panel; layout: horizontal; dock: top; }
     StatusBar #status-lines { width: 1fr; height: 3; }
-    StatusBar .line { height: 1; width: 1fr; text-wrap: nowrap; text-overflow: ellipsis; }
+    StatusBar .line { height: 1; width: 1fr; }
     """
 
     def __init__(self, current: str) -> None:
         super().__init__()
         self._current = current
         self._tabs = Tabs(current)
-        self._line1 = Static("", classes="line", markup=False)
-        self._line2 = Static("", classes="line", markup=False)
+        self._line1 = Lines(classes="line")
+        self._line2 = Lines(classes="line")
+        self._stop = StopButton()
         self._shown: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
@@ -151,19 +153,19 @@ class StatusBar(Widget):
                 yield self._tabs
                 yield self._line1
                 yield self._line2
-            yield StopButton()
+            yield self._stop
 
     @property
     def field(self) -> Field:
         """Where STOP is on the screen: the process of the keys sees to a click there, and only
         without it the click comes here.
         """
-        return Field(*self.query_one(StopButton).region)
+        return Field(*self._stop.region)
 
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
         """Paint a snapshot; does nothing while nothing has changed."""
         clock = time.strftime("%H:%M:%S")
-        now = (id(snapshot), clock, self.app.theme, verdict)
+        now = (id(snapshot), clock, self.app.theme, verdict, self._line1.size.width)
         if now == self._shown:
             return
         self._shown = now
@@ -172,14 +174,15 @@ class StatusBar(Widget):
         light = Style(color=c["error"], bold=True) if snapshot.recording else Style(dim=True)
         right.append("● REC " if snapshot.recording else "○ rec ", light)
         right.append(f"{clock} ", Style(dim=True))
-        self._tabs.right = right
-        self._tabs.refresh()
+        if self._tabs.right != right:
+            self._tabs.right = right
+            self._tabs.refresh()
         where = self.where(snapshot)
         lines = [where, self.loop(snapshot)]
         if verdict is not None:
             lines = [*self.banner(verdict), where]
-        self._line1.update(lines[0], layout=False)
-        self._line2.update(lines[1], layout=False)
+        self._line1.update(lines[0])
+        self._line2.update(lines[1])
 
     def banner(self, verdict: Verdict) -> list[Text]:
         """Return the one or two lines that say how STOP ended, over the whole width."""

@@ -16,11 +16,11 @@ from zendsp.physics.model import Model, Term
 
 LAWS = ("inertia", "coriolis", "viscous", "coulomb")
 COUPLED = ("inertia", "torque/speed2", "torque/speed", "torque")  # what their coefficients measure
-# Beside the statistical uncertainty stands what recordings of any length leave open. Chosen on 71
-# parameters of realities by others, of whose 90 % intervals 68 % had held the truth
+# Beside the statistical uncertainty stands what recordings of any length leave open. Chosen on 183
+# parameters of realities by others, of whose 90 % intervals two thirds had held the truth
 # (docs/diagnosis.md, uncertainty):
 NUMERIC = 2e-3  # of the value, rad for angles: what any two simulators' equations do differently
-ALONG = 0.1  # of what stays unexplained: so much of it lies along a law that is fitted to it
+ALONG = 0.3  # of what stays unexplained: so much of it lies along a law that is fitted to it
 CLOCK = 0.1  # of the sample time: when within a sample a position was read, a command took effect
 
 

@@ -197,7 +197,8 @@ def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[st
     for name, other in alone.items():
         change = abs(other.value - refined[name].value)
         if change > PLAIN * refined[name].std:
-            out[name] = replace(other, std=math.hypot(other.std, 0.5 * change))
+            std = max(refined[name].std, math.hypot(other.std, 0.5 * change))
+            out[name] = replace(other, std=std)
     return out
 
 

@@ -9,8 +9,9 @@ from rich.text import Text
 from textual import on
 from textual.app import ComposeResult
 from textual.containers import Horizontal, Vertical
-from textual.widgets import Button, Static
+from textual.widgets import Button
 
+from zendsp.tui.panels.lines import Lines
 from zendsp.tui.scope.ticks import number
 from zendsp.tui.snapshot import Snapshot
 
@@ -28,7 +29,6 @@ class DrivePanel(Vertical):
     """The ladder, five buttons, flags."""
 
     DEFAULT_CSS = """
-    DrivePanel Static { height: auto; }
     DrivePanel #drive-buttons { height: 1; }
     DrivePanel #drive-buttons Button { min-width: 8; margin-right: 1; }
     """
@@ -36,9 +36,8 @@ class DrivePanel(Vertical):
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
         self.border_title = "Drives"
-        self._lines = -1
-        self._ladder = Static("", id="ladder", markup=False)
-        self._flags = Static("", id="drive-flags", markup=False)
+        self._ladder = Lines(id="ladder")
+        self._flags = Lines(id="drive-flags")
 
     def compose(self) -> ComposeResult:
         yield self._ladder
@@ -55,12 +54,8 @@ class DrivePanel(Vertical):
 
     def show(self, s: Snapshot) -> None:
         """Paint a snapshot."""
-        ladder, flags = self.ladder(s), self.flags(s)
-        lines = ladder.plain.count("\n") + flags.plain.count("\n")
-        moved = lines != self._lines  # a new layout costs as much as painting the whole screen
-        self._lines = lines
-        self._ladder.update(ladder, layout=moved)
-        self._flags.update(flags, layout=moved)
+        self._ladder.update(self.ladder(s))
+        self._flags.update(self.flags(s))
 
     def ladder(self, s: Snapshot) -> Text:
         """Return the safe sequence with the present step marked."""

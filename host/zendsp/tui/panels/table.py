@@ -1,4 +1,4 @@
-"""A table for values that change ten times a second.
+"""A table for values that change all the time.
 
 Textual's DataTable renders every visible cell anew when one changes (80 ms a screen); this one
 paints the rows that changed.
@@ -31,6 +31,7 @@ class Column:
 
 
 Cell = tuple[str, Style]
+HEADING = Style(bold=True, dim=True, underline=True)
 
 
 class LiveTable(ScrollView, can_focus=True):
@@ -60,6 +61,7 @@ class LiveTable(ScrollView, can_focus=True):
         self._keys: list[str] = []
         self._cells: list[tuple[Cell, ...]] = []
         self._cursor = 0
+        self._back: Style | None = None
 
     # -- content
     # ----------------------------------------------------------------------------------------------
@@ -153,15 +155,20 @@ class LiveTable(ScrollView, can_focus=True):
     # -- painting
     # ----------------------------------------------------------------------------------------------
 
+    def notify_style_update(self) -> None:
+        """Another theme has another ground."""
+        self._back = None
+        super().notify_style_update()
+
     def render_line(self, y: int) -> Strip:
         width = self.size.width
         x = self.scroll_offset.x
-        back = Style(bgcolor=self.background_colors[1].rich_color)
+        if self._back is None:
+            self._back = Style(bgcolor=self.rich_style.bgcolor)
+        back = self._back
         row = y - 1 + self.scroll_offset.y
         if y == 0:
-            cells: tuple[Cell, ...] = tuple(
-                (c.title, Style(bold=True, dim=True, underline=True)) for c in self._columns
-            )
+            cells: tuple[Cell, ...] = tuple((c.title, HEADING) for c in self._columns)
         elif row < len(self._cells):
             cells = self._cells[row]
         else:
@@ -183,8 +190,6 @@ class LiveTable(ScrollView, can_focus=True):
             )  # a number cut in silence would be another number
             shown = short.rjust(wide) if column.right else short.ljust(wide)
             parts.append(Segment(shown + " ", back + style))
-        return (
-            Strip(parts)
-            .adjust_cell_length(max(x + width, sum(self._widths) + len(self._widths)), back)
-            .crop(x, x + width)
-        )
+        full = sum(self._widths) + len(self._widths)
+        strip = Strip(parts, full).adjust_cell_length(max(x + width, full), back)
+        return strip.crop(x, x + width)

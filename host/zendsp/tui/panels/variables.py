@@ -90,7 +90,8 @@ class VariablesPanel(Vertical):
             )
             changed = v.kind == "parameter" and value is not None and differs(value, v.initial)
             mark = "→" if v.name in staged else "*" if changed else " "
-            fresh[v.name] = (v, show_value(value, 2), mark, curves, theme.name)
+            shown = value if isinstance(value, float | int) else show_value(value, 2)
+            fresh[v.name] = (v, shown, mark, curves, theme.name)
         if list(fresh) != list(self._rows):
             self.table.set_rows(
                 [(v.name, _cells(v, fresh[v.name], colours, accent)) for v in wanted]
@@ -117,8 +118,9 @@ def sizes(v: Variable) -> str:
 def _cells(
     v: Variable, made_of: tuple[object, ...], colours: Sequence[str], accent: str
 ) -> tuple[Cell, ...]:
-    _, text, mark, curves, _ = made_of
-    assert isinstance(text, str) and isinstance(mark, str) and isinstance(curves, tuple)
+    _, value, mark, curves, _ = made_of
+    assert isinstance(mark, str) and isinstance(curves, tuple)
+    text = value if isinstance(value, str) else show_value(value, 2)
     dim, strong = Style(dim=True), Style(bold=v.writable)
     staged = Style(color=accent, bold=True)
     first = Style(color=colours[curves[0]], bold=True) if curves else staged

@@ -38,6 +38,7 @@ def draw_line(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
     """Set the dots along a polyline given in dot coordinates; parts outside, and NaN, are left out.
     """
     rows, columns = dots.shape
+    x, y = _moving(x, y)
     dx, dy = np.diff(x), np.diff(y)
     length = np.maximum(np.abs(dx), np.abs(dy))
     good = np.flatnonzero(np.isfinite(length))
@@ -46,6 +47,15 @@ def draw_line(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:
     first = np.repeat(np.cumsum(count) - count, count)
     share = (np.arange(len(segment)) - first) / (np.repeat(count, count) - 1)
     _set(dots, x[segment] + share * dx[segment], y[segment] + share * dy[segment])
+
+
+def _moving(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Leave out the points that fall on the dot of the one before: of a slow path most of them."""
+    moves = (np.diff(np.rint(x)) != 0.0) | (np.diff(np.rint(y)) != 0.0)  # NaN is not zero either
+    kept = np.ones(len(x), dtype=bool)
+    kept[1:] = moves
+    kept[-1:] = True
+    return x[kept], y[kept]
 
 
 def draw_marks(dots: npt.NDArray[np.bool_], x: Floats, y: Floats) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, encode, envelope, fill
+from zendsp.tui.scope.raster import DOTS_X, DOTS_Y, encode, fill
 from zendsp.tui.scope.settings import Channel, Scale, ScopeSettings
 from zendsp.tui.scope.ticks import ticks
 
@@ -46,6 +46,12 @@ class Picture:
     end: float
     zero: float  # time that the labels count from, s
     time_ticks: tuple[float, ...]
+
+
+def blank(view: tuple[float, float, float]) -> Picture:
+    """Return a picture of nothing, with borders and zero in time."""
+    codes = np.zeros((0, 0), dtype=np.uint8)
+    return Picture(codes, codes.astype(np.int8), (), *view, ())
 
 
 def arrange(channels: Sequence[Channel], settings: ScopeSettings, height: int) -> list[Lane]:
@@ -114,8 +120,7 @@ def fit_range(low: Floats, high: Floats, held: tuple[float, float] | None) -> tu
 
 
 def compose(
-    t: Floats,
-    y: Floats,
+    bands: tuple[Floats, Floats],
     channels: Sequence[Channel],
     settings: ScopeSettings,
     view: tuple[float, float, float],
@@ -127,8 +132,9 @@ def compose(
 
     Parameters
     ----------
-    t, y : ndarray, shapes (n,) and (n, channels)
-        Times in s and values.
+    bands : tuple of two ndarrays, shape (columns, channels)
+        The lowest and the highest value of each curve in each dot column, as :func:`envelope` makes
+        them.
     channels : sequence of Channel
     settings : ScopeSettings
     view : (start, end, zero)
@@ -142,8 +148,7 @@ def compose(
     """
     width, height = max(size[0], 1), max(size[1], 1)
     start, end, zero = view
-    columns = width * DOTS_X
-    low, high = envelope(t, y, start, end, columns)
+    low, high = bands
     lanes = []
     for lane in arrange(channels, settings, height):
         members = list(lane.channels)
@@ -156,19 +161,12 @@ def compose(
     overlaid = len(lanes) > 1 and lanes[0].row == lanes[1].row
     shown = [lane for lane in lanes if settings.selected in lane.channels] if overlaid else lanes
     time_ticks = tuple(v + zero for v in ticks(start - zero, end - zero, max(width // 12, 1)))
-    back = np.zeros((height * DOTS_Y, columns), dtype=bool)
+    back = np.zeros((height * DOTS_Y, width * DOTS_X), dtype=bool)
     _grid(back, shown, time_ticks, start, end)
     codes = encode(back)
     owner = np.where(codes > 0, GRID, EMPTY).astype(np.int8)
-
-    bounds = encode(_bounds(np.zeros_like(back), lanes, limits or {}))
-    codes = np.where(bounds > 0, bounds, codes)
-    owner[bounds > 0] = LIMIT
-    marks = np.zeros((height * DOTS_Y, columns), dtype=bool)
-    _marks(marks, lanes, settings)
-    marked = encode(marks)
-    codes = np.where(marked > 0, marked, codes)
-    owner[marked > 0] = CURSOR
+    _lay(codes, owner, _bounds(np.zeros_like(back), lanes, limits or {}), LIMIT)
+    marked = _lay(codes, owner, _marks(np.zeros_like(back), lanes, settings), CURSOR)
     curves = np.zeros_like(codes)
     order = sorted(range(len(channels)), key=lambda k: k == settings.selected)
     for k in order:
@@ -180,6 +178,19 @@ def compose(
         owner[part][cells > 0] = k
     codes = np.where(curves > 0, curves | marked, codes)
     return Picture(codes, owner, tuple(lanes), start, end, zero, time_ticks)
+
+
+def _lay(
+    codes: npt.NDArray[np.uint8],
+    owner: npt.NDArray[np.int8],
+    dots: npt.NDArray[np.bool_],
+    pen: int,
+) -> npt.NDArray[np.uint8]:
+    """Lay dots over what is drawn, and return them as cells."""
+    cells = encode(dots) if dots.any() else np.zeros_like(codes)
+    codes[cells > 0] = cells[cells > 0]
+    owner[cells > 0] = pen
+    return cells
 
 
 def _grid(
@@ -218,7 +229,9 @@ def _bounds(
     return dots
 
 
-def _marks(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], settings: ScopeSettings) -> None:
+def _marks(
+    dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], settings: ScopeSettings
+) -> npt.NDArray[np.bool_]:
     """Trigger level and position, and the two cursors."""
     columns = dots.shape[1]
     if settings.mode == "trigger":
@@ -231,3 +244,4 @@ def _marks(dots: npt.NDArray[np.bool_], lanes: Sequence[Lane], settings: ScopeSe
     if settings.cursors:
         dots[:, min(int(settings.cursor_a * columns), columns - 1)] = True
         dots[::2, min(int(settings.cursor_b * columns), columns - 1)] = True
+    return dots

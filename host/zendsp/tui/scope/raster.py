@@ -107,9 +107,10 @@ def encode(dots: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
     ndarray of uint8, shape (height, width)
         The low byte of the character U+2800 + code; 0 is an empty cell.
     """
-    height, width = dots.shape[0] // DOTS_Y, dots.shape[1] // DOTS_X
-    cells = dots.reshape(height, DOTS_Y, width, DOTS_X).transpose(0, 2, 1, 3)
-    code: npt.NDArray[np.uint8] = (cells * _BITS).sum(axis=(2, 3), dtype=np.uint8)
+    bits = dots.view(np.uint8)
+    code = np.zeros((dots.shape[0] // DOTS_Y, dots.shape[1] // DOTS_X), dtype=np.uint8)
+    for (row, column), bit in np.ndenumerate(_BITS):
+        code |= bits[row::DOTS_Y, column::DOTS_X] * bit
     return code
 
 

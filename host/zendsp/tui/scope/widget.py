@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,72 +12,36 @@ from rich.segment import Segment
 from rich.style import Style
 from textual import events
 from textual.app import App
-from textual.geometry import Size
+from textual.filter import ANSIToTruecolor, LineFilter
+from textual.geometry import Region, Size
 from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
 from zendsp.tui.colours import trace_colours
 from zendsp.tui.scope.history import History
+from zendsp.tui.scope.lines import GUTTER, legend_lines, plot_rows, time_axis, y_numbers
 from zendsp.tui.scope.measure import measure
 from zendsp.tui.scope.path import plot_lines
-from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, compose
+from zendsp.tui.scope.picture import CURSOR, EMPTY, GRID, LIMIT, Picture, blank, compose
 from zendsp.tui.scope.plane import over_frequency, over_selected
-from zendsp.tui.scope.raster import braille
+from zendsp.tui.scope.raster import DOTS_X, envelope
+from zendsp.tui.scope.rolling import Rolling
 from zendsp.tui.scope.settings import MOST_CHANNELS, VIEWS, WINDOWS, Channel, ScopeSettings
 from zendsp.tui.scope.spectrum import density, ready
-from zendsp.tui.scope.ticks import duration, label, number, short, ticks
+from zendsp.tui.scope.ticks import duration, number, short
 from zendsp.tui.scope.trigger import last_crossing
 
 Floats = npt.NDArray[np.float64]
-GUTTER = 9  # columns of the y axis
+STILL_S = 0.1  # between pictures where only numbers change
 LOADING_S = 0.2  # between looks whether the spectrum is ready
-FRAME_S = 1.0 / 30.0  # where the application does not say otherwise
-LEGEND_ROWS = 3  # at the most: what is below is the picture
-
-
-def legend_lines(
-    texts: Sequence[Sequence[str]], width: int, taken: int
-) -> list[list[tuple[int, str]]]:
-    """Return the rows of a legend in which every curve has its place: number and text of each.
-
-    Parameters
-    ----------
-    texts : sequence of sequence of str
-        Of each curve, from the longest to the shortest; as many for each. The longest are taken
-        that fit; where none do, the shortest are cut.
-    width : int
-        Columns.
-    taken : int
-        Columns at the end of the first row that are not free.
-    """
-    for form in zip(*texts, strict=True):
-        lines = _broken(form, width, taken)
-        if len(lines) <= LEGEND_ROWS:
-            return lines
-    each = max(1, -(-len(texts) // LEGEND_ROWS))
-    room = max((width - taken) // each, 1)
-    cut = [f"{t[-1].rstrip()[: room - 2]}… " if len(t[-1]) > room else t[-1] for t in texts]
-    return _broken(cut, width, taken)[:LEGEND_ROWS]
-
-
-def _broken(texts: Sequence[str], width: int, taken: int) -> list[list[tuple[int, str]]]:
-    lines: list[list[tuple[int, str]]] = [[]]
-    room = width - taken
-    for k, text in enumerate(texts):
-        if len(text) > room and lines[-1]:
-            lines.append([])
-            room = width
-        lines[-1].append((k, text))
-        room -= len(text)
-    return lines
 
 
 class Scope(Widget, can_focus=True):
     """Up to eight live curves.
 
-    Data come through :attr:`history`, which any thread may fill; the widget looks at it at 30 Hz
-    and repaints only when there is something new. Everything the user can set is in
+    Data come through :attr:`history`, which any thread may fill; :meth:`tick` looks at it and
+    repaints only when there is something new. Everything the user can set is in
     :attr:`settings`.
     """
 
@@ -105,7 +69,10 @@ class Scope(Widget, can_focus=True):
         self._ranges: dict[str, tuple[float, float]] = {}
         self._strips: list[Strip] = []
         self._seen = -1
-        self._drawn: tuple[Floats, Floats] = (np.zeros(0), np.zeros((0, 0)))  # of the picture
+        self._drawn: tuple[Floats, Floats] | None = None  # rows of the picture, where asked for
+        self._until = float("nan")  # s, of the newest of them
+        self._drawn_at = 0.0  # of the monotonic clock
+        self._rolling = Rolling()
         self._last_trigger: float | None = None
         self._pens: dict[int, Style] = {}
         self._live = live
@@ -180,8 +147,6 @@ class Scope(Widget, can_focus=True):
     # ----------------------------------------------------------------------------------------------
 
     def on_mount(self) -> None:
-        if self._live:
-            self.set_interval(getattr(self.app, "frame_s", FRAME_S), self._tick)
         self.app.theme_changed_signal.subscribe(self, self._theme_changed)
 
     def _theme_changed(self, _: object) -> None:
@@ -191,20 +156,29 @@ class Scope(Widget, can_focus=True):
     def on_resize(self, event: events.Resize) -> None:
         self.redraw()
 
-    def _tick(self) -> None:
-        if (
-            self.paused
-            or self.history.count == self._seen
-            or self.screen not in self.app.screen_stack
-        ):
+    def tick(self) -> None:
+        """Repaint where there is something new; the screen asks thirty times a second."""
+        if not self._live or self.paused or self.history.count == self._seen:
             return
-        self.redraw()
+        if self._moves() or time.monotonic() - self._drawn_at >= STILL_S:
+            self.redraw()
+
+    def _moves(self) -> bool:
+        """Whether the curves would stand elsewhere than in the picture."""
+        if self.settings.view == "spectrum" or self.settings.mode != "roll":
+            return self.settings.mode != "roll"
+        return self._rolling.moves(self.history, *self._raster())
 
     def redraw(self) -> None:
         """Compose the picture anew and ask for a repaint."""
         self._strips = []
         self._seen = self.history.count
         self.refresh()
+
+    def _raster(self) -> tuple[float, int]:
+        """Width of a dot column of a rolling picture, s, and their number."""
+        columns = DOTS_X * max(self.size.width - GUTTER, 1)
+        return self.settings.window / columns, columns
 
     def _data(self) -> tuple[Floats, Floats]:
         if self._frozen is not None:
@@ -213,8 +187,23 @@ class Scope(Widget, can_focus=True):
             return self.history.since(self.history.latest - 1.1 * self.settings.window)
         return self.history.since(self.history.latest - 4.0 * self.settings.window)
 
-    def _view(self, t: Floats, y: Floats, columns: int) -> tuple[float, float, float]:
-        """Borders of the picture and the zero of its labels, s."""
+    def _look(self) -> tuple[tuple[Floats, Floats], tuple[float, float, float]]:
+        """Return the envelope of what is to be seen; the picture's borders and the zero of its
+        labels, s.
+        """
+        step, columns = self._raster()
+        s = self.settings
+        if self._frozen is None and s.mode == "roll":
+            self._drawn, self._until = None, self.history.latest
+            # columns stay at the same times while the picture rolls: no shimmer
+            first, low, high = self._rolling.look(self.history, step, columns)
+            return (low, high), (first * step, (first + columns) * step, 0.0)
+        t, y = self._drawn = self._data()
+        start, zero = self._start(t, y, step)
+        return envelope(t, y, start, start + s.window, columns), (start, start + s.window, zero)
+
+    def _start(self, t: Floats, y: Floats, step: float) -> tuple[float, float]:
+        """Return the left border of a picture that does not roll, and the zero of its labels, s."""
         s = self.settings
         latest = float(t[-1]) if len(t) else s.window
         if s.mode == "trigger" and len(t) > 1 and y.shape[1]:
@@ -227,39 +216,47 @@ class Scope(Widget, can_focus=True):
                         self.single = False
                         self.paused, self._frozen = True, self.history.newest()
             if self._last_trigger is not None:
-                start = self._last_trigger - s.pre * s.window - self.past
-                return start, start + s.window, self._last_trigger
-        # columns stay at the same times while the picture rolls: no shimmer
-        step = s.window / columns
+                return self._last_trigger - s.pre * s.window - self.past, self._last_trigger
         end = (np.floor((latest - self.past) / step) + 1.0) * step
-        return float(end - s.window), float(end), 0.0
+        return float(end - s.window), 0.0
+
+    def _rows(self) -> tuple[Floats, Floats]:
+        """Rows that the picture was drawn from."""
+        if self._drawn is None:
+            t, y = self.history.since(self._until - 1.1 * self.settings.window)
+            now = t <= self._until
+            self._drawn = t[now], y[now]
+        return self._drawn
 
     def _draw(self) -> None:
         width, height = self.size
-        legend = self._legend_rows(width)
         readout = 2 if self.settings.cursors else 0
-        rows = max(height - len(legend) - readout - 1, 1)
-        columns = max(width - GUTTER, 1)
-        t, y = self._data()
         if not self._pens:
             self._pens = self._make_pens()
-        view = self._view(t, y, columns * 2)
-        self.picture = compose(
-            t, y, self.channels, self.settings, view, self._ranges, (columns, rows), self.limits
-        )
-        self._drawn = (t, y)
-        self._ranges = {lane.key: (lane.bottom, lane.top) for lane in self.picture.lanes}
-        self._values = y[-1] if len(y) else np.zeros(0)
-        strips = [self._text(row, width) for row in self._legend_rows(width)]
+        bands, view = self._look()
+        self._drawn_at = time.monotonic()
+        newest = self._drawn[1] if self._drawn is not None else self.history.newest(1)[1]
+        self._values = newest[-1] if len(newest) else np.zeros(0)
+        legend = self._legend_rows(width)
+        rows = max(height - len(legend) - readout - 1, 1)
+        strips = [self._text(row, width) for row in legend]
         if self.settings.view != "time" and self.channels:
+            self.picture = blank(view)
             strips += self._plane((width, rows + 1))
         else:
-            strips += self._plot_strips(self.picture, width, rows)
-            strips.append(self._time_axis(self.picture, width))
+            size = (max(width - GUTTER, 1), rows)
+            self.picture = compose(
+                bands, self.channels, self.settings, view, self._ranges, size, self.limits
+            )
+            self._ranges = {lane.key: (lane.bottom, lane.top) for lane in self.picture.lanes}
+            numbers = y_numbers(self.picture, self.settings.selected, self._pens)
+            note = "" if self.channels else self.empty_text
+            strips += plot_rows(self.picture, numbers, self._pens, width, note)
+            strips.append(time_axis(self.picture, width, self._pens[GRID]))
         if readout:
-            pen = self._pens[CURSOR]
-            strips.append(self._text([(self.readout(t, y), pen)], width))
-            strips.append(self._text([(self.statistics(t, y), pen)], width))
+            pen, rows_drawn = self._pens[CURSOR], self._rows()
+            strips.append(self._text([(self.readout(*rows_drawn), pen)], width))
+            strips.append(self._text([(self.statistics(*rows_drawn), pen)], width))
         self._strips = strips
 
     def _plane(self, size: tuple[int, int]) -> list[Strip]:
@@ -283,7 +280,7 @@ class Scope(Widget, can_focus=True):
         """Return the rows of the picture that was drawn last, or those between the cursors where
         they are shown: times, shape (n,), and values, shape (n, channels).
         """
-        t, y = self._drawn
+        t, y = self._rows()
         s, picture = self.settings, self.picture
         if picture is None:
             return t[:0], y[:0]
@@ -298,64 +295,6 @@ class Scope(Widget, can_focus=True):
         """Show the curves over time, over the selected one, or over frequency, by turns."""
         turn = VIEWS[(VIEWS.index(self.settings.view) + 1) % len(VIEWS)]
         self.set(replace(self.settings, view=turn))
-
-    def _plot_strips(self, picture: Picture, width: int, rows: int) -> list[Strip]:
-        axis = self._y_labels(picture, rows)
-        if not self.channels and rows > 2:
-            middle = rows // 2
-            axis[middle] = ("", self._pens[GRID])
-        strips = []
-        for r in range(rows):
-            text, style = axis.get(r, ("", self._pens[GRID]))
-            segments = [Segment(text.rjust(GUTTER - 1)[: GUTTER - 1] + "▏", style)]
-            owner = picture.owner[r]
-            line = braille(picture.codes[r])
-            borders = [0, *(np.flatnonzero(owner[1:] != owner[:-1]) + 1).tolist(), len(line)]
-            segments += [
-                Segment(line[a:b], self._pens[int(owner[a])])
-                for a, b in itertools.pairwise(borders)
-            ]
-            if not self.channels and r == rows // 2:
-                note = self.empty_text.center(len(line))[: len(line)]
-                segments = [segments[0], Segment(note, self._pens[GRID])]
-            strips.append(Strip(segments, width))
-        return strips
-
-    def _y_labels(self, picture: Picture, rows: int) -> dict[int, tuple[str, Style]]:
-        """Numbers beside the plot, by row; the lane's unit stands in its first row."""
-        lanes = picture.lanes
-        if len(lanes) > 1 and lanes[0].row == lanes[1].row:
-            lanes = tuple(lane for lane in lanes if self.settings.selected in lane.channels)
-        labels: dict[int, tuple[str, Style]] = {}
-        for lane in lanes:
-            style = self._pens[lane.channels[0]] if len(lane.channels) == 1 else self._pens[GRID]
-            values = ticks(lane.bottom, lane.top, max(lane.rows // 3, 2))
-            step = values[1] - values[0] if len(values) > 1 else lane.top - lane.bottom
-            for value in values:
-                row = min(int(lane.at(value)), lane.row + lane.rows - 1)
-                labels[row] = (label(value, step), style)
-            if lane.unit and lane.row not in labels:
-                labels[lane.row] = (lane.unit, style)
-            elif lane.unit and lane.row in labels:
-                labels.setdefault(lane.row + 1, (lane.unit, style))
-        return labels
-
-    def _time_axis(self, picture: Picture, width: int) -> Strip:
-        line = [" "] * width
-        columns = width - GUTTER
-        marks = picture.time_ticks
-        step = marks[1] - marks[0] if len(marks) > 1 else self.settings.window
-        for value in marks:
-            text = label(value - picture.zero, step)
-            at = (
-                GUTTER
-                + int((value - picture.start) / (picture.end - picture.start) * columns)
-                - len(text) // 2
-            )
-            if at >= GUTTER - 2 and at + len(text) <= width - 3:
-                line[at : at + len(text)] = list(text)
-        line[-1] = "s"
-        return Strip([Segment("".join(line), self._pens[GRID])], width)
 
     def _legend_rows(self, width: int) -> list[list[tuple[str, Style]]]:
         """Names and newest values in the colours of the curves, on as few rows as they need; the
@@ -445,9 +384,8 @@ class Scope(Widget, can_focus=True):
         return text
 
     def _text(self, parts: Sequence[tuple[str, Style]], width: int) -> Strip:
-        return Strip([Segment(text, style) for text, style in parts]).adjust_cell_length(
-            width, self._pens[EMPTY]
-        )
+        strip = Strip([Segment(*part) for part in parts], sum(len(text) for text, _ in parts))
+        return strip.adjust_cell_length(width, self._pens[EMPTY])
 
     def _make_pens(self) -> dict[int, Style]:
         app: App[object] = self.app
@@ -460,10 +398,25 @@ class Scope(Widget, can_focus=True):
         styles[EMPTY] = back
         return styles
 
+    def render_lines(self, crop: Region) -> list[Strip]:
+        """Return the picture as it is. Textual would look whether each line has changed, and keep
+        it: of a rolling picture they all have.
+        """
+        strips = [self.render_line(y) for y in crop.line_range]
+        for line_filter in self._filters():
+            strips = [s.apply_filter(line_filter, self.background_colors[1]) for s in strips]
+        if crop.column_span != (0, self.size.width):
+            strips = [strip.crop(*crop.column_span) for strip in strips]
+        return strips
+
     def render_line(self, y: int) -> Strip:
         if not self._strips and self.size.width > GUTTER and self.size.height > 2:
             self._draw()
         return self._strips[y] if y < len(self._strips) else Strip.blank(self.size.width)
+
+    def _filters(self) -> list[LineFilter]:
+        """Those that change anything: the colours of the pens are no numbers of a palette."""
+        return [f for f in self.get_line_filters() if not isinstance(f, ANSIToTruecolor)]
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
         return container.height

@@ -4,6 +4,7 @@ at 30 Hz.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from textwrap import wrap
@@ -16,6 +17,7 @@ from textual.widgets import Footer
 
 from zendsp.tui.actions import actions
 from zendsp.tui.lab import Lab
+from zendsp.tui.scope import Scope
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 HANGING = "\n" + 24 * " "  # under the explanation of a key
+NUMBERS_S = 0.2  # between numbers that change all the time: nobody reads faster
 WIDE = 116  # columns from which panels stand side by side
 
 
@@ -37,6 +40,7 @@ class LabScreen(Screen[None]):
         super().__init__()
         self.bar = StatusBar(self.NAME)
         self._pulled: Snapshot | None = None
+        self._shown_at = 0.0  # of the monotonic clock
 
     @property
     def lab(self) -> Lab:
@@ -53,13 +57,15 @@ class LabScreen(Screen[None]):
         raise NotImplementedError
 
     def on_mount(self) -> None:
-        self.set_interval(self.lab.frame_s, self._pull)
+        self._scopes = [*self.query(Scope)]
+        self._clock = self.set_interval(self.lab.frame_s, self._pull)
         self.ready()
         self._pull()  # what is shown first is what stays, not an empty screen
 
     def on_screen_resume(self) -> None:
         """Show what happened meanwhile at once."""
         if self.is_mounted:
+            self._clock.resume()
             self._pull()
 
     def ready(self) -> None:
@@ -68,16 +74,26 @@ class LabScreen(Screen[None]):
     def _pull(self) -> None:
         # another screen is shown; a dialog over this one is not another screen
         if self not in self.app.screen_stack:
+            self._clock.pause()
             return
-        snapshot = self.lab.session.snapshot
+        snapshot, shown = self.lab.session.snapshot, self._pulled
         self.lab.session.place_stop(self.bar.field)
-        self.bar.show(snapshot, self.lab.session.verdict)
-        fresh = snapshot is not self._pulled
-        self._pulled = snapshot
+        now = time.monotonic()
+        fresh = snapshot is not shown and (
+            shown is None or now >= self._shown_at + NUMBERS_S or snapshot.news(shown)
+        )
+        if fresh:
+            self._pulled, self._shown_at = snapshot, now
+        self.bar.show(self._pulled or snapshot, self.lab.session.verdict)
         self.pull(snapshot, fresh)
+        for scope in self._scopes:
+            if scope.is_on_screen:
+                scope.tick()
 
     def pull(self, snapshot: Snapshot, fresh: bool) -> None:
-        """Show a snapshot; ``fresh`` tells whether it is another one than last time."""
+        """Show a snapshot; ``fresh`` tells whether its numbers are to be shown: five times a
+        second, and at once where more than numbers changed.
+        """
 
     def say(self, text: str, level: str = "info") -> None:
         """Put a line into the event log, and before the user's eyes where it matters."""
