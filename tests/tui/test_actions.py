@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
 from rich.style import Style
+from steps import Until
 from textual.app import App, ComposeResult
-from textual.pilot import Pilot
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import LinkError
@@ -29,8 +28,6 @@ from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.trial import Trial
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 
 def _nobody(name: str) -> Port:
