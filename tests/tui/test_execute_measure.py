@@ -131,7 +131,8 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
         assert [r["Kp1"] for r in view.sweep.rows] == [500.0, 2000.0]
         assert target["Kp1"] == 2000.0, "put back"
         table = screen.query_one("#sweep", DataTable)
-        assert table.has_focus and table.cursor_row == view.sweep.best_row()
+        await until(pilot, lambda: table.has_focus, "the arrows choose a row")
+        assert table.cursor_row == view.sweep.best_row()
         (kept,) = (folder / "sweeps").glob("*-Kp1-Kd1.csv")
         assert kept.read_text().startswith("Kp1,Kd1,rms e1,max e1,ended")
         table.move_cursor(row=0)
