@@ -121,9 +121,8 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, model = cases.bench(tmp_path, seconds=1.0)
-    monkeypatch.setattr(
-        command, "CALL", "import os, time; print('pid', os.getpid(), flush=True); time.sleep(600)"
-    )
+    waits = "import time; print('pid', os.getpid(), flush=True); time.sleep(600)"
+    monkeypatch.setattr(command, "call", lambda parent: waits)
     app = _alone(tmp_path)
     async with app.run_test(size=(100, 30)) as pilot:
         screen = await opened(app, pilot, until, DiagnoseScreen)
@@ -180,9 +179,9 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
 ) -> None:
     first = cases.stored(tmp_path / "diagnoses", "first", level=6.0)
     second = cases.stored(tmp_path / "diagnoses", "second", level=8.0)
-    opened: list[str] = []
-    monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(opened))
-    monkeypatch.setattr("webbrowser.open", lambda url: not opened.append(url))
+    pages: list[str] = []
+    monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(pages))
+    monkeypatch.setattr("webbrowser.open", lambda url: not pages.append(url))
     app = _alone(tmp_path)
     async with app.run_test(size=(200, 60)) as pilot:
         screen = await opened(app, pilot, until, DiagnoseScreen)
@@ -212,9 +211,9 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         await pilot.press("escape", "v")
         await until(pilot, lambda: isinstance(app.screen, Message), "no browser: where it is")
         assert str(second.page.name) in str(app.screen.query_one(".words").render())
-        opened.append("from now on there is one")
+        pages.append("from now on there is one")
         await pilot.press("escape", "v")
-        await until(pilot, lambda: second.page.as_uri() in opened, "opened")
+        await until(pilot, lambda: second.page.as_uri() in pages, "opened")
 
 
 @pytest.mark.covers("diagnose.compensate")
