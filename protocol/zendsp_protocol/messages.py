@@ -140,9 +140,11 @@ class Status(Message, frozen=True):
     homed: bool = True  # whether positions mean anything
     drive_mode: str = "off"  # what the drives are told: off, torque or velocity
     hosts: tuple[str, ...] = ()  # filled in by the server: who is connected
+    unsafe: str = ""  # why the machine may still move where no program runs; empty: it is safe
 
     def __repr__(self) -> str:
-        trouble = self.crash or (self.trip.text or self.trip.reason if self.trip else "")
+        trip = (self.trip.text or self.trip.reason) if self.trip else ""
+        trouble = self.crash or self.unsafe or trip
         return (
             f"<Status {self.machine}: {self.state}, drives {self.drive}, {self.t:.3f} s at"
             f" {self.rate_hz:g} Hz{f', {trouble}' if trouble else ''}>"
@@ -164,6 +166,8 @@ class Status(Message, frozen=True):
             rows.append(("trip", self.trip.text or self.trip.reason))
         if self.crash:
             rows.append(("crash", self.crash))
+        elif self.unsafe:
+            rows.append(("machine", self.unsafe))
         return html_table(("", ""), rows)
 
 

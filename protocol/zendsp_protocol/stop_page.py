@@ -3,8 +3,8 @@ between.
 
 32 bytes in the byte order of the machine: ``magic`` and ``version`` (uint32), ``stop`` (uint32, at
 8), 4 bytes unused, ``sample`` and ``taken`` (uint64, at 16 and 24). Whoever wants STOP reads
-``taken``, writes 1 into the byte at ``STOP``, and knows once ``taken`` has changed that the loop
-has latched it; ``sample`` says when.
+``taken``, writes 1 into the byte at ``STOP``, and knows once ``taken`` has changed that the machine
+has its safe outputs; ``sample`` says since when.
 """
 
 from __future__ import annotations

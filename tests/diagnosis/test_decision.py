@@ -163,10 +163,28 @@ def test_a_law_that_is_not_believed_leaves_its_mechanism_where_it_explains_more_
     before = Size(0.1, 0.09, 0.11)
     nothing = Structure(0.0, 0.0, 0.0)
     outcome = laws.believed(
-        Decision(1, "missing", (claim,), (), None, None, before, left, nothing, left, 1.0)  # type: ignore[arg-type]
+        Decision(1, "missing", (claim,), (), None, None, before, left, nothing, left, 1.0),  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
     )
     assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
     assert len(outcome.refinements) == (not stands)
+
+
+@pytest.mark.parametrize(("moving", "stands"), [(0.0, False), (0.008, True)])
+def test_how_a_known_friction_turns_round_is_no_missing_mechanism(
+    monkeypatch: pytest.MonkeyPatch, moving: float, stands: bool
+) -> None:
+    monkeypatch.setattr(laws, "structure", lambda *_, turning: Structure(moving, 0.6, 5.0))
+    friction = Term("coulomb", 1, {})
+    base = SimpleNamespace(model=SimpleNamespace(at=lambda _: (friction,)))
+    term, evidence = Term("presliding", 1, {}), Evidence(50.0, 4.0, np.zeros(1))
+    claim = Claim("presliding", "dry_friction", term, 0.01, evidence, 25.0, {}, (), (), ())
+    left, before, nothing = Size(0.008, 0.007, 0.009), Size(0.012, 0.011, 0.013), Structure(0, 0, 0)
+    outcome = laws.believed(
+        Decision(1, "missing", (claim,), (), base, None, before, left, nothing, left, 1.0),  # type: ignore[arg-type]
+        SimpleNamespace(each=()),  # type: ignore[arg-type]
+    )
+    assert [c.effect for c in outcome.claims] == (["unknown"] if stands else [])
 
 
 def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed(

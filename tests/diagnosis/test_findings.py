@@ -60,6 +60,21 @@ def test_each_of_several_couplings_has_its_own_numbers(fit: Fit) -> None:
     assert len({e.std for e in found}) == 3
 
 
+def test_what_a_longer_recording_does_not_make_better_stands_in_the_uncertainty() -> None:
+    def std(effect: str, key: str, value: float, **known: float) -> float:
+        model = Model("bench", 1e-3, "rotary", {}, (Term(effect, 1, {key: Quantity(value)}),))
+        exact = Fit(
+            model, (Handle("term", 0, key),), np.array([value]), np.full((1, 1), 1e-20), 0.0, 1,
+            (False,), True, np.empty((0, 1)), np.empty(0),
+        )  # fmt: skip
+        return estimates(exact, model.terms[0], "rotary", "N m", "N m", **known)[key].std
+
+    assert std("viscous", "coefficient", 2.0) == pytest.approx(2e-3 * 2.0)
+    assert std("viscous", "coefficient", 2.0, left=0.5) == pytest.approx(0.15 * 2.0, rel=0.01)
+    assert std("viscous", "coefficient", 2.0, sample_time=1e-3) == pytest.approx(2e-3 * 2.0)
+    assert std("delay", "time", 5e-3, sample_time=1e-3) == pytest.approx(1e-4, rel=0.01)
+
+
 def test_only_the_coupling_that_cannot_be_told_from_none_vanishes(fit: Fit) -> None:
     assert [vanishes(fit, term) for term in _couplings(0.9)] == [False, True, False]
 

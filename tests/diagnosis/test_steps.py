@@ -12,8 +12,9 @@ import reality
 
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.signals import Parts, Signals
+from zendsp.diagnosis.decide.assemble import with_disagreement
 from zendsp.diagnosis.decide.thresholds import LAWFUL
-from zendsp.diagnosis.measure.bursts import periodic
+from zendsp.diagnosis.measure.bursts import bursts, periodic
 from zendsp.diagnosis.measure.discrepancy import deviation, discrepancy
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import (
@@ -29,7 +30,7 @@ from zendsp.diagnosis.search.hypothesis import JointSearch, Rival, Step
 from zendsp.diagnosis.search.screen import Candidate, with_candidate
 from zendsp.diagnosis.search.simplify import simplify
 from zendsp.diagnosis.transmission.links import divided, with_links
-from zendsp.physics.fit import Data, joint_handles, residual
+from zendsp.physics.fit import Data, fit, joint_handles, residual
 from zendsp.physics.model import Model
 from zendsp.physics.model_file import parse_model
 
@@ -223,3 +224,41 @@ def test_of_a_recording_shorter_than_an_observer_remembers_little_is_said(rows: 
     data = data_of({key: x[:rows] for key, x in columns.items()}, model)
     assert discrepancy(data, model, 1).low == 0.0
     assert structure([data, data], model, 1, ["position_torque"]).z < 3.0
+
+
+def test_what_comes_at_most_reversals_is_how_friction_turns_round_and_no_disturbance() -> None:
+    t = 2 * np.pi * np.arange(12000) / RATE
+    reference = 0.8 * np.sin(0.4 * t) + 0.4 * np.sin(0.271 * t)
+    model = model_of(VISCOUS, COULOMB)
+    quiet = reality.simulate(reality.Machine(), reference, RATE)
+    v = np.gradient(quiet["q"]) * RATE
+    turns = np.flatnonzero(np.diff(np.sign(np.convolve(v, np.ones(15) / 15, "same"))))
+
+    def found(at: np.ndarray, turning: bool) -> bool:
+        torque = np.zeros(len(v))
+        for k in at:
+            torque[max(0, k - 20) : k + 20] = 0.02
+        data = data_of({**quiet, "u": quiet["u"] + torque}, model)
+        return bursts(data, model, 1, many=99, turning=turning) is not None
+
+    some = turns[[len(turns) // 3, len(turns) // 2]]
+    assert found(some, turning=False), "a push happens to come when it turns"
+    many = turns[np.random.default_rng(1).random(len(turns)) < 0.45]
+    assert found(many, turning=True)
+    assert not found(many, turning=False)
+
+
+def test_numbers_on_which_other_recordings_disagree_are_less_certain() -> None:
+    reference = reality.multisine(8.0, RATE, 3)
+    model = model_of(VISCOUS, COULOMB)
+    one, same, other = (
+        data_of(reality.simulate(reality.Machine(coulomb=level), reference, RATE, seed), model)
+        for level, seed in ((0.03, 1), (0.03, 2), (0.033, 3))
+    )
+    fitted = fit(one, model, joint_handles(one, model, 1), joints=(1,))
+    at = next(i for i, h in enumerate(fitted.handles) if h.key == "level")
+    agreed, apart = (
+        with_disagreement(one, held, fitted, (1,), 1).std[at] for held in (same, other)
+    )
+    assert agreed < 2.0 * fitted.std[at]
+    assert apart == pytest.approx(0.003, rel=0.1)

@@ -64,6 +64,27 @@ class Screen:
         """Type."""
         os.write(self.fd, data)
 
+    def click(self, text: str) -> None:
+        """Press and release the left button on a text, once it stands where it stood a picture
+        before: what is still being laid out moves from under the pointer.
+        """
+        before, place = None, self._place(text)
+        while place is None or place != before:
+            before, then = place, self.clock()
+            until(
+                lambda then=then: self.clock() != then and text in self.text(),  # type: ignore[misc]
+                f"{text}, and the next picture",
+                self.text,
+            )
+            place = self._place(text)
+        at = f"{place[0] + 2};{place[1] + 1}"
+        self.keys(f"\x1b[<0;{at}M\x1b[<0;{at}m".encode())
+
+    def _place(self, text: str) -> tuple[int, int] | None:
+        lines = list(self.shown.display)
+        found = [(line.index(text), row) for row, line in enumerate(lines) if text in line]
+        return found[0] if found else None
+
     def until(self, what: str) -> None:
         """Wait until the text is on the screen."""
         until(lambda: what in self.text(), f"on the screen: {what}", lambda: "\n" + self.text())

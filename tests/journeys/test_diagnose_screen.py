@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import tomllib
 from pathlib import Path
 
@@ -47,20 +46,6 @@ def _record(path: Path, coulomb: float = 0.05, inner: int = 20) -> None:
     np.savetxt(path, rows, delimiter=",", header="t,q,u", comments="")
 
 
-def _click(screen: Screen, text: str) -> None:
-    """Press and release the left button on a text, once the picture has come to rest: what is still
-    being laid out moves from under the pointer.
-    """
-    before = ""
-    while before != screen.text():
-        before = screen.text()
-        time.sleep(0.3)
-    row = next(k for k, line in enumerate(screen.shown.display) if text in line)
-    column = screen.shown.display[row].index(text)
-    at = f"{column + 2};{row + 1}"
-    screen.keys(f"\x1b[<0;{at}M\x1b[<0;{at}m".encode())
-
-
 @pytest.mark.timeout(300)  # the diagnosis goes at low priority
 def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
     installed: Installed,
@@ -75,11 +60,11 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
         screen.keys(b"run.csv\r")
         screen.until("run.csv")
         screen.until("bench.toml")  # the model that lies here is taken
-        _click(screen, "Start s")
+        screen.click("Start s")
         screen.until("reading the recordings")
         screen.keys(b"\x03")
         screen.until("— cancelled —")
-        _click(screen, "Start s")
+        screen.click("Start s")
         screen.until("Missing physics: dry friction (coulomb) at joint 1")
         screen.until("without coulomb")
         until(
@@ -87,7 +72,7 @@ def test_a_csv_is_diagnosed_in_the_terminal_and_the_better_model_saved(
             "the curves, beside their names",
             screen.text,
         )
-        _click(screen, "Save w")
+        screen.click("Save w")
         screen.until("Save the improved model")
         screen.keys(b"\r")
         screen.until("saved")  # what the short message says

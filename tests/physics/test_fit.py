@@ -21,6 +21,7 @@ from zendsp.physics.convergence import step_error, with_step_error
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.handles import free_handles, get_values, set_values
 from zendsp.physics.model_file import parse_model
+from zendsp.physics.native import native
 
 T, N = 0.002, 3000
 TRUE = np.array([0.010, 0.004, 0.03, 0.2])  # inertia, viscous, coulomb, gravity
@@ -176,3 +177,36 @@ def test_the_deviance_of_a_fit_is_that_of_its_model(data: Data) -> None:
     )
     tuned, value = tune_bandwidth(data, result.model, (1,))
     assert value == deviance(tuned, result.model, (1,))
+
+
+def test_a_fit_that_is_asked_for_again_is_remembered_and_its_terms_are_the_callers_own(
+    data: Data, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = parse_model(MODEL)
+    handles = free_handles(model, offsets=False)
+    first = fit(data, model, handles, joints=(1,), iterations=2)
+    passes = 0
+    whole = native().lib
+
+    class Counted:
+        def __getattr__(self, name: str) -> object:
+            nonlocal passes
+            passes += 1
+            return getattr(whole, name)
+
+    monkeypatch.setattr(native(), "lib", Counted())
+    again = fit(data, parse_model(MODEL), handles, joints=(1,), iterations=2, jobs=1)
+    assert passes == 0
+    np.testing.assert_array_equal(again.x, first.x)
+    np.testing.assert_array_equal(again.residual, first.residual)
+    assert not {id(t) for t in again.model.terms} & {id(t) for t in first.model.terms}
+    # whatever it depends on, is fitted anew
+    moved = set_values(model, handles, get_values(model, handles) * 1.01)
+    for other in (
+        fit(data, moved, handles, joints=(1,), iterations=2),
+        fit(data, model, handles[1:], joints=(1,), iterations=2),
+        fit(data.at_bandwidth(1, 32.0), model, handles, joints=(1,), iterations=2),
+        fit(replace(data, records=data.records[:1]), model, handles, joints=(1,), iterations=2),
+        fit(data, model, handles, joints=(1,), iterations=1),
+    ):
+        assert other.cost != first.cost

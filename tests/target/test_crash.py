@@ -16,6 +16,7 @@ import pytest
 from zendsp_protocol.errors import Refused, RunnerDied
 from zendsp_target.api import AcquireConfig
 from zendsp_target.runtime import Runtime
+from zendsp_target.runtime.process.runner import RunnerProcess
 
 CRASHING = """
 #include "isr.h"
@@ -131,6 +132,11 @@ def test_a_crash_in_the_background_is_told_as_such(make_runtime: Make, wait_for:
             'PARAMETER(x, 0.0, "", 2.5, -1.0, "");',
             Refused,
             "'x': its limits are 2.5 and -1: the first must not be above the second",
+        ),
+        (
+            "".join(f'static double v{k}; SIGNAL(v{k}, "", "");' for k in range(1100)),
+            Refused,
+            "'v1003': one too many: a program has at most 1003 variables; declare arrays",
         ),
     ],
 )
@@ -265,6 +271,31 @@ runtime.start()
 print(runtime.programs.session.process.pid, runtime.programs.folder.path, flush=True)
 time.sleep(600)
 """
+
+
+def test_a_program_that_hangs_is_ended_before_anything_is_asked_about_its_end(
+    make_runtime: Make, wait_for: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked_of_the_living = []
+
+    def status(process: RunnerProcess) -> None:  # which waits two seconds for an end
+        asked_of_the_living.append(process.alive())
+
+    monkeypatch.setattr(RunnerProcess, "_status", status)
+    runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), hang_s=0.2)
+    runtime.start()
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert True not in asked_of_the_living
+
+
+def test_a_runner_that_was_stopped_by_a_signal_is_told_as_that(
+    make_runtime: Make, wait_for: Wait
+) -> None:
+    runtime = make_runtime(GOOD, clock="real", realtime=False, hang_s=0.3)
+    runtime.start()
+    os.kill(runtime.runner_pid(), signal.SIGSTOP)
+    wait_for(lambda: runtime.status().crash != "", runtime.status)
+    assert "the runner was stopped from outside (SIGSTOP" in runtime.status().crash
 
 
 @pytest.mark.parametrize(

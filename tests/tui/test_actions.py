@@ -27,6 +27,7 @@ from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
 from zendsp.tui.snapshot import Snapshot
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
+from zendsp.tui.stopper import EMERGENCY
 from zendsp.tui.trial import Trial
 
 
@@ -87,12 +88,27 @@ async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) ->
         assert any(line.startswith(24 * " ") for line in lines)
 
 
-async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp) -> None:
+async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp, until: Until) -> None:
     async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.pause(0.3)
-        line = app.screen.query_one(Tabs).render().plain
-        assert re.search(r"rec \d\d:\d\d:\d\d *$", line[:67]), line
-        assert "F5 Diagnose" in line
+
+        def line() -> str:
+            return app.screen.query_one(Tabs).render().plain
+
+        await until(
+            pilot, lambda: re.search(r"rec \d\d:\d\d:\d\d *$", line()[:67]), "the time is shown"
+        )
+        assert "F5 Diagnose" in line()
+
+
+async def test_a_stop_that_ended_before_the_screens_were_there_is_shown_on_each(
+    app: ZendspApp, until: Until
+) -> None:
+    app.session._told("not stopped", EMERGENCY, EMERGENCY)
+    async with app.run_test(size=(80, 24)) as pilot:
+        for screen in ("console", "execute", "reference", "diagnose"):
+            await app.action_show(screen)
+            line = app.screen.query_one(StatusBar)._line1
+            await until(pilot, lambda line=line: EMERGENCY in line.text, screen)  # type: ignore[misc]
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

@@ -320,7 +320,7 @@ async def test_sliders_move_parameters_by_key_and_mouse(
         await pilot.press("right", "shift+right", "ctrl+left")
         # 0 … 1000: 120 + 5 + 50 − 0.5
         await until(pilot, lambda: target["Kd1"] == 174.5, "written")
-        await pilot.click(slider, offset=(NAME + slider.bar - 1, 0))
+        assert await pilot.click(slider, offset=(NAME + slider.bar - 1, 0))
         await until(pilot, lambda: target["Kd1"] == 1000.0, "the right end, by mouse")
         await pilot.press("right")
         assert slider.value == 1000.0, "and not beyond"
@@ -522,7 +522,7 @@ async def test_a_computed_curve_its_scale_its_files_and_its_layout(
         await pilot.pause()
         await pilot.press("down", "enter")
         await until(pilot, lambda: (scope.channels, scope.settings) == saved, "as it was saved")
-        await pilot.click(scope, offset=(2, 3))
+        assert await pilot.click(scope, offset=(2, 3))
         await pilot.pause()
         assert isinstance(lab.screen, Form), "a click on the axis asks for its scale"
 

@@ -73,7 +73,7 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
         for gain, name in ((2000.0, "stiff"), (200.0, "soft")):
             await until(pilot, lambda: screen.job is None, "free")
             target.update(Kp1=gain)
-            await pilot.click("#run-bode")
+            assert await pilot.click("#run-bode")
             await until(pilot, lambda: isinstance(lab.screen, Form), "the mouse asks too")
             assert lab.screen.query_one("#f-f_min", Input).value == "2.0", "what was typed last"
             _type(lab, f_max="40")
@@ -113,7 +113,7 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
         await pilot.press("f2", "s")
         await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
         await opened(lab, pilot, until, ExecuteScreen)
-        await pilot.click("#run-sweep-button")
+        assert await pilot.click("#run-sweep-button")
         await until(pilot, lambda: isinstance(lab.screen, Form), "the mouse asks")
         _type(lab, words="Kp1=1500")
         await pilot.pause()

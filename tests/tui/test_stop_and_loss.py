@@ -83,9 +83,9 @@ async def test_a_click_on_the_red_field_stops_as_well(
         await enabled(lab, pilot)
         await pilot.press("s")
         await until(pilot, lambda: lab.session.snapshot.t > 0.5, "moves")
-        await pilot.click("StopButton")
+        assert await pilot.click("StopButton")
         await until(pilot, lambda: target.drive_status().state == "stopped", "stopped")
-        await pilot.click("Tabs", offset=(22, 0))
+        assert await pilot.click("Tabs", offset=(22, 0))
         await until(
             pilot, lambda: lab.current_mode == "execute", "a click on its name opens a screen"
         )

@@ -4,6 +4,9 @@ there.
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import Future
@@ -12,12 +15,14 @@ import pytest
 from steps import Until
 from textual.events import Key, MouseDown
 from textual.widgets import Input
+from waiting import PATIENCE_S
 
 from zendsp.tui import stopper
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose
 
 F9 = b"\x1b[20~"
+SERVE = "from zendsp.tui.stopper import serve; serve({}, {}, False)"
 
 
 def _stops(*parts: bytes, web: bool = False) -> bool:
@@ -88,6 +93,30 @@ def test_a_click_stops_where_the_red_field_is(report: bytes, stops: bool, web: b
         any(field.holds(press) for press in _presses(sent, web=web) if isinstance(press, MouseDown))
         is stops
     )
+
+
+def test_a_click_that_waits_for_the_process_to_begin_stops() -> None:
+    control_in, control = os.pipe()
+    verdicts, verdicts_out = os.pipe()
+    os.write(control, b"@ 67 0 13 3\n")  # where the field is was told before it could be seen
+    process = subprocess.Popen(
+        [sys.executable, "-c", SERVE.format(control_in, verdicts_out)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        pass_fds=(control_in, verdicts_out),
+    )
+    os.close(verdicts_out)
+    try:
+        assert process.stdin is not None
+        process.stdin.write(b"\x1b[<0;70;2M\x1b[<0;70;2m")
+        process.stdin.close()
+        process.wait(PATIENCE_S)
+        assert b"STOP asked" in os.read(verdicts, 4096)
+    finally:
+        process.kill()
+        process.wait()
+        for pipe in (control_in, control, verdicts):
+            os.close(pipe)
 
 
 async def test_what_is_typed_before_a_dialog_opens_is_no_command(

@@ -223,18 +223,29 @@ __attribute__((weak, visibility("default"))) const int32_t zendsp_isr_abi = ZEND
          ? (size_t)(count)                                                                         \
          : sizeof(variable) / sizeof((variable)[0]))
 #define ZENDSP_DECLARE_BYTES(variable, bytes_, kind_, set_, initial_, unit_, min_, max_, text_)    \
-    zendsp->declare(&(const zendsp_declaration){.name = #variable,                                 \
-                                                .unit = (unit_),                                   \
-                                                .text = (text_),                                   \
-                                                .address = (void *)&(variable),                    \
-                                                .initial = (initial_),                             \
-                                                .minimum = (min_),                                 \
-                                                .maximum = (max_),                                 \
-                                                .kind = (kind_),                                   \
-                                                .type = ZENDSP_TYPE(variable),                     \
-                                                .bytes = (int32_t)(bytes_),                        \
-                                                .columns = (int32_t)ZENDSP_COLUMNS(variable),      \
-                                                .set = (set_)})
+    zendsp_declare(#variable, (unit_), (text_), (void *)&(variable), (initial_), (min_), (max_),   \
+                   (kind_), ZENDSP_TYPE(variable), (int32_t)(bytes_),                              \
+                   (int32_t)ZENDSP_COLUMNS(variable), (set_))
+
+/* Never inline: UserInit would fill in a structure for each variable, and compilers take eight
+ * times as long over hundreds of them. */
+static __attribute__((noinline, unused)) void
+zendsp_declare(const char *name, const char *unit, const char *text, void *address, double initial,
+               double minimum, double maximum, int32_t kind, int32_t type, int32_t bytes,
+               int32_t columns, int32_t set) {
+    zendsp->declare(&(const zendsp_declaration){.name = name,
+                                                .unit = unit,
+                                                .text = text,
+                                                .address = address,
+                                                .initial = initial,
+                                                .minimum = minimum,
+                                                .maximum = maximum,
+                                                .kind = kind,
+                                                .type = type,
+                                                .bytes = bytes,
+                                                .columns = columns,
+                                                .set = set});
+}
 
 static inline void zendsp_declare_table(table *variable, const char *name, int32_t capacity,
                                         int32_t columns, const char *unit, const char *text) {

@@ -19,6 +19,18 @@ static void refuse(control *c, const char *name, const char *why) {
         snprintf(c->error, sizeof c->error, "variable '%.63s': %s", name ? name : "?", why);
 }
 
+static void refuse_one_too_many(control *c, const char *name) {
+    char why[160];
+    int own = 0;
+    for (int32_t i = 0; i < c->variables; i++)
+        own += c->variable[i].kind == KIND_BUILTIN || c->variable[i].kind == KIND_SETTING;
+    snprintf(why, sizeof why,
+             "one too many: a program has at most %d variables; declare arrays, each of which is"
+             " one variable of up to %d elements",
+             LAYOUT_VARIABLES - own, LAYOUT_ELEMENTS);
+    refuse(c, name, why);
+}
+
 static variable_entry *new_entry(control *c, const char *name) {
     if (!name || !name[0] || strlen(name) >= LAYOUT_NAME) {
         refuse(c, name, "a name has 1 to 63 characters");
@@ -33,7 +45,7 @@ static variable_entry *new_entry(control *c, const char *name) {
             return NULL;
         }
     if (c->variables >= LAYOUT_VARIABLES) {
-        refuse(c, name, "more than 1024 variables");
+        refuse_one_too_many(c, name);
         return NULL;
     }
     variable_entry *v = &c->variable[c->variables++];

@@ -21,7 +21,7 @@
 #include "machine.h"
 
 enum {
-    LAYOUT_VERSION = 3,
+    LAYOUT_VERSION = 4,
     LAYOUT_MAGIC = 0x5a445350, /* "ZDSP" */
     STOP_PAGE_VERSION = 2, /* of its own: a host of another zendsp can still stop the loop */
     LAYOUT_VARIABLES = 1024,   /* entries of the dictionary, built-ins and settings included */
@@ -78,7 +78,7 @@ typedef struct stop_page {
     uint32_t stop;   /* by any host: 1 asks for STOP; the loop clears it */
     uint32_t pad;
     uint64_t sample; /* by the loop, before it counts `taken`: that of the trip latched then */
-    uint64_t taken;  /* by the loop: how many STOPs it took from here */
+    uint64_t taken;  /* by the loop: STOPs from here whose safe outputs the machine has */
 } stop_page;
 
 /* One entry of the dictionary. Written by the runner before PHASE_READY, then constant; `table`
@@ -181,6 +181,8 @@ typedef struct trip_latch {
     uint64_t tick;
     uint64_t shown; /* `newest`, once a snapshot is of that sample */
     double value, limit;
+    uint32_t acted; /* 1 once the machine was given the safe outputs: not to be told before */
+    uint32_t pad;
 } trip_latch;
 
 typedef struct control {

@@ -70,19 +70,37 @@ static void compute(runner *r) {
     safety_command(r);
 }
 
+/* The three calls of the machine that a driver may not return from: if so, it is named. */
+static void put_out(runner *r) {
+    safety_output(r);
+    store32(&r->control->within, WITHIN_MACHINE);
+    r->config.machine->write(r->config.handle, &r->buffers.acting);
+    store32(&r->control->within, WITHIN_RUNTIME);
+    safety_acted(r);
+}
+
+static void take_in(runner *r) {
+    store32(&r->control->within, WITHIN_MACHINE);
+    r->config.machine->read(r->config.handle, &r->buffers.sensors);
+    store32(&r->control->within, WITHIN_RUNTIME);
+}
+
+static void let_go(runner *r) {
+    store32(&r->control->within, WITHIN_MACHINE);
+    r->config.machine->safe(r->config.handle);
+    store32(&r->control->within, WITHIN_RUNTIME);
+}
+
 /* One sample: outputs of the sample before → conversion → updates → control law → everything
  * recorded. */
 static void sample(runner *r, uint64_t begin, uint64_t late) {
     control *c = r->control;
     store64(&c->heartbeat, c->heartbeat | 1u);
     safety_requests(r, false);
-    safety_output(r);
-    r->config.machine->write(r->config.handle, &r->buffers.acting);
-    r->config.machine->read(r->config.handle, &r->buffers.sensors);
-    if (safety_inputs(r)) {
-        safety_output(r);
-        r->config.machine->write(r->config.handle, &r->buffers.acting);
-    }
+    put_out(r);
+    take_in(r);
+    if (safety_inputs(r))
+        put_out(r);
     batch_apply(r, c->tick);
     stream_exchange(r);
     fill_inputs(r);
@@ -124,7 +142,7 @@ static void finish_sample(runner *r) {
 /* Hardware is read while nothing runs; nothing acts, and what was commanded before the pause shall
  * not act after it. */
 static void rest(runner *r) {
-    r->config.machine->read(r->config.handle, &r->buffers.sensors);
+    take_in(r);
     safety_anew(r);
     r->state.speed_known = 0;
     memset(r->buffers.now.aout, 0, sizeof r->buffers.now.aout);
@@ -136,7 +154,7 @@ static void rest(runner *r) {
 static void stand_still(runner *r) {
     control *c = r->control;
     if (c->newest == 0) {
-        r->config.machine->read(r->config.handle, &r->buffers.sensors);
+        take_in(r);
         r->state.din = r->buffers.sensors.din;
         fill_inputs(r);
         r->state.unseen = true;
@@ -153,8 +171,9 @@ static void stand_still(runner *r) {
 static void idle(runner *r) {
     control *c = r->control;
     if (!c->info.simulated && c->running != RUN_PAUSED)
-        r->config.machine->safe(r->config.handle);
+        let_go(r);
     safety_requests(r, true);
+    safety_acted(r);
     batch_apply(r, c->tick);
     stream_idle(r);
     if (c->info.simulated)
@@ -252,7 +271,7 @@ void loop(runner *r) {
     const uint64_t spin = (uint64_t)(1e3 * spin_us);
     uint64_t deadline = 0, began = 0, first_tick = 0;
     if (!c->info.simulated)
-        r->config.machine->safe(r->config.handle);
+        let_go(r);
     for (;;) {
         uint32_t run = load32(&c->run);
         if (run == RUN_QUIT)

@@ -89,6 +89,7 @@ typedef struct runner_state {
     bool anew;       /* the program begins afresh at its next sample: FIRST_SAMPLE, and a run-in */
     uint32_t run_in; /* samples left of the run-in, in which outputs are not taken */
     uint32_t off_seen;
+    bool asked;    /* STOP came by the stop page, and is not answered there yet */
     uint64_t busy_ns;               /* a sample, machine included; smoothed over eight samples */
     bool acquired;                  /* Acquire() was called in this sample */
     bool unseen;   /* something was taken that the newest snapshot does not show */
@@ -164,6 +165,7 @@ void safety_reset(runner *r);
 void safety_anew(runner *r);
 void safety_requests(runner *r, bool paused);
 void safety_output(runner *r);
+void safety_acted(runner *r);
 bool safety_inputs(runner *r);
 void safety_command(runner *r);
 void safety_home(runner *r, int answer);

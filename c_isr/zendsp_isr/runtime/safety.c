@@ -21,6 +21,7 @@ void safety_trip(runner *r, uint32_t reason, int joint, double value, double lim
     r->state.unseen = true;
     c->trip.value = value;
     c->trip.limit = limit;
+    store32(&c->trip.acted, 0);
     store32(&c->trip.reason, reason);
     c->gain = 0.0;
 }
@@ -90,6 +91,19 @@ void safety_requests(runner *r, bool paused) {
     if (load32(&r->page->stop) != 0) {
         __atomic_exchange_n(&r->page->stop, 0, __ATOMIC_ACQ_REL);
         safety_trip(r, TRIP_STOP, 0, 0.0, 0.0);
+        r->state.asked = true;
+    }
+}
+
+/* The machine has the outputs of this sample, or was made safe while paused: a trip is told from
+ * here on, and not by a loop that hangs in the machine's write. */
+void safety_acted(runner *r) {
+    control *c = r->control;
+    if (!latched(r))
+        return;
+    store32(&c->trip.acted, 1);
+    if (r->state.asked) {
+        r->state.asked = false;
         store64(&r->page->sample, c->trip.tick);
         store64(&r->page->taken, r->page->taken + 1);
     }

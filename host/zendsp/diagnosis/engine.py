@@ -379,7 +379,7 @@ def _explain(
     """
     searches, decisions = _search(parts, given, beneath, jobs, tell, done)
     tell("fitting the improved model")
-    whole = assemble(parts.fit, beneath, decisions, jobs)
+    whole = assemble(parts, beneath, decisions, jobs)
     added = beneath.terms[len(given.terms) :]  # held, so they come out as they went in
     known = tuple(t for t in whole.calibrated.terms if t not in added)
     return searches, decisions, replace(whole, calibrated=whole.calibrated.with_terms(known))

@@ -23,6 +23,14 @@ STOPPED_S = 1.0  # for the loop to say that it stopped
 WATCHED_S = 0.25  # of the target's time: a program that runs for so long has begun well
 
 
+def at_rest(status: m.Status) -> bool:
+    """Whether a STOP is over: a STOP or trip has been carried out, or no program runs and the
+    machine is safe.
+    """
+    ended = status.state in (ProgramState.EMPTY, ProgramState.CRASHED)
+    return not status.unsafe and (status.trip is not None or ended)
+
+
 def stopped(status: m.Status) -> str:
     """Say how a STOP ended, from what :meth:`Programs.stop` returned."""
     if status.trip is None:
@@ -141,21 +149,20 @@ class Programs(Room):
         begin = time.monotonic()
         page = self.stop_page()
         sample = None if page is None else page.taken(page.ask(), TAKEN_S)
-        if sample is not None:
-            return self._stopped_at(sample)
+        known = None if sample is None else self._stopped_at(sample)
+        if known is not None and not known.unsafe:
+            return known
         try:
             self.request("stop")
             while True:
                 # on the lane of STOP: others may flood that of `status`
-                status = self.request("stopped")
-                if status.trip is not None or status.state in (
-                    ProgramState.EMPTY,
-                    ProgramState.CRASHED,
-                ):
-                    return status  # type: ignore[no-any-return]
+                status: m.Status = self.request("stopped")
+                if at_rest(status):
+                    return status
                 if time.monotonic() > begin + STOPPED_S:
                     raise LinkError(
-                        f"asked, but the loop of {self.link.target!r} goes on or hangs: it is"
+                        status.unsafe
+                        or f"asked, but the loop of {self.link.target!r} goes on or hangs: it is"
                         f" {status.state}"
                     )
                 time.sleep(0.002)
@@ -303,6 +310,8 @@ def trouble(status: m.Status) -> str:
             f"the program crashed: {status.crash}; load it again with 'zendsp run FILE' or"
             " download()"
         )
+    if status.unsafe:
+        return status.unsafe
     if status.trip is not None:
         what = "stopped" if status.drive == DriveState.STOPPED else "tripped"
         cause = (status.trip.text or status.trip.reason).removesuffix(

@@ -9,9 +9,10 @@ than they do.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,9 +23,12 @@ from zendsp.physics.handles import Handle, free_handles, get_values, set_values
 from zendsp.physics.joint import JointRecord
 from zendsp.physics.model import Model, Quantity
 from zendsp.physics.native import LANES
+from zendsp.physics.points import Points
 from zendsp.physics.predict import ran_away, run, run_many
+from zendsp.physics.threads import Each, threads
 
 Array = npt.NDArray[np.float64]
+T = TypeVar("T")
 
 # factor within which an inertial figure is calibrated where the recordings give no range of their
 # own
@@ -37,6 +41,7 @@ NEAR = 0.02  # of a bound, and a number counts as lying at it
 ZERO_ERROR = 2e-3
 # s between the samples of a first look: sixteen a radian at the fastest observer that is tried
 FIRST_LOOK = 4e-3
+REMEMBERED = 32  # fits of a recording: a search asks for some of them again
 
 
 def joint_handles(data: Data, model: Model, joint: int) -> tuple[Handle, ...]:
@@ -127,21 +132,26 @@ def residuals(
     data: Data,
     models: Sequence[Model],
     joints: Sequence[int],
-    pool: ThreadPoolExecutor | None = None,
+    each: Each = map,
 ) -> Array:
     """As ``residual`` for models that differ in numbers only, (N, models)."""
-    groups = [models[i : i + LANES] for i in range(0, len(models), LANES)]
-    tasks = [
-        (rec[j - 1], group, data.bandwidth[j - 1])
+    works = [
+        partial(run_many, rec[j - 1], bandwidth=data.bandwidth[j - 1], inner=data.inner)
         for rec in data.records
         for j in joints
-        for group in groups
     ]
+    return _side_by_side(works, models, each)
 
-    def work(task: tuple[JointRecord, Sequence[Model], float]) -> Array:
-        return run_many(*task, inner=data.inner)
 
-    done = list(map(work, tasks) if pool is None or len(tasks) == 1 else pool.map(work, tasks))
+def _side_by_side(
+    works: Sequence[Callable[[Sequence[T]], Array]], items: Sequence[T], each: Each
+) -> Array:
+    """Columns of some items, as many at a time as the kernel takes, below one another by who works
+    them out.
+    """
+    groups = [items[i : i + LANES] for i in range(0, len(items), LANES)]
+    tasks = [(work, group) for work in works for group in groups]
+    done = list((map if len(tasks) == 1 else each)(lambda task: task[0](task[1]), tasks))
     if len(groups) > 1:
         done = [
             np.concatenate(done[i : i + len(groups)], axis=1)
@@ -208,11 +218,15 @@ class _Problem:
         model: Model,
         handles: Sequence[Handle],
         joints: Sequence[int],
-        pool: ThreadPoolExecutor,
+        each: Each,
         central: bool,
     ) -> None:
-        self.data, self.model, self.handles, self.joints = data, model, handles, joints
-        self.pool, self.central = pool, central
+        self.each, self.central = each, central
+        self.works = [
+            Points(rec[j - 1], model, handles, data.bandwidth[j - 1], data.inner).innovations
+            for rec in data.records
+            for j in joints
+        ]
         self.low, self.high, self.size = bounds_and_steps(data, model, handles)
         self.prior = np.array(
             [
@@ -227,8 +241,7 @@ class _Problem:
 
     def evaluate(self, points: Sequence[Array]) -> Array:
         """Residuals at some points, the prior's included, (N, points)."""
-        models = [set_values(self.model, self.handles, at) for at in points]
-        columns = residuals(self.data, models, self.joints, self.pool)
+        columns = _side_by_side(self.works, points, self.each)
         if not self.prior.any():
             return columns
         held = self.prior > 0
@@ -298,6 +311,31 @@ class _Problem:
                     return value, at, row, slope
         return None
 
+    def descend(
+        self, x: Array, iterations: int, tolerance: float, brief: bool
+    ) -> tuple[Array, Array, Array, int, bool]:
+        """From a point to a minimum: where, residual and Jacobian there, steps, and whether it
+        converged.
+        """
+        x = np.clip(x, self.low, self.high)
+        r, jac = self.jacobian(x)
+        cost, damping, done, count = float(r @ r), 1e-3, not len(x), 0
+        while not done and count < iterations:
+            count += 1
+            better = self.better(x, r, jac, damping, brief)
+            if not better:
+                done = True
+                break
+            before = cost
+            damping, x, r, slope = better
+            cost, damping = float(r @ r), max(damping / 8, 1e-9)
+            done = (before - cost) / max(before, 1e-300) < tolerance
+            if slope is not None:
+                jac = slope
+            elif not brief or not (done or count == iterations):
+                jac = self.jacobian(x, r)[1]
+        return x, r, jac, count, done
+
 
 def fit(
     data: Data,
@@ -343,31 +381,49 @@ def fit(
     """
     handles = tuple(handles)
     wanted = tuple(joints or range(1, data.joints + 1))
-    with ThreadPoolExecutor(max(1, jobs)) as pool:
-        problem = _Problem(data, model, handles, wanted, pool, central)
-        low, high = problem.low, problem.high
-        x = np.clip(get_values(model, handles) if start is None else start, low, high)
-        r, jac = problem.jacobian(x)
-        cost, damping, done, count = float(r @ r), 1e-3, not len(handles), 0
-        while not done and count < iterations:
-            count += 1
-            better = problem.better(x, r, jac, damping, brief)
-            if not better:
-                done = True
-                break
-            before = cost
-            damping, x, r, slope = better
-            cost, damping = float(r @ r), max(damping / 8, 1e-9)
-            done = (before - cost) / max(before, 1e-300) < tolerance
-            if slope is not None:
-                jac = slope
-            elif not brief or not (done or count == iterations):
-                jac = problem.jacobian(x, r)[1]
+    begin = None if start is None else start.tobytes()
+    key = (
+        *(id(record) for rec in data.records for record in rec),
+        (data.bandwidth, data.inner, tuple(data.ranges.items())),
+        (_content(model), handles, wanted, iterations, tolerance, begin, central, brief),
+    )
+    known = data.records[0][wanted[0] - 1].fits
+    if key in known:  # the terms are the caller's own, as if it had been fitted again
+        found: Fit = known[key][0]
+        return replace(found, model=set_values(model, handles, found.x))
+    with threads(jobs) as each:
+        problem = _Problem(data, model, handles, wanted, each, central)
+        x = get_values(model, handles) if start is None else start
+        x, r, jac, count, done = problem.descend(x, iterations, tolerance, brief)
     covariance = robust_covariance(jac, r, block_count(data))
+    low, high = problem.low, problem.high
     near = np.isclose(x, low, rtol=NEAR, atol=1e-12) | np.isclose(x, high, rtol=NEAR, atol=1e-12)
     at_bound = tuple(bool(v) for v in near)
-    return Fit(
-        set_values(model, handles, x), handles, x, covariance, cost, count, at_bound, done, jac, r
+    found = Fit(
+        set_values(model, handles, x),
+        handles,
+        x,
+        covariance,
+        float(r @ r),
+        count,
+        at_bound,
+        done,
+        jac,
+        r,
+    )
+    known[key] = found, data.records  # kept alive, so that no other record gets its id
+    while len(known) > REMEMBERED:
+        known.pop(list(known)[0], None)  # noqa: RUF015  in one step: other threads add to it
+    return found
+
+
+def _content(model: Model) -> tuple[object, ...]:
+    """All of a model that a fit depends on, to compare."""
+    return (
+        tuple(model.mechanism.items()),
+        tuple((t.effect, t.joint, tuple(t.parameters.items())) for t in model.terms),
+        model.actuator,
+        model.sensor,
     )
 
 

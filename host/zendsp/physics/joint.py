@@ -44,6 +44,8 @@ class JointRecord:
     _integral: Array | None = None
     _facts: Facts | None = None
     _thinned: JointRecord | None = None
+    # fits to it, by all that they depend on: the latest, see ``fit``
+    fits: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def n(self) -> int:
@@ -127,12 +129,13 @@ class JointRecord:
                 _gains={},
                 _integral=None,
                 _thinned=None,
+                fits={},
             )
         return self._thinned
 
     def __getstate__(self) -> dict[str, Any]:
         """To another process goes what the rest follows from."""
-        return {**self.__dict__, "_gains": {}, "_integral": None, "_thinned": None}
+        return {**self.__dict__, "_gains": {}, "_integral": None, "_thinned": None, "fits": {}}
 
     def inertia_and_bias(self, model: Model) -> tuple[Array, Array]:
         """Inertia and known torque along the record for the mechanism parameters of a model, each

@@ -195,11 +195,12 @@ class Native:
         self.ffi: Any = cffi.FFI()
         self.ffi.cdef(CDEF)
         self.lib: Any = self.ffi.dlopen(str(build(source_text(effects))))
+        self._doubles = self.ffi.typeof("double[]")
         self.index = {name: i for i, name in enumerate(effects)}
 
     def doubles(self, array: Any) -> Any:
         """Pointer to a C-contiguous float64 array, which must outlive the call."""
-        return self.ffi.cast("double *", self.ffi.from_buffer(array))
+        return self.ffi.from_buffer(self._doubles, array)
 
 
 _opened: dict[tuple[str, ...], Native] = {}

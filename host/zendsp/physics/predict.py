@@ -101,7 +101,7 @@ def run(
     lib, n = native(), record.n
     p = lib.doubles
     m = lib.ffi.new("zk_model *")
-    alive = _fill(m, record, model, bandwidth, inner)
+    alive = fill(m, record, model, bandwidth, inner)
     m.beyond = int(states == "beyond")
     if free_every:
         value, half, w = record.position, np.zeros(n), np.ones(n)
@@ -149,7 +149,7 @@ def run_many(
         m = lib.ffi.new("zk_model[]", LANES)
         known: dict[tuple[float, ...], tuple[Array, Array]] = {}
         alive = [
-            _fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
+            fill(m[i], record, model, bandwidth, inner, known, tables[begin + i])
             for i, model in enumerate(some)
         ]
         for i in range(len(some), LANES):
@@ -180,7 +180,7 @@ def _body_numbers(model: Model) -> tuple[float, ...]:
     return tuple(q.value for term in body_terms(model) for q in term.parameters.values())
 
 
-def _fill(
+def fill(
     m: Any,
     record: JointRecord,
     model: Model,
@@ -213,7 +213,6 @@ def _fill(
     )
     m.gain = per_joint(model.actuator.gain, record.joint, 1.0)
     m.limit = per_joint(model.actuator.limit, record.joint, 0.0)
-    m.shift = per_joint(model.sensor.offset, record.joint, 0.0) - record.base_offset
     m.m, m.half, m.k1, m.k2, m.w = (
         p(record.measurement.value),
         p(record.measurement.half),
@@ -221,18 +220,31 @@ def _fill(
         p(k2),
         p(w),
     )
-    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
-    m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
+    fill_rigid(m, record, model, inertia, bias)
     m.other, m.extra = p(record.others), ffi.NULL
     own = own_terms(model.at(record.joint))
     m.temperature = p(_felt(record, own))
     m.nfx, m.kind, m.p = len(own), ffi.cast("int *", ffi.from_buffer(kinds)), p(table)
-    m.q0, m.qd0 = float(rq[0] + m.shift), float(rqd[0])
+    m.qd0 = float(rqd[0])
+    fill_shift(m, record, per_joint(model.sensor.offset, record.joint, 0.0))
     soon = min(n - 1, max(1, round(AT_FIRST / record.sample_time)))
     m.a0 = float(rqd[soon] - rqd[0]) / (soon * record.sample_time)
     m.load_sensor = 1 if model.sensor.side == "load" else 0
     m.reset, m.rq, m.rqd, m.t0 = 0, p(rq), p(rqd), record.t0
     return [kinds, table, inertia, bias, k1, k2, w]
+
+
+def fill_rigid(m: Any, record: JointRecord, model: Model, inertia: Array, bias: Array) -> None:
+    """Fill in what the rigid body does; the arrays must outlive the call."""
+    p = native().doubles
+    m.inertia, m.bias, m.reference = p(inertia), p(bias), record.reference_inertia(model, inertia)
+    m.gravity = mechanism_value(model, "gravity", record.joint) if model.kind == "rotary" else 0.0
+
+
+def fill_shift(m: Any, record: JointRecord, offset: float) -> None:
+    """Fill in the sensor's zero, and with it where the prediction begins."""
+    m.shift = offset - record.base_offset
+    m.q0 = float(record.motion.states[0][0] + m.shift)
 
 
 def trace(record: JointRecord, model: Model, terms: tuple[Term, ...], speed_floor: float) -> Array:

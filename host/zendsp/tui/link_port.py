@@ -96,7 +96,8 @@ class LinkPort:
             recording=recorder is not None and recorder.state in ("armed", "running"),
             host_lost=drive.host_lost,
             trip=_trip(s.trip),
-            crash=s.crash,
+            crash=s.crash or s.unsafe,
+            unsafe=s.unsafe,
             scheduling=s.scheduling,
             io=io,
             position=tuple(

@@ -209,7 +209,7 @@ class Session:
         verdict = self.verdict
         if verdict is None or verdict.state == "asked" or begin < verdict.time:
             return
-        if verdict.state == "not stopped" and new.trip is not None:
+        if verdict.state == "not stopped" and new.trip is not None and not new.unsafe:
             self.verdict = Verdict("stopped", f"stopped, at sample {new.trip.tick}", begin)
         elif verdict.state == "stopped" and new.trip is None and begin > verdict.time + SHOWN_S:
             self.verdict = None

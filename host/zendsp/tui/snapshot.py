@@ -80,6 +80,7 @@ class Snapshot:
     host_lost: str = ""
     trip: TripView | None = None
     crash: str = ""
+    unsafe: str = ""  # why the machine may still move where no program runs
     scheduling: str = ""
     io: Mapping[str, Any] = field(default_factory=dict)
     # of each joint by its encoder, rad or m; also while no program computes anything

@@ -168,7 +168,7 @@ class StatusBar(Widget):
     def show(self, snapshot: Snapshot, verdict: Verdict | None = None) -> None:
         """Paint a snapshot; does nothing while nothing has changed."""
         clock = time.strftime("%H:%M:%S")
-        now = (id(snapshot), clock, self.app.theme, verdict)
+        now = (id(snapshot), clock, self.app.theme, verdict, self._line1.size.width)
         if now == self._shown:
             return
         self._shown = now

@@ -245,6 +245,7 @@ def serve(control: int, verdicts: int, web: bool) -> None:
     stops = Stops(links, tell)
     presses, field, lines = presses_of(web), Field(), b""
     waiting = b""  # for the application to take: it must never hold up the keys
+    gone = False
     os.set_blocking(1, False)
 
     def look(data: bytes) -> None:
@@ -254,6 +255,19 @@ def serve(control: int, verdicts: int, web: bool) -> None:
 
     while True:
         readable, _, _ = select.select([0, control], [1] if waiting else [], [], 0.1)
+        if control in readable:  # first: a click means the field that was told before it
+            data = os.read(control, 4096)
+            gone = not data  # the application; what was typed before is looked at all the same
+            *whole, lines = (lines + data).split(b"\n")
+            for line in whole:
+                if line == b"!":
+                    stops.press()
+                elif line == b"?":
+                    tell(HERE, "")
+                elif line.startswith(b"@"):
+                    field = Field(*map(int, line[1:].split()))
+                else:
+                    links.want(line.decode())
         if 0 in readable:
             try:
                 data = os.read(0, 4096)
@@ -265,20 +279,8 @@ def serve(control: int, verdicts: int, web: bool) -> None:
             waiting += data
         elif not readable:
             look(b"")  # an Escape that nothing followed
-        if control in readable:
-            data = os.read(control, 4096)
-            if not data:  # the application is gone
-                return
-            *whole, lines = (lines + data).split(b"\n")
-            for line in whole:
-                if line == b"!":
-                    stops.press()
-                elif line == b"?":
-                    tell(HERE, "")
-                elif line.startswith(b"@"):
-                    field = Field(*map(int, line[1:].split()))
-                else:
-                    links.want(line.decode())
+        if gone:
+            return
         if waiting:
             with contextlib.suppress(BlockingIOError):
                 waiting = waiting[os.write(1, waiting) :]

@@ -25,7 +25,7 @@ from zendsp_target.runtime.variables.change_log import ChangeLog
 
 def require_no_trip(session: Session) -> None:
     """Refuse what must wait until a STOP or trip is acknowledged."""
-    trip = safety.trip_of(session.control, session.machine)
+    trip = safety.latched_trip(session.control, session.machine)
     if trip is not None:
         raise Refused(f"{trip.text}: acknowledge it first")
 
@@ -53,6 +53,8 @@ class Programs:
         Of all loads.
     settings : Settings
         Of the next load.
+    unsafe : str
+        Why the machine may still move though no program is loaded; empty: it is safe.
     drive_wish : str
         ``"auto"`` (on at start), or what was asked for: ``"off"``, ``"torque"``, ``"velocity"``.
     """
@@ -88,6 +90,7 @@ class Programs:
         self._loads = 0
         self._sequence = 0  # of the last update of all loads
         self.drive_wish = "auto"
+        self.unsafe = ""
         self._closed = False
 
     def compile(self, sources: Mapping[str, str], flags: Sequence[str] = ()) -> CompileResult:
@@ -125,12 +128,13 @@ class Programs:
                 self.log,
                 self._sequence,
             )
+            self.unsafe = ""
 
     def unload(self) -> None:
         """End the runner; acquired data and the log stay."""
         with self.lock:
             if self.session is not None:
-                self.session.close()
+                self.unsafe = self.session.close()
                 self._sequence = self.session.updates.sequence
                 self.session = None
 

@@ -138,8 +138,10 @@ class Runtime:
 
     def status(self) -> Status:
         """Everything that a person wants to see at a glance."""
-        session = self.programs.session
-        return empty_status(self.programs.settings) if session is None else status_of(session)
+        programs, session = self.programs, self.programs.session
+        if session is None:
+            return empty_status(programs.settings, programs.unsafe)
+        return status_of(session)
 
     def __enter__(self) -> Runtime:
         return self

@@ -33,7 +33,22 @@ _ARRAYS = ("position_min", "position_max", "speed_max", "torque_max", "command_m
 
 
 def trip_of(control: Any, machine: MachineInfo) -> Trip | None:
-    """The latched trip, None while there is none.
+    """The trip that is latched and has been carried out, None while there is none: nobody is told
+    of one before the machine has its safe outputs.
+
+    Parameters
+    ----------
+    control : cffi struct control
+    machine : MachineInfo
+        For the names and units in its sentence.
+    """
+    ffi, lib = layout()
+    trip = latched_trip(control, machine)
+    return trip if lib.monitor_load32(ffi.addressof(control.trip, "acted")) else None
+
+
+def latched_trip(control: Any, machine: MachineInfo) -> Trip | None:
+    """The latched trip, carried out or not; None while there is none.
 
     Parameters
     ----------

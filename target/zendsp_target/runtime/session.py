@@ -97,7 +97,10 @@ class Session:
         self._supervisor = Supervisor(self.process, self.updates.harvest, self._died)
 
     def _died(self, sentence: str) -> None:
-        self.crash = sentence
+        told = safety.trip_of(self.control, self.machine)
+        latched = safety.latched_trip(self.control, self.machine)
+        why = "" if latched == told or latched is None else f"; not carried out: {latched.reason}"
+        self.crash = sentence + why
         # what was made ready would not say that the values are old
         layout()[1].monitor_store32(self._ended, 1)
 
@@ -112,7 +115,7 @@ class Session:
 
     def alive(self) -> bool:
         """Whether the runner still runs."""
-        return self.process.alive()
+        return not self.crash and self.process.alive()
 
     def require_alive(self) -> None:
         """Raise RunnerDied, with how it died, when the runner is gone."""
@@ -269,10 +272,18 @@ class Session:
         """Write the runtime's own settings as one update."""
         return self.updates.write(values, author, None, settings=True)
 
-    def close(self) -> None:
-        """End the runner, machine safe; what was recorded stays readable."""
+    @property
+    def unsafe(self) -> str:
+        """Why the machine may still move though the runner has ended; empty: it is safe."""
+        return "" if self.alive() else self.process.unsafe
+
+    def close(self) -> str:
+        """End the runner, machine safe; what was recorded stays readable. Returns why the machine
+        is not safe, else nothing.
+        """
         layout()[1].monitor_store32(self._ended, 1)
         self._supervisor.expect_end()
         self.process.quit()
         self._supervisor.join()
         self.process.unlink()
+        return self.process.unsafe

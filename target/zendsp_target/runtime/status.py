@@ -17,13 +17,15 @@ _IO = ("enc", "aout", "adc", "din", "dout")
 _MODES = {number: name for name, number in safety.DRIVE_MODES.items()}
 
 
-def empty_status(settings: Settings) -> Status:
+def empty_status(settings: Settings, unsafe: str) -> Status:
     """Status while no program is loaded.
 
     Parameters
     ----------
     settings : Settings
         Of the next load.
+    unsafe : str
+        Why the machine may still move; empty: it is safe.
     """
     return Status(
         state=ProgramState.EMPTY,
@@ -39,6 +41,7 @@ def empty_status(settings: Settings) -> Status:
         drive=DriveState.OFF,
         trip=None,
         crash="",
+        unsafe=unsafe,
     )
 
 
@@ -71,6 +74,7 @@ def status_of(session: Session) -> Status:
         io=_io(session),
         homed=homed,
         drive_mode=mode,
+        unsafe=session.unsafe,
     )
 
 

@@ -306,7 +306,8 @@ class Server:
                 log.exception("the status cannot be read")
                 continue
             now = time.monotonic()
-            shown = (status.state, status.drive, status.crash, status.hosts, status.trip)
+            trouble = (status.crash, status.unsafe, status.trip)
+            shown = (status.state, status.drive, trouble, status.hosts)
             if shown != last or now >= due:
                 last, due = shown, now + PULSE_S
                 publisher.put(codec.encode({"v": PROTOCOL, **msgspec.structs.asdict(status)}))

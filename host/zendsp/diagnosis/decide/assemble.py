@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.physics.bodies import body_terms
@@ -101,8 +102,29 @@ def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs:
     return fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=10).model
 
 
-def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
+def with_disagreement(
+    data: Data, held: Data, fitted: Fit, joints: Sequence[int], jobs: int
+) -> Fit:
+    """The fit with what the recordings held out say otherwise in its covariance: by how much their
+    own numbers differ beyond what both are uncertain by (two groups of a random-effects model,
+    DerSimonian and Laird 1986). A machine is no two days the same, nor two motions of one model.
+    """
+    if not fitted.handles:
+        return fitted
+    others = replace(data, records=held.records)
+    other = fit(
+        others, fitted.model, fitted.handles, joints=joints, jobs=jobs, start=fitted.x, iterations=6
+    )
+    angle = np.array([h.key in ("phase", "angle") for h in fitted.handles])
+    apart = other.x - fitted.x
+    apart = np.where(angle, np.remainder(apart + np.pi, 2 * np.pi) - np.pi, apart)
+    beyond = np.maximum(apart**2 - fitted.std**2 - other.std**2, 0.0)
+    return replace(fitted, covariance=fitted.covariance + np.diag(beyond))
+
+
+def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int) -> Assembled:
     """Put the joints together; parameters that joints share are refitted on all of them at once."""
+    train, held = parts.fit, parts.held
     bandwidth = tuple(s.final.data.bandwidth[s.joint - 1] for s in searches)
     data = replace(train, bandwidth=bandwidth)
     if not shared_mechanism(given):
@@ -111,6 +133,11 @@ def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int)
         certain = {
             s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches
         }
+        for s in searches:
+            if s.claims:
+                certain[s.joint] = with_disagreement(
+                    s.final.data, held, certain[s.joint], (s.joint,), jobs
+                )
         return Assembled(
             _noted(calibrated, {s.joint: s.base.fit for s in searches}),
             _noted(improved, certain),
@@ -123,6 +150,8 @@ def assemble(train: Data, given: Model, searches: Sequence[Decision], jobs: int)
     start = _with_shared(merge(given, [s.final for s in searches]), [s.final for s in searches])
     whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
     whole = with_step_error(data, whole, everything)
+    if any(s.claims for s in searches):
+        whole = with_disagreement(data, held, whole, everything, jobs)
     fits = dict.fromkeys(everything, whole)
     return Assembled(calibrated, _noted(whole.model, {1: whole}), fits, data, True)
 

@@ -14,20 +14,13 @@ import math
 import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Decision
-from zendsp.diagnosis.decide.thresholds import NUMERIC
+from zendsp.diagnosis.decide.thresholds import ALONE, NUMERIC, STATED
 from zendsp.diagnosis.measure.structure import STRUCTURED
 from zendsp.physics.effects import get_effect
 
 NAMES = ("constant", "unknown", "left", "free", "small")
 WEIGHTS = (-0.3, 2.05, 2.05, -1.05, -2.05)
 MOST = 0.95  # of 186 stated at 0.9 and more, on makers left out, 94 of 100 were right
-# A function of the state beside which something stays unexplained can be another one: its law,
-# where it is not what every machine has, is stated where it is more likely than this. Of 199 right
-# laws on five makers' cases 2 were less likely, of 56 wrong ones 11. (A half would take 1 and 6,
-# 0.8 would take 8 and 18.)
-STATED = 0.7
-# The same of any other law, or where nothing is left that could speak against it.
-ALONE = 1 / 3
 FINE = 1e-4  # of the RMS torque: nothing is known better
 
 

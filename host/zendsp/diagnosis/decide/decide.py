@@ -20,24 +20,23 @@ from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.laws import believed, named
 from zendsp.diagnosis.decide.pieces import (
-    DRY,
     grouped,
     held_apart,
     kind_of,
     piece_of,
     rms_torque,
+    rubs,
     worth_choosing,
 )
 from zendsp.diagnosis.decide.thresholds import LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
 from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
-from zendsp.diagnosis.measure.discrepancy import TURNING, Size, discrepancy
+from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
 from zendsp.diagnosis.measure.windows import rms, window_error
 from zendsp.diagnosis.search.forward import WAIT
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
-from zendsp.physics.effects import mechanism_of
 from zendsp.physics.model import Model, Term
 
 Array = npt.NDArray[np.float64]
@@ -77,7 +76,7 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
         claimed, rest = held_apart(parts, given, final, joint, pieces)
         if claimed:
             decision = believed(
-                named(parts, given, search, final, claimed, rest, before, jobs, tell)
+                named(parts, given, search, final, claimed, rest, before, jobs, tell), parts
             )
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
@@ -103,9 +102,8 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     """
     joint, base = search.joint, search.base
     # how a known dry friction turns round is no missing physics: bristles, a simulator's softness
-    rubs = any(mechanism_of(t.effect) == DRY for t in base.model.at(joint))
-    above = TURNING if rubs else 0.0
-    state = structure(parts.each, base.model, joint, STRUCTURED, above)
+    turning = not rubs(base.model, joint)
+    state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     lost = tuple(_why(r, base) for r in search.tried[:6])
     out = Decision(
         joint,
@@ -124,27 +122,27 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     of_state = state.size > OF_STATE and state.z > SURE
     if before.value > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
-        here = bursts(parts.held, base.model, joint) or bursts(
-            parts.fit, base.model, joint, many=FEW
+        here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
+            parts.fit, base.model, joint, many=FEW, turning=turning
         )
         if here is not None:
             both = everywhere(here, (parts.fit, parts.held), base.model, joint)
             return replace(out, kind="disturbance", bursts=both)
     if of_state:
-        claim = _without_law(parts, search, state)
+        claim = _without_law(parts, search, state, before, turning)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    lawful = before.value > LAWFUL and _lawful(parts, base, joint, above)
+    lawful = before.value > LAWFUL and _lawful(parts, base, joint, turning)
     if of_state or lawful or before.value > MACHINE:
         return replace(out, kind="unexplained")
     return out
 
 
-def _lawful(parts: Parts, base: Scored, joint: int, above: float) -> bool:
+def _lawful(parts: Parts, base: Scored, joint: int, turning: bool) -> bool:
     """Whether what lacks is no noise of a machine: it follows from how the joint moved before, or
     repeats itself with time.
     """
-    memory = structure(parts.each, base.model, joint, [MEMORY], above)
+    memory = structure(parts.each, base.model, joint, [MEMORY], turning)
     if memory.size > LAWFUL and memory.z > SURE:
         return True
     return periodic(parts.held, base.model, joint) > LAWFUL
@@ -160,15 +158,18 @@ def _why(rival: Rival, base: Scored) -> tuple[str, str, float]:
     return rival.effect, why, 0.5 * gain
 
 
-def _without_law(parts: Parts, search: JointSearch, state: Structure) -> Claim | None:
-    """The one mechanism whose own variables predict most of what any function of state does; None
-    where several do, or none.
+def _without_law(
+    parts: Parts, search: JointSearch, state: Structure, before: Size, turning: bool
+) -> Claim | None:
+    """The one mechanism whose own variables predict most of what lacks, and of what any function of
+    state does; None where several do, or none.
     """
     joint, base = search.joint, search.base
-    alone = {m: structure(parts.each, base.model, joint, [m]) for m in STRUCTURED}
+    alone = {m: structure(parts.each, base.model, joint, [m], turning) for m in STRUCTURED}
     order = sorted(alone, key=lambda m: -alone[m].size)
     best = alone[order[0]]
-    if best.z < SURE or best.size**2 < MOST * state.size**2 or best.share < MOST:
+    least = MOST * max(state.size, before.value) ** 2
+    if best.z < SURE or best.size**2 < least or best.share < MOST:
         return None
     other = next(alone[m] for m in order[1:] if m not in kind_of(order[0]))
     if other.size**2 > RIVAL * best.size**2:

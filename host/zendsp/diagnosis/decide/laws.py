@@ -13,7 +13,7 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import stated
 from zendsp.diagnosis.decide.findings import new_terms
-from zendsp.diagnosis.decide.pieces import DRY, kind_of, may_leave, piece_of, rms_torque
+from zendsp.diagnosis.decide.pieces import DRY, kind_of, may_leave, piece_of, rms_torque, rubs
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CURVE,
@@ -22,13 +22,14 @@ from zendsp.diagnosis.decide.thresholds import (
     HARMONIC,
     LAW_ERROR,
     NUMERIC,
+    OF_STATE,
     OWN_SHARE,
     PLAIN,
     STATED_LAW,
     SURE,
     TIED,
 )
-from zendsp.diagnosis.measure.discrepancy import TURNING, Size, difference, discrepancy
+from zendsp.diagnosis.measure.discrepancy import Size, difference, discrepancy
 from zendsp.diagnosis.measure.evidence import block_scores, settling
 from zendsp.diagnosis.measure.likelihood import Scored, fit_scored, informative
 from zendsp.diagnosis.measure.structure import STRUCTURED, Structure, structure
@@ -68,8 +69,9 @@ def named(
         ranked = _ranked(parts.test, given, final, piece, search.base, jobs)
         first = ranked[0]
         law = _law(parts, given, search, searcher, final, piece, first, jobs, tell)
+        # how dry friction turns round (bristles, a simulator's softness) refines its law
         left = (
-            structure(parts.each, final.model, joint, [piece.mechanism], _slow(piece.mechanism))
+            structure(parts.each, final.model, joint, [piece.mechanism], piece.mechanism != DRY)
             if piece.mechanism in STRUCTURED
             else None
         )
@@ -81,7 +83,7 @@ def named(
             if second and other.log_e > 0 and other.evidence.z > PLAIN:
                 own.append(other)
             else:
-                refinements.append(_plain(other))
+                refinements += _plain(other)
         kind = [p for p in claimed if p.mechanism in kind_of(piece.mechanism)]
         allowed = max(may_leave(p) for p in kind)  # a larger law's error is no lack of this one
         # what the law by itself leaves to itself
@@ -95,14 +97,14 @@ def named(
         )
         drawn = piece.mechanism == "position_torque" and _is_curve(ranked)
         if poor or drawn or len(own) + level >= CURVE:
-            refinements += [_plain(p) for p in own[1:]]
+            refinements += [c for p in own[1:] for c in _plain(p)]
             claims.append(
                 replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0})
             )
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
         claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
-    refinements += [_plain(p) for p in rest]
+    refinements += [c for p in rest for c in _plain(p)]
     claims.sort(key=lambda c: -c.evidence.gain)
     claims, more = _beside_unknown(claims)
     refinements += more
@@ -123,13 +125,6 @@ def named(
         _bare(parts.test, final, joint, claims, refinements, after, jobs),
         rms_torque(parts.test, joint),
     )
-
-
-def _slow(mechanism: str) -> float:
-    """Part of the speed below which a law is not asked what it leaves: how dry friction turns round
-    (bristles, a simulator's softness) refines it.
-    """
-    return TURNING if mechanism == DRY else 0.0
 
 
 def _bare(
@@ -155,7 +150,7 @@ def _bare(
     return discrepancy(test, alone.model, joint)
 
 
-def believed(decision: Decision) -> Decision:
+def believed(decision: Decision, parts: Parts) -> Decision:
     """The decision without the laws that are too likely wrong; of what is first, the mechanism
     stays where functions of its variables can be told and it explains more than it leaves, the
     rest refines the fit.
@@ -168,11 +163,23 @@ def believed(decision: Decision) -> Decision:
             claim is decision.claims[0]
             and claim.mechanism in STRUCTURED
             and claim.size > decision.after.value
+            and not _turns_otherwise(claim, decision, parts)
         ):
             keep.append(replace(claim, effect="unknown", laws={**claim.laws, "unknown": 1.0}))
         else:
             more.append(claim)
     return replace(decision, claims=tuple(keep), refinements=tuple(more))
+
+
+def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
+    """Whether a dry friction that the model has already only turns round in another way: where the
+    joint moves, nothing lacks.
+    """
+    if claim.mechanism != DRY or not rubs(decision.base.model, decision.joint):
+        return False
+    model = decision.base.model
+    moving = structure(parts.each, model, decision.joint, [DRY], turning=False)
+    return moving.size < OF_STATE or moving.z < SURE
 
 
 def _beside_unknown(claims: Sequence[Claim]) -> tuple[list[Claim], list[Claim]]:
@@ -240,11 +247,10 @@ def _ranked(
     return sorted(each, key=lambda p: -p.size)
 
 
-def _plain(piece: Piece) -> Claim:
-    term = piece.terms[0]
-    return Claim(
-        term.effect, piece.mechanism, term, piece.size, piece.evidence, piece.log_e, {}, (), (), ()
-    )
+def _plain(piece: Piece) -> list[Claim]:
+    """What refines the fit, one entry a law; size and evidence are those of all of them."""
+    at = (piece.size, piece.evidence, piece.log_e)
+    return [Claim(t.effect, piece.mechanism, t, *at, {}, (), (), ()) for t in piece.terms]
 
 
 def _law(

@@ -111,9 +111,16 @@ def _finding(
             claim.mechanism,
             laws,
         )
-    values = estimates(whole.fits[joint], term, kind, given.actuator.unit, unit)
+
+    def numbers_of(fit: Fit) -> dict[str, Estimate]:
+        left = decision.after.value / max(claim.size, 1e-300)
+        h = whole.data.records[0][joint - 1].sample_time
+        units = given.actuator.unit, unit
+        return estimates(fit, term, kind, *units, left=left, sample_time=h)
+
+    values = numbers_of(whole.fits[joint])
     if (alone := _unrefined(decision, claim)) is not None:
-        values = between(values, estimates(alone, term, kind, given.actuator.unit, unit))
+        values = between(values, numbers_of(alone))
     text = sentence(term, values)
     if term.effect == "inertia":
         weight = [
@@ -190,7 +197,8 @@ def between(refined: dict[str, Estimate], alone: dict[str, Estimate]) -> dict[st
     for name, other in alone.items():
         change = abs(other.value - refined[name].value)
         if change > PLAIN * refined[name].std:
-            out[name] = replace(other, std=math.hypot(other.std, 0.5 * change))
+            std = max(refined[name].std, math.hypot(other.std, 0.5 * change))
+            out[name] = replace(other, std=std)
     return out
 
 

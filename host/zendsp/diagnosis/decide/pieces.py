@@ -213,6 +213,11 @@ def _kept_laws(given: Model, final: Model, joint: int, mechanism: str) -> list[T
     ]
 
 
+def rubs(model: Model, joint: int) -> bool:
+    """Whether a model has dry friction at a joint."""
+    return any(mechanism_of(t.effect) == DRY for t in model.at(joint))
+
+
 def kind_of(mechanism: str) -> frozenset[str]:
     """Mechanisms that are functions of the same variables."""
     friction = frozenset({"dry_friction", "fluid_friction"})

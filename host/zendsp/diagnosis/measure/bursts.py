@@ -10,7 +10,13 @@ import numpy.typing as npt
 from scipy.ndimage import binary_closing, median_filter
 from scipy.special import ndtr, ndtri  # scipy.stats would take half a second to import
 
-from zendsp.diagnosis.measure.discrepancy import kept, lacking, mean_square
+from zendsp.diagnosis.measure.discrepancy import (
+    band_of,
+    kept,
+    lacking,
+    mean_square,
+    reversals,
+)
 from zendsp.diagnosis.measure.structure import unit
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord
@@ -23,9 +29,12 @@ BRIEF = 0.4  # of the time at most: what acts for longer is no disturbance that 
 # there
 CONCENTRATED = 0.4
 BURST, OF_PEAK = 10.0, 0.05  # times the median of the energy, and of its largest: a burst
-REVISITED = 0.3  # of that time, in states that the joint is in at other times too, without it
+# of that time, in states that the joint is in at other times too, without it; of the reversals,
+# with it
+REVISITED = 0.3
 CHANCE = 1e-3  # that the largest of a noise's spectral lines stands out so far
 AROUND = 20  # neighbours on either side, whose median says how large noise is there
+MOSTLY = 0.5  # of the energy at reversals, at many of them: how the joint's friction turns round
 MANY, FEW = 12, 3  # intervals: in recordings that no model was fitted to, and in the others
 
 
@@ -84,7 +93,12 @@ def _states(
 
 
 def bursts(
-    data: Data, model: Model, joint: int, band: float = 32.0, many: int = MANY
+    data: Data,
+    model: Model,
+    joint: int,
+    band: float = 32.0,
+    many: int = MANY,
+    turning: bool = True,
 ) -> Bursts | None:
     """Find the times outside of which a model lacks next to nothing; None where there are none
     such.
@@ -99,12 +113,16 @@ def bursts(
         Of the observer, rad/s.
     many : int
         Intervals; more come and go with something else than time.
+    turning : bool
+        Whether what acts where the joint turns round, again and again, may be one.
 
     Returns
     -------
     Bursts or None
     """
     acting = _acting(data, model, joint, band)
+    if not turning and _turns(data, acting, joint, band):
+        return None
     met = 0
     for high, use, rec in zip(acting.masks, acting.used, data.records, strict=True):
         motion = rec[joint - 1].motion.states
@@ -121,6 +139,24 @@ def bursts(
     by_chance = 2.0 * (z * float(np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)) + float(ndtr(-z)))
     scattered = 1.0 - out.share > CONCENTRATED * (1.0 - by_chance)
     return None if scattered or len(out.intervals) > many else out
+
+
+def _turns(data: Data, acting: _Acting, joint: int, band: float) -> bool:
+    """Whether what acts comes where the joint turns round, and not at a few of these places."""
+    there = total = 0.0
+    met = count = 0
+    for high, lack, use, rec in zip(
+        acting.masks, acting.lacks, acting.used, data.records, strict=True
+    ):
+        record = rec[joint - 1]
+        round_ = reversals(record, band_of(record, band))[use]
+        energy = lack**2 * high
+        there += float(energy[round_].sum())
+        total += float(energy.sum())
+        change = np.flatnonzero(np.diff(np.r_[0, round_.astype(int), 0]))
+        count += len(change) // 2
+        met += sum(bool(high[a:b].any()) for a, b in zip(change[::2], change[1::2], strict=True))
+    return there > MOSTLY * total and met > REVISITED * count
 
 
 def everywhere(

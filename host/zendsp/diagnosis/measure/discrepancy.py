@@ -58,10 +58,11 @@ def as_torque(record: JointRecord, model: Model, innovations: Array, band: float
         * effective_inertia(record, model)
         / record.sample_time
     )
-    out = -innovations * factor
-    lag = min(out.shape[-1], round(np.sqrt(2) / band / record.sample_time))
-    moved = np.zeros_like(out)
-    moved[..., : out.shape[-1] - lag] = out[..., lag:]
+    n = innovations.shape[-1]
+    lag = min(n, round(np.sqrt(2) / band / record.sample_time))
+    moved = np.empty_like(innovations)
+    np.multiply(innovations[..., lag:], -factor[lag:], out=moved[..., : n - lag])
+    moved[..., n - lag :] = 0.0
     return moved
 
 
@@ -179,10 +180,18 @@ def difference(data: Data, one: Model, other: Model, joint: int, band: float = B
     return float(np.sqrt(total / max(count, 1.0) / mean_square(data, joint)))
 
 
-def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
-    """Part of the energy of the torque between two models that acts where the joint turns round:
-    below a tenth of its speed, and as long before and after as an observer remembers.
+def reversals(record: JointRecord, band: float) -> npt.NDArray[np.bool_]:
+    """Where a joint turns round, (n,): below a tenth of its speed, and as long before and after as
+    an observer remembers.
     """
+    speed = np.abs(record.motion.states[1])
+    slow = speed < TURNING * float(np.quantile(speed[kept(record, band)], 0.98))
+    around = max(1, round(2.0 / band / record.sample_time))
+    return np.asarray(binary_dilation(slow, iterations=around))
+
+
+def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
+    """Part of the energy of the torque between two models that acts where the joint turns round."""
     band = BANDS[0]
     pairs = zip(
         lacking(data, one, joint, band),
@@ -194,10 +203,8 @@ def at_reversals(data: Data, one: Model, other: Model, joint: int) -> float:
     for a, b, rec in pairs:
         record = rec[joint - 1]
         use = kept(record, band)
-        energy, speed = (a[use] - b[use]) ** 2, np.abs(record.motion.states[1][use])
-        slow = speed < TURNING * float(np.quantile(speed, 0.98))
-        slow = binary_dilation(slow, iterations=max(1, round(2.0 / band / record.sample_time)))
-        there += float(energy[slow].sum())
+        energy = (a[use] - b[use]) ** 2
+        there += float(energy[reversals(record, band)[use]].sum())
         total += float(energy.sum())
     return there / max(total, 1e-300)
 

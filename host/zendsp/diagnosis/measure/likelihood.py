@@ -8,7 +8,6 @@ maximised over the observer's bandwidth, sees both.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from zendsp.physics.fit import Data, Fit, fit, joint_handles, residual, residual
 from zendsp.physics.handles import Handle
 from zendsp.physics.model import Model
 from zendsp.physics.predict import ran_away
+from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
 
@@ -79,8 +79,8 @@ def deviance(data: Data, model: Model, joints: Sequence[int]) -> float:
 
 def deviances(data: Data, models: Sequence[Model], joint: int, jobs: int = 1) -> list[float]:
     """As ``deviance`` of one joint for models that differ in numbers only; ``jobs`` threads."""
-    with ThreadPoolExecutor(jobs) as pool:
-        columns = np.ascontiguousarray(residuals(data, models, (joint,), pool).T)
+    with threads(jobs) as each:
+        columns = np.ascontiguousarray(residuals(data, models, (joint,), each).T)
     return [deviance_of(data, joint, r) for r in columns]
 
 

@@ -21,6 +21,7 @@ from zendsp.diagnosis.measure.discrepancy import (
     lacking,
     mean_square,
     noise,
+    reversals,
 )
 from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
@@ -151,7 +152,11 @@ class Structure:
 
 
 def structure(
-    parts: Sequence[Data], model: Model, joint: int, mechanisms: Sequence[str], above: float = 0.0
+    parts: Sequence[Data],
+    model: Model,
+    joint: int,
+    mechanisms: Sequence[str],
+    turning: bool = True,
 ) -> Structure:
     """How much of what a model lacks is a function of the own variables of some mechanisms.
 
@@ -164,8 +169,8 @@ def structure(
         1-based.
     mechanisms : sequence of str
         Of ``STRUCTURED``.
-    above : float
-        Part of the joint's speed below which nothing counts: where it turns round.
+    turning : bool
+        Whether what acts where the joint turns round counts.
 
     Returns
     -------
@@ -176,13 +181,26 @@ def structure(
     scale = mean_square(whole, joint)
     ranges = ranges_of(whole, joint)
     stride = max(1, sum(rec[0].n for rec in whole.records) // ROWS)
+    drawn = {
+        d: [[_drawn(rec, joint, mechanisms, ranges, d) for rec in part.records] for part in parts]
+        for d in DETAILS
+    }
+    lacks = {band: [lacking(part, model, joint, band) for part in parts] for band in BANDS[:3]}
+    noises = {
+        band: [[noise(rec[joint - 1], model, band) for rec in part.records] for part in parts]
+        for band in BANDS[:3]
+    }
     for band, detail in product(BANDS[:3], DETAILS):
-        made = [_seen(part, model, joint, mechanisms, ranges, band, detail) for part in parts]
+        made = [
+            _seen(part, model, joint, band, columns, lack)
+            for part, columns, lack in zip(parts, drawn[detail], lacks[band], strict=True)
+        ]
+        counted = [[_counted(rec[joint - 1], band, turning) for rec in p.records] for p in parts]
         if not made[0][0][0].shape[0]:
             return best
         normals = [
-            _normal(part, seen, joint, band, stride, above * ranges.speed)
-            for part, seen in zip(parts, made, strict=True)
+            _normal(part, seen, use, joint, band, stride)
+            for part, seen, use in zip(parts, made, counted, strict=True)
         ]
         sums, counts, excess = [], [], 0.0
         for k, (part, seen) in enumerate(zip(parts, made, strict=True)):
@@ -193,13 +211,14 @@ def structure(
                 square + 1e-3 * level * np.eye(len(square)), np.sum([n[1] for n in others], axis=0)
             )
             gains = [
-                (lack**2 - (lack - theta @ columns) ** 2)
-                * (np.abs(rec[joint - 1].motion.states[1]) >= above * ranges.speed)
-                for (columns, lack), rec in zip(seen, part.records, strict=True)
+                (lack**2 - (lack - theta @ columns) ** 2) * use
+                for (columns, lack), use in zip(seen, counted[k], strict=True)
             ]
-            for (_, lack), rec in zip(seen, part.records, strict=True):
-                use = kept(rec[joint - 1], band)
-                excess += float(np.sum(lack[use] ** 2 - noise(rec[joint - 1], model, band)))
+            for (_, lack), rec, use, noisy in zip(
+                seen, part.records, counted[k], noises[band][k], strict=True
+            ):
+                beyond = (lack**2 - noisy) * use
+                excess += float(np.sum(beyond[kept(rec[joint - 1], band)]))
             found = energy_blocks(part, gains, joint, band)
             sums.append(found[0])
             counts.append(found[1])
@@ -212,54 +231,57 @@ def structure(
     return best
 
 
+def _counted(record: JointRecord, band: float, turning: bool) -> npt.NDArray[np.bool_]:
+    """Samples that count, (n,)."""
+    return np.ones(record.n, bool) if turning else ~reversals(record, band_of(record, band))
+
+
 def _seen(
     data: Data,
     model: Model,
     joint: int,
-    mechanisms: Sequence[str],
-    ranges: Ranges,
     band: float,
-    detail: int,
+    drawn: Sequence[Array],
+    lacks: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Columns (m, n) and lacking torque (n,), one pair a recording."""
-    lacks = lacking(data, model, joint, band)
+    """Columns (m, n), as the observer sees what was ``drawn``, and lacking torque (n,), one pair a
+    recording.
+    """
     return [
-        (_columns(rec, model, joint, mechanisms, ranges, band, detail), lack)
-        for rec, lack in zip(data.records, lacks, strict=True)
+        (_columns(rec[joint - 1], model, band, raw), lack)
+        for rec, raw, lack in zip(data.records, drawn, lacks, strict=True)
     ]
 
 
 def _normal(
     data: Data,
     seen: Sequence[tuple[Array, Array]],
+    counted: Sequence[npt.NDArray[np.bool_]],
     joint: int,
     band: float,
     stride: int,
-    slowest: float,
 ) -> tuple[Array, Array]:
     """Normal equations of a part, thinned: squares (m, m), products (m,)."""
     m = seen[0][0].shape[0]
     square, product = np.zeros((m, m)), np.zeros(m)
-    for (columns, lack), rec in zip(seen, data.records, strict=True):
+    for (columns, lack), rec, there in zip(seen, data.records, counted, strict=True):
         use = kept(rec[joint - 1], band)
-        fast = np.abs(rec[joint - 1].motion.states[1][use]) >= slowest
-        a, d = columns[:, use][:, fast][:, ::stride], lack[use][fast][::stride]
+        rows = (np.arange(len(lack))[use][there[use]])[::stride]
+        a, d = np.take(columns, rows, axis=1), lack[rows]
         square += a @ a.T
         product += a @ d
     return square, product
 
 
-def _columns(
-    rec: Sequence[JointRecord],
-    model: Model,
-    joint: int,
-    mechanisms: Sequence[str],
-    ranges: Ranges,
-    band: float,
-    detail: int,
+def _drawn(
+    rec: Sequence[JointRecord], joint: int, mechanisms: Sequence[str], ranges: Ranges, detail: int
 ) -> Array:
-    record = rec[joint - 1]
+    """The shapes of all mechanisms, (m, n)."""
+    made = [shapes(rec, joint, m, ranges, detail) for m in mechanisms]
+    return np.ascontiguousarray(np.concatenate(made))
+
+
+def _columns(record: JointRecord, model: Model, band: float, raw: Array) -> Array:
     here = band_of(record, band)
-    raw = np.concatenate([shapes(rec, joint, m, ranges, detail) for m in mechanisms])
     r = response(record, here, effective_inertia(record, model), np.zeros(record.n), raw)
     return as_torque(record, model, r, here)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 
 from zendsp.diagnosis.measure.likelihood import (
     SLOWEST,
@@ -25,6 +24,7 @@ from zendsp.diagnosis.measure.likelihood import (
 from zendsp.diagnosis.search.hypothesis import with_numbers
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
+from zendsp.physics.threads import threads
 
 LOSSY = 0.2  # of critical damping
 DAMPED = (0.05, 0.5)  # of critical damping: a contact outside begins again at LOSSY
@@ -131,8 +131,8 @@ def around(scored: Scored, joint: int, jobs: int) -> list[Scored]:
     ]
     likely = deviances(scored.data, points, joint, jobs)
     order = sorted(range(len(points)), key=lambda i: likely[i])[:TRIED]
-    with ThreadPoolExecutor(jobs) as pool:
-        return list(pool.map(lambda i: _refitted(scored, scored.data, points[i], joint, 1), order))
+    with threads(jobs) as each:
+        return list(each(lambda i: _refitted(scored, scored.data, points[i], joint, 1), order))
 
 
 def _moderate(values: Mapping[str, float]) -> float:

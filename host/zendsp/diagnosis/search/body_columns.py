@@ -4,8 +4,8 @@ and block, and where the numbers of a hypothesis stand among them.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +18,7 @@ from zendsp.physics.fit import Data
 from zendsp.physics.joint import JointRecord, effective_inertia
 from zendsp.physics.model import Model, Quantity, Term, per_joint
 from zendsp.physics.predict import response, run
+from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
 NUISANCE = 6  # columns that every joint has for itself
@@ -41,12 +42,9 @@ class Sums:
         counts: list[Array] = []
         for rec in data.records:
             starts = np.arange(0, rec[0].n, max(10, round(block / rec[0].sample_time)))
-            with ThreadPoolExecutor(jobs) as pool:  # the kernel runs outside the interpreter's lock
-                done = list(
-                    pool.map(
-                        lambda record, starts=starts: _grams(record, model, starts, limits), rec
-                    )
-                )
+            work = partial(_grams, model=model, starts=starts, limits=limits)
+            with threads(jobs) as each:
+                done = list(each(work, rec))
             grams.append(np.stack([g for g, _ in done]))
             counts.append(np.stack([c for _, c in done]).astype(np.float64))
         self.grams = np.concatenate(grams, axis=1)  # (joints, blocks, columns, columns)
@@ -59,7 +57,7 @@ class Sums:
 
 
 def _grams(
-    record: JointRecord, model: Model, starts: Array, limits: BodyLimits
+    record: JointRecord, model: Model, starts: npt.NDArray[np.int_], limits: BodyLimits
 ) -> tuple[Array, Array]:
     """Gram matrices (blocks, columns, columns) and numbers of samples (blocks,) of one joint."""
     columns, moving = _columns(record, model, limits)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -41,6 +40,7 @@ from zendsp.physics.fit import Data, fit, joint_handles
 from zendsp.physics.joint import facts
 from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import run
+from zendsp.physics.threads import threads
 
 Progress = Callable[[str], None]
 
@@ -226,10 +226,10 @@ class Searcher:
             if hidden
             else []
         )
-        with ThreadPoolExecutor(self.jobs) as pool:
+        with threads(self.jobs) as each:
             quick = [
                 r
-                for r in pool.map(lambda group: self._quick(current, group), listed)
+                for r in each(lambda group: self._quick(current, group), listed)
                 if r is not None
             ]
         return min((r.value for r in quick), default=math.inf)
@@ -260,10 +260,10 @@ class Searcher:
             *listed,
         ]
         self.progress(f"joint {self.joint}: fitting {len(listed)} hypotheses")
-        with ThreadPoolExecutor(self.jobs) as pool:
+        with threads(self.jobs) as each:
             quick = [
                 r
-                for r in pool.map(lambda group: self._quick(current, group), listed)
+                for r in each(lambda group: self._quick(current, group), listed)
                 if r is not None
             ]
             quick.sort(key=lambda r: r.value)
@@ -272,7 +272,7 @@ class Searcher:
                 r for r in quick[:FINALISTS] if current.deviance - r.value >= reach or r is quick[0]
             ]
             worth = math.inf if only else WORTH  # a stand-in need not be at its best
-            full = list(pool.map(lambda r: self._full(current, r, worth), finalists))
+            full = list(each(lambda r: self._full(current, r, worth), finalists))
         rivals = [
             r
             for r in (*full, *quick[len(finalists) :])
@@ -338,8 +338,8 @@ class Searcher:
             )
             return replace(rival, rank=level - deviance(slow, result.model, joints) - rival.price)
 
-        with ThreadPoolExecutor(self.jobs) as pool:
-            again = sorted(pool.map(slowly, reach), key=lambda r: -r.rank)
+        with threads(self.jobs) as each:
+            again = sorted(each(slowly, reach), key=lambda r: -r.rank)
         return [*again, *[r for r in ranked if r not in reach]] if again else ranked
 
     def stand_ins(self, current: Scored, effects: frozenset[str]) -> list[Rival]:

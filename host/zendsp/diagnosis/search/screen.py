@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from zendsp.physics.effects import Effect, get_effect, is_supported, library
-from zendsp.physics.effects.base import Along, Parameter
+from zendsp.physics.effects.base import Parameter
 from zendsp.physics.fit import Data, Fit
 from zendsp.physics.handles import Handle
 from zendsp.physics.joint import JointRecord, along, effective_inertia, facts
 from zendsp.physics.model import Model, Term
 from zendsp.physics.predict import response, sensed, trace
 from zendsp.physics.terms import grid_of, make_term, usable
+from zendsp.physics.threads import threads
 
 Array = npt.NDArray[np.float64]
 
@@ -92,9 +92,12 @@ class Screen:
         jac = jac[:, norms > 0] / norms[norms > 0]
         self.q = np.linalg.qr(jac)[0] if jac.shape[1] else np.zeros((len(self.r), 0))
         self.left = self.r - self.q @ (self.q.T @ self.r)
+        self.floors = [self._floor(rec) for rec in self.records]
         self.base = [
-            trace(rec, self.model, self.model.at(joint), self._floor(rec)) for rec in self.records
+            trace(rec, self.model, self.model.at(joint), floor)
+            for rec, floor in zip(self.records, self.floors, strict=True)
         ]
+        self.inertias = [effective_inertia(rec, self.model) for rec in self.records]
         self.motions = [along(rec, self.model) for rec in self.records]
         self.cost = float(self.left @ self.left)
         self.scaled = any(get_effect(t.effect).site in SCALES for t in self.model.at(joint))
@@ -118,35 +121,37 @@ class Screen:
         """
         on_sensor = get_effect(columns[0][0].effect).at_sensor
         parts = []
-        for rec, base, motion in zip(self.records, self.base, self.motions, strict=True):
-            torques = np.stack([self._torque(rec, base, motion, terms, alone) for terms in columns])
-            parts.append(self._respond(rec, torques, on_sensor=on_sensor))
+        for i in range(len(self.records)):
+            torques = np.stack([self._torque(i, terms, alone) for terms in columns])
+            parts.append(self._respond(i, torques, on_sensor=on_sensor))
         return np.concatenate(parts, axis=1)
 
-    def _torque(
-        self, rec: JointRecord, base: Array, motion: Along, terms: tuple[Term, ...], alone: bool
-    ) -> Array:
+    def _torque(self, i: int, terms: tuple[Term, ...], alone: bool) -> Array:
         """What some added terms resist along the measured motion, (n,); of what acts on the sensor,
         what it shifts.
         """
-        effect = get_effect(terms[0].effect)
+        effect, rec, floor = get_effect(terms[0].effect), self.records[i], self.floors[i]
         if effect.column is not None:
             return np.asarray(
-                effect.column(motion, {n: q.value for n, q in terms[0].parameters.items()})
+                effect.column(self.motions[i], {n: q.value for n, q in terms[0].parameters.items()})
             )
         if effect.at_sensor:
             return -sensed(rec, self.model, terms)
         if alone or (not self.scaled and effect.site in ADDED):
-            return trace(rec, self.model, terms, self._floor(rec))
-        return np.asarray(
-            trace(rec, self.model, (*self.model.at(self.joint), *terms), self._floor(rec)) - base
-        )
+            return trace(rec, self.model, terms, floor)
+        together = (*self.model.at(self.joint), *terms)
+        return np.asarray(trace(rec, self.model, together, floor) - self.base[i])
 
-    def _respond(self, rec: JointRecord, columns: Array, *, on_sensor: bool = False) -> Array:
-        inertia = effective_inertia(rec, self.model)
+    def _respond(self, i: int, columns: Array, *, on_sensor: bool = False) -> Array:
+        rec = self.records[i]
         b = sum(t.value("coefficient") for t in self.model.at(self.joint) if t.effect == "viscous")
         return response(
-            rec, self.bandwidth, inertia, np.full(rec.n, b), columns, on_sensor=on_sensor
+            rec,
+            self.bandwidth,
+            self.inertias[i],
+            np.full(rec.n, b),
+            columns,
+            on_sensor=on_sensor,
         )
 
     def group(self, columns: Array) -> tuple[float, Array]:
@@ -168,8 +173,8 @@ class Screen:
             for e in library().values()
             if self._applies(e, present) and (not only or e.name in only)
         ]
-        with ThreadPoolExecutor(jobs) as pool:
-            found = pool.map(self._best, effects)
+        with threads(jobs) as each:
+            found = each(self._best, effects)
             return sorted(itertools.chain.from_iterable(found), key=lambda c: -c.gain)
 
     def _applies(self, effect: Effect, present: set[str]) -> bool:

@@ -8,6 +8,7 @@ import select
 import shutil
 import signal
 import subprocess
+import threading
 import time
 import uuid
 import weakref
@@ -16,7 +17,7 @@ from typing import Any
 
 from zendsp_isr.parts import build_machine, build_runner, is_model
 from zendsp_protocol import stop_page
-from zendsp_protocol.errors import Refused, RunnerDied
+from zendsp_protocol.errors import Refused, RunnerDied, ZendspError
 from zendsp_target.runtime.memory.layout import layout, set_text, text_of
 from zendsp_target.runtime.memory.shm import SharedFile
 from zendsp_target.runtime.process.rescue import Rescue
@@ -30,6 +31,8 @@ _WITHIN = {
     4: "in UserBackground",
     5: "in the machine",
 }
+KILLED_S = 2.0  # for the system to end it: a call of a driver may hold that up for good
+BEING_MADE_SAFE = "the machine is being made safe"
 
 
 def _fill(control: Any, settings: Settings, program: Path, data: Path, number: int = 1) -> None:
@@ -153,6 +156,8 @@ class RunnerProcess:
         # not known yet: a crash while loading makes even a simulated machine safe, which does no
         # harm
         self.simulated = False
+        self.unsafe = BEING_MADE_SAFE  # once it has ended: why the machine may still move
+        self._making_safe = threading.Lock()
         try:
             own = path.with_name(f"{path.name}-safe")
             self._rescue = Rescue(_control_file(own, settings, program, data_path, number))
@@ -188,12 +193,14 @@ class RunnerProcess:
             self.simulated = bool(self.control.info.simulated)
             if self.simulated:
                 self._rescue.dismiss()
-        except BaseException:
+        except BaseException as error:
             self.kill()
-            self.make_safe()
+            unsafe = self.make_safe()
             self._rescue.dismiss()
             data_path.unlink(missing_ok=True)
             self.control_file.unlink()
+            if unsafe and isinstance(error, ZendspError):
+                raise type(error)(f"{error}; {unsafe}") from error
             raise
 
     @property
@@ -260,12 +267,17 @@ class RunnerProcess:
         hung : bool
             The watchdog ended it.
         """
-        code = self._status()
+        code = None if hung else self._status()
         tick = int(self.control.tick)
         crashed = int(self.control.crash_signal)
         within = int(self.control.crash_within) if crashed else int(self.control.within)
         where = _WITHIN.get(within, "in the runtime") + self._line()
         last = f"last sample {tick - 1}" if tick > 0 else "before the first sample"
+        if hung and self._stands_still():
+            return (
+                "the runner was stopped from outside (SIGSTOP, a debugger, a frozen container) for"
+                f" {self.settings.hang_s:g} s: ended by the watchdog; {last}"
+            )
         if (
             hung and within not in _WITHIN
         ):  # not in anybody's code: it waited for its next sample and was not woken
@@ -282,6 +294,14 @@ class RunnerProcess:
             name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
             return f"{name} {where}; {last}"
         return f"the process ended with status {code} {where} (user code called exit?); {last}"
+
+    def _stands_still(self) -> bool:
+        """Whether the system has it stopped."""
+        try:
+            stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return False
+        return stat.rpartition(")")[2].split()[0] in ("T", "t")
 
     def _status(self) -> int | None:
         """Exit status of a process that has ended; `poll` alone answers None while another thread
@@ -312,10 +332,11 @@ class RunnerProcess:
         if self.alive():
             lib.monitor_run(ffi_pointer(self.control), lib.RUN_QUIT)
             try:
-                self._process.wait(timeout_s)
+                if self._process.wait(timeout_s) == 0 and self.control.phase == lib.PHASE_ENDED:
+                    self.unsafe = ""  # by the loop itself
             except subprocess.TimeoutExpired:
                 self.kill()
-                self.make_safe()
+        self.make_safe()
         self.end_group()
 
     def kill(self) -> None:
@@ -325,7 +346,8 @@ class RunnerProcess:
         self.end_group()
         if self._process.poll() is None:
             self._process.kill()
-        self._process.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(KILLED_S)
 
     def look(self) -> None:
         """Note what it started, where the system could not refuse that."""
@@ -343,9 +365,13 @@ class RunnerProcess:
 
     def make_safe(self) -> str:
         """Bring real hardware into its safe state by the process that waits for that; a simulated
-        machine ended with its runner. Returns what to tell where it failed, else nothing.
+        machine ended with its runner. Returns what to tell where it failed, else nothing; done
+        already, it is not done again.
         """
-        return "" if self.simulated else self._rescue.act()
+        with self._making_safe:
+            if self.unsafe:
+                self.unsafe = "" if self.simulated else self._rescue.act()
+            return self.unsafe
 
     def unlink(self) -> None:
         """Remove the names of the files, and who waits to make the machine safe; what was mapped
