@@ -234,6 +234,23 @@ def test_pd_goes_from_its_circle_to_a_table_and_back_without_a_step() -> None:
     assert max(np.abs(part["tau1"]).max() for part in parts) < 245.0, "within the machine's torque"
 
 
+@pytest.mark.parametrize(
+    "change", [{"radius": 0.5}, {"center1": -0.4}, {"center2": 1.0}, {"turn_time": 3.0}]
+)
+def test_pd_goes_to_a_changed_circle_without_a_step(change: dict[str, float]) -> None:
+    with running("imi_planar", "pd.c") as runtime:
+        before = record(runtime, 2.6, "r1", "r2", "tau1", "tau2")
+        after = record(runtime, 3.0, "r1", "r2", "tau1", "tau2", **change)
+        assert runtime.status().trip is None
+    for name in ("r1", "r2"):
+        both = np.concatenate([before[name], after[name]])
+        assert np.abs(np.diff(both)).max() < 5e-3, name
+    assert np.abs(after["tau1"]).max() < 245.0, "within the machine's torque"
+    center = after["r1"] - change.get("center1", 0.2), after["r2"] - change.get("center2", 0.6)
+    radius = np.hypot(*center)[-1000:]
+    assert np.allclose(radius, change.get("radius", 0.4), atol=1e-6), "it got there"
+
+
 def test_changing_play_repeats_the_motion_from_where_the_machine_stands() -> None:
     reference = make_point_to_point(
         load_machine("imi_planar"), start=0.0, goal=[0.3, 0.0], duration=0.3

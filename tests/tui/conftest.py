@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from textual.pilot import Pilot
@@ -19,8 +20,10 @@ from zendsp.reference import make_reference, save_reference
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.link_port import find_targets, open_port, start_machine
 
+if TYPE_CHECKING:
+    from steps import Until
+
 sys.path.insert(0, str(Path(__file__).parent))  # helpers beside the tests
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 
 @pytest.fixture(autouse=True)

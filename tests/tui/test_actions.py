@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rich.style import Style
+from steps import Until
 from textual.app import App, ComposeResult
-from textual.pilot import Pilot
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import LinkError
@@ -31,8 +30,6 @@ from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.stopper import EMERGENCY
 from zendsp.tui.trial import Trial
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 
 def _nobody(name: str) -> Port:
@@ -110,7 +107,7 @@ async def test_a_stop_that_ended_before_the_screens_were_there_is_shown(
     app.session._told("not stopped", EMERGENCY, EMERGENCY)
     async with app.run_test(size=(80, 24)) as pilot:
         line = app.screen.query_one(StatusBar)._line1
-        await until(pilot, lambda: EMERGENCY in str(line.render()), "the banner")
+        await until(pilot, lambda: EMERGENCY in line.text, "the banner")
 
 
 async def test_a_trip_does_not_hide_that_the_machine_is_not_safe(app: ZendspApp) -> None:

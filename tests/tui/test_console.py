@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from steps import Step, Until
 from textual.pilot import Pilot
 from textual.widgets import Input, OptionList, TextArea
 
@@ -23,9 +23,6 @@ from zendsp.tui.scope import Scale
 from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.console import ConsoleScreen
 from zendsp.tui.screens.diagnose import DiagnoseScreen
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
-Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
 
 
 def _console(app: ZendspApp) -> ConsoleScreen:

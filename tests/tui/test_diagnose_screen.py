@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
 import diagnosis_cases as cases
 import numpy as np
 import pytest
+from steps import Step, Until, opened
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, OptionList, Static
 
@@ -29,17 +29,6 @@ from zendsp.tui.runs import DATA, list_runs, store_run
 from zendsp.tui.screens import diagnose_loop
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
-Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
-
-
-async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> DiagnoseScreen:
-    await pilot.press("f5")
-    await until(pilot, lambda: isinstance(app.screen, DiagnoseScreen), "Diagnose is shown")
-    screen = app.screen
-    assert isinstance(screen, DiagnoseScreen)
-    return screen
 
 
 async def _answer(pilot: Pilot[None], text: str) -> None:
@@ -85,7 +74,7 @@ async def test_a_file_is_diagnosed_and_the_finding_is_drawn(
     run, model = cases.bench(tmp_path)
     app = _alone(tmp_path)
     async with app.run_test(size=(80, 24)) as pilot:
-        screen = await _open(app, pilot, until)
+        screen = await opened(app, pilot, until, DiagnoseScreen)
         await pilot.press("s")
         assert not screen.busy, "nothing to diagnose yet, and it says so"
         await pilot.press("a")
@@ -132,12 +121,11 @@ async def test_a_diagnosis_is_cancelled_and_leaves_nothing(
     tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, model = cases.bench(tmp_path, seconds=1.0)
-    monkeypatch.setattr(
-        command, "CALL", "import os, time; print('pid', os.getpid(), flush=True); time.sleep(600)"
-    )
+    waits = "import time; print('pid', os.getpid(), flush=True); time.sleep(600)"
+    monkeypatch.setattr(command, "call", lambda parent: waits)
     app = _alone(tmp_path)
     async with app.run_test(size=(100, 30)) as pilot:
-        screen = await _open(app, pilot, until)
+        screen = await opened(app, pilot, until, DiagnoseScreen)
         screen.added, screen.roles, screen.model = [str(run)], {str(run): "fit"}, str(model)
         for key in ("ctrl+c", "escape"):
             await pilot.press("s")
@@ -156,7 +144,7 @@ async def test_what_fails_is_said(tmp_path: Path, until: Until) -> None:
     (tmp_path / "bad.toml").write_text('name = "bad"\n')
     app = _alone(tmp_path)
     async with app.run_test(size=(100, 30)) as pilot:
-        screen = await _open(app, pilot, until)
+        screen = await opened(app, pilot, until, DiagnoseScreen)
         screen.added, screen.roles = [str(run)], {str(run): "fit"}
         screen.model = str(tmp_path / "bad.toml")
         await pilot.press("s")
@@ -174,7 +162,7 @@ async def test_the_last_run_is_marked_and_others_can_be_held_out(
     new = store_run(tmp_path / "runs", "new", replace(recording, note="2"))
     app = _alone(tmp_path)
     async with app.run_test(size=(100, 30)) as pilot:
-        screen = await _open(app, pilot, until)
+        screen = await opened(app, pilot, until, DiagnoseScreen)
         assert screen.chosen("fit") == [str(new.folder / DATA)]
         screen.query_one("#recordings", DataTable).focus()
         await pilot.press("down", "space", "space")
@@ -191,12 +179,12 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
 ) -> None:
     first = cases.stored(tmp_path / "diagnoses", "first", level=6.0)
     second = cases.stored(tmp_path / "diagnoses", "second", level=8.0)
-    opened: list[str] = []
-    monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(opened))
-    monkeypatch.setattr("webbrowser.open", lambda url: not opened.append(url))
+    pages: list[str] = []
+    monkeypatch.setattr(diagnose_loop, "graphical", lambda: bool(pages))
+    monkeypatch.setattr("webbrowser.open", lambda url: not pages.append(url))
     app = _alone(tmp_path)
     async with app.run_test(size=(200, 60)) as pilot:
-        screen = await _open(app, pilot, until)
+        screen = await opened(app, pilot, until, DiagnoseScreen)
         await pilot.press("o", "enter")
         await until(pilot, lambda: screen.shown is not None, "the newest is opened")
         await until(pilot, lambda: screen.query_one(FigureView).display, "its first figure")
@@ -223,9 +211,9 @@ async def test_an_earlier_diagnosis_is_opened_saved_and_compared(
         await pilot.press("escape", "v")
         await until(pilot, lambda: isinstance(app.screen, Message), "no browser: where it is")
         assert str(second.page.name) in str(app.screen.query_one(".words").render())
-        opened.append("from now on there is one")
+        pages.append("from now on there is one")
         await pilot.press("escape", "v")
-        await until(pilot, lambda: second.page.as_uri() in opened, "opened")
+        await until(pilot, lambda: second.page.as_uri() in pages, "opened")
 
 
 @pytest.mark.covers("diagnose.compensate")
@@ -239,7 +227,7 @@ async def test_compensation_fades_in_and_out_of_the_running_program(
 
     async with lab.run_test(size=(160, 48)) as pilot:
         await enabled(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, DiagnoseScreen)
         await pilot.press("o", "enter")
         await until(pilot, lambda: screen.shown is not None, "opened")
         await pilot.press("c")
@@ -288,7 +276,7 @@ async def test_a_program_without_room_is_told_what_to_add(
     )
     async with lab.run_test(size=(160, 48)) as pilot:
         await enabled(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, DiagnoseScreen)
         await pilot.press("o", "enter")
         await until(pilot, lambda: screen.shown is not None, "opened")
         await pilot.press("c")
@@ -309,7 +297,7 @@ async def test_the_proposed_motion_is_played_and_diagnosed_with_the_rest(
     Path(d.recordings[0]).write_text("t\n0\n")
     async with lab.run_test(size=(160, 48)) as pilot:
         await enabled(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, DiagnoseScreen)
         asked: list[list[str]] = []
         screen.action_start = lambda: asked.append(screen.chosen("fit"))  # type: ignore[method-assign]
         await pilot.press("o", "enter")

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from textual.pilot import Pilot
+from steps import Step, Until, opened
 from textual.widgets import Button, Input
 
 from zendsp.cli.progress import stages
@@ -26,17 +25,6 @@ from zendsp.tui.scope import Scope
 from zendsp.tui.screens.analysis import ProcessView, simulation_of
 from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
-Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
-
-
-async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> ExecuteScreen:
-    await pilot.press("f3")
-    await until(pilot, lambda: isinstance(app.screen, ExecuteScreen), "Execute is shown")
-    screen = app.screen
-    assert isinstance(screen, ExecuteScreen)
-    return screen
 
 
 def _unmet(screen: ExecuteScreen) -> list[str]:
@@ -56,7 +44,7 @@ async def test_the_trial_is_shown_before_start(
     save_reference(make_reference("point_to_point", "imi_planar"), gentle)
     async with lab.run_test(size=(160, 50)) as pilot:
         await enabled(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         lab.chosen = (gentle,)
         await until(
             pilot,
@@ -116,7 +104,7 @@ async def test_a_reference_is_played_and_the_run_can_be_repeated(
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         await until(pilot, lambda: screen.conditions, "preflight is looked at")
         assert _unmet(screen) == ["reference chosen"]
         assert screen.query_one("#run-start", Button).disabled
@@ -224,7 +212,7 @@ async def test_a_run_of_seven_joints_begins_where_the_arm_stands(
             await pilot.press("e")
             await until(pilot, lambda: app.session.snapshot.drive == "enabled", "enabled")
             assert app.session.snapshot.position[1] == pytest.approx(-1.9, abs=1e-3)
-            screen = await _open(app, pilot, until)
+            screen = await opened(app, pilot, until, ExecuteScreen)
             app.chosen = (path,)
             await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
             await pilot.press("s")
@@ -243,7 +231,7 @@ async def test_abort_keeps_what_was_acquired(
     save_reference(slow, folder / "references" / "slow.mat")
     async with lab.run_test(size=(100, 30)) as pilot:
         await enabled(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         lab.chosen = (folder / "references" / "slow.mat",)
         await until(pilot, lambda: screen.references and not _unmet(screen), "ready")
         await pilot.press("s")
@@ -264,7 +252,7 @@ async def test_start_stays_disabled_and_says_why(
 ) -> None:
     async with lab.run_test(size=(100, 30)) as pilot:
         await until(pilot, lambda: lab.session.snapshot.link == "up", "link")
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         lab.chosen = (folder / "references" / "circle.mat",)
         await until(pilot, lambda: "program loaded" in _unmet(screen), "no program yet")
         assert screen.query_one("#run-start", Button).disabled
@@ -296,7 +284,7 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
             sources={"pd.c": "int a;"},
         )
     async with lab.run_test(size=(100, 30)) as pilot:
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         await until(pilot, lambda: len(screen.runs) == 2, "two runs")
         screen.runs_table.focus()
         await pilot.press("d")
@@ -345,7 +333,7 @@ async def test_the_list_of_runs(lab: ZendspApp, until: Until, folder: Path) -> N
         await until(pilot, lambda: isinstance(lab.screen, DiagnoseScreen), "Diagnose is shown")
         assert isinstance(lab.screen, DiagnoseScreen)
         assert lab.screen.chosen("fit") == [str(meant.folder / "recording.mat")]
-        await _open(lab, pilot, until)
+        await opened(lab, pilot, until, ExecuteScreen)
         await pilot.press("delete")
         await pilot.pause()
         await pilot.press("enter")
@@ -523,7 +511,7 @@ async def test_a_motion_that_trips_in_its_rehearsal_moves_nothing(
         await enabled(lab, pilot)
         await pilot.press("s")  # while a program runs, the trial is made by Start
         await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         lab.chosen = (folder / "references" / "circle.mat",)
         await until(
             pilot, lambda: screen.references and not _unmet(screen), "every condition is met"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from steps import Step, Until, opened
 from textual.geometry import Region
-from textual.pilot import Pilot
 from textual.widgets import Button, DataTable, Input, Static
 
 from zendsp.experiment import FrequencyResponse
@@ -20,18 +19,9 @@ from zendsp.tui.panels.response import ResponseView
 from zendsp.tui.panels.sweep import SweepView
 from zendsp.tui.runs import RESPONSE, list_runs
 from zendsp.tui.scope.path import PathPlot
+from zendsp.tui.screens.console import ConsoleScreen
+from zendsp.tui.screens.diagnose import DiagnoseScreen
 from zendsp.tui.screens.execute import ExecuteScreen
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
-Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
-
-
-async def _open(app: ZendspApp, pilot: Pilot[None], until: Until) -> ExecuteScreen:
-    await pilot.press("f3")
-    await until(pilot, lambda: isinstance(app.screen, ExecuteScreen), "Execute is shown")
-    screen = app.screen
-    assert isinstance(screen, ExecuteScreen)
-    return screen
 
 
 def _type(app: ZendspApp, **values: str) -> None:
@@ -48,6 +38,9 @@ async def test_no_button_moves_under_the_mouse(
 
     async with lab.run_test(size=size) as pilot:
         await built(lab, pilot)
+        for kind in (ExecuteScreen, DiagnoseScreen, ConsoleScreen):  # each has been there before
+            await opened(lab, pilot, until, kind)
+            await pilot.pause(3 * lab.frame_s)
         for key in ("f3", "f2", "f5", "f3"):
             screen = lab.screen
             await pilot.press(key)
@@ -63,7 +56,7 @@ async def test_a_frequency_response_is_measured_kept_and_laid_over_another(
 ) -> None:
     async with lab.run_test(size=(160, 45)) as pilot:
         await built(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         await pilot.press("f")
         await until(pilot, lambda: isinstance(lab.screen, Form), "it asks")
         _type(lab, f_min="2", f_max="1", periods="2", amplitude="0.01")
@@ -113,13 +106,13 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
 ) -> None:
     async with lab.run_test(size=(160, 45)) as pilot:
         await built(lab, pilot)
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         await pilot.press("p")
         await pilot.pause()
         assert not isinstance(lab.screen, Form), "of a program that does not run there is none"
         await pilot.press("f2", "s")
         await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
-        await _open(lab, pilot, until)
+        await opened(lab, pilot, until, ExecuteScreen)
         assert await pilot.click("#run-sweep-button")
         await until(pilot, lambda: isinstance(lab.screen, Form), "the mouse asks")
         _type(lab, words="Kp1=1500")
@@ -138,7 +131,8 @@ async def test_a_sweep_shows_a_table_and_a_row_writes_its_values(
         assert [r["Kp1"] for r in view.sweep.rows] == [500.0, 2000.0]
         assert target["Kp1"] == 2000.0, "put back"
         table = screen.query_one("#sweep", DataTable)
-        assert table.has_focus and table.cursor_row == view.sweep.best_row()
+        await until(pilot, lambda: table.has_focus, "the arrows choose a row")
+        assert table.cursor_row == view.sweep.best_row()
         (kept,) = (folder / "sweeps").glob("*-Kp1-Kd1.csv")
         assert kept.read_text().startswith("Kp1,Kd1,rms e1,max e1,ended")
         table.move_cursor(row=0)
@@ -153,7 +147,7 @@ async def test_a_measurement_can_be_aborted(
         await built(lab, pilot)
         await pilot.press("s")
         await until(pilot, lambda: lab.session.snapshot.state == "running", "it runs")
-        screen = await _open(lab, pilot, until)
+        screen = await opened(lab, pilot, until, ExecuteScreen)
         await pilot.press("p")
         await until(pilot, lambda: isinstance(lab.screen, Form), "it asks")
         _type(lab, words="Kp1=700", channels="e1", seconds="3000")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from textual.pilot import Pilot
+from steps import Until
 from textual.widgets import Button, Input, Select, Static
 
 from zendsp.errors import LinkError
@@ -19,8 +18,6 @@ from zendsp.tui.preview import views_of
 from zendsp.tui.scope import Scope
 from zendsp.tui.scope.path import PathPlot
 from zendsp.tui.screens.reference import ReferenceScreen
-
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 
 
 def _nobody(name: str) -> Port:

@@ -9,14 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.style import Style
 from textual.app import App, ComposeResult
 from textual.color import Color
 from waiting import PATIENCE_S
 
-from zendsp.tui.colours import DARK, LIGHT
+from zendsp.tui.colours import DARK, LIGHT, THEMES, trace_colours
 from zendsp.tui.scope import Channel, History, Scope, ScopeSettings, encode, envelope, fill
 from zendsp.tui.scope.lines import legend_lines
 from zendsp.tui.scope.measure import measure
+from zendsp.tui.scope.path import Axes, Curve, plot_lines
 from zendsp.tui.scope.picture import LIMIT, arrange, compose, fit_range
 from zendsp.tui.scope.raster import braille
 from zendsp.tui.scope.rolling import Rolling
@@ -463,3 +465,16 @@ async def test_there_are_numbers_on_the_axes_before_there_is_data(view: str, num
         shown = "\n".join(strip.text for strip in app.screen._compositor.render_strips()).split()
         found = {word.strip("▏") for word in shown}
         assert found.issuperset(numbers.split()), sorted(found)
+
+
+@pytest.mark.parametrize("width", [24, 40, 100])
+def test_no_name_beside_a_path_is_cut_in_silence(width: int) -> None:
+    names = ["a run of a long name", "another run"]
+    curves = [Curve(name, np.zeros((2, 2)), k) for k, name in enumerate(names)]
+    axes = Axes(("f [Hz]", "dB"), equal=False, log_x=True, frame=(0.0, 2.0, 0.0, 1.0))
+    lines = plot_lines(curves, axes, (width, 10), trace_colours(THEMES[0]), Style())
+    legend = lines[0].text
+    for name in names:
+        assert name in legend or (f"{name[:2]}" in legend and "…" in legend)
+    assert all(line.cell_length == width for line in lines)
+    assert " f [Hz]" in lines[-1].text

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from textual.app import App, ComposeResult
 
-from zendsp.tui.statusbar import banner_lines
+from zendsp.tui.colours import THEMES
+from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.statusbar import StatusBar, banner_lines
 from zendsp.tui.stopper import EMERGENCY
 
 
@@ -27,3 +30,28 @@ def test_how_stop_ended_is_said_on_narrow_terminals_too(width: int, lines: list[
 def test_stop_is_said_on_a_bar_that_has_no_room_yet(width: int) -> None:
     """A screen that is built at that moment has no size; an error there would be the end of it."""
     assert banner_lines("stopped, at sample 209956", width)
+
+
+class _Bar(App[None]):
+    def compose(self) -> ComposeResult:
+        yield StatusBar("execute")
+
+    def on_mount(self) -> None:
+        self.register_theme(THEMES[0])
+        self.theme = THEMES[0].name
+
+
+@pytest.mark.parametrize("width", [60, 80, 160])
+async def test_a_long_name_leaves_room_for_what_the_target_does(width: int) -> None:
+    name = "planar_arm_of_the_laboratory-13759-69478"
+    app = _Bar()
+    async with app.run_test(size=(width, 5)) as pilot:
+        app.query_one(StatusBar).show(
+            Snapshot(link="up", target=name, machine="imi_planar", state="running", drive="tripped")
+        )
+        await pilot.pause()
+        tabs, line, _ = (strip.text for strip in app.screen._compositor.render_strips()[:3])
+        for words in ("planar_arm", "▲ tripped", "● running", "cmd nobod"):
+            assert words in line
+        assert (f"{name} on imi_planar  ▲" in line) == (width == 160)
+        assert "F5" in tabs and "Execute" in tabs and "rec" in tabs

@@ -9,12 +9,12 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from textual.pilot import Pilot
+from steps import Step, Until
 from waiting import until as come
 
 from zendsp.link import Target, connect
@@ -27,8 +27,6 @@ from zendsp.tui.link_port import open_port
 from zendsp.tui.screens.execute import ExecuteScreen
 from zendsp.tui.screens.reference import ReferenceScreen
 
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
-Step = Callable[[ZendspApp, Pilot[None]], Awaitable[None]]
 VELOCITY = 2.0  # the built-in signal `drive`
 
 

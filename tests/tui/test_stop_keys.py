@@ -9,12 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 
 import pytest
+from steps import Until
 from textual.events import Key, MouseDown
-from textual.pilot import Pilot
 from textual.widgets import Input
 from waiting import PATIENCE_S
 
@@ -22,7 +21,6 @@ from zendsp.tui import stopper
 from zendsp.tui.app import ZendspApp
 from zendsp.tui.dialogs import Choose
 
-Until = Callable[[Pilot[None], Callable[[], object], str], Awaitable[None]]
 F9 = b"\x1b[20~"
 SERVE = "from zendsp.tui.stopper import serve; serve({}, {}, False)"
 

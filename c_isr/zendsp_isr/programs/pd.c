@@ -8,7 +8,8 @@
  * along the reference: a measured speed at rest would chatter, a reference knows its reversals.
  *
  * The circle: r1 = center1 + radius cos(phi), r2 = center2 + radius sin(phi), entered and left
- * smoothly from where the arm stands.
+ * smoothly from where the arm stands. When it is changed the reference is led over to the new one,
+ * within approach_time.
  */
 #include "isr.h"
 #if __has_include("compensation.c")
@@ -37,6 +38,7 @@ static double start[N], last_q[N], last_r[N], t0;
 static double pace; /* of the reference's time: 1 runs, 0 stands */
 static uint32_t seen;
 static bool tabled;
+static struct circle { double center1, center2, radius, turn_time; } led; /* it was led over to */
 
 void UserInit(void) {
     CompensationInit();
@@ -93,8 +95,14 @@ static void reference(double t) {
     r2 = start[1] + blend * (target2 - start[1]);
 }
 
-/* The drives come on: begin from where the arm stands. A new table, or from circle to table and
- * back: lead over to it from the present reference, without a step. */
+/* Whether another circle is asked for than the one that was led over to. */
+static bool circle_changed(void) {
+    return led.center1 != center1 || led.center2 != center2 || led.radius != radius ||
+           led.turn_time != turn_time;
+}
+
+/* The drives come on: begin from where the arm stands. A new table, another circle, or from circle
+ * to table and back: lead over to it from the present reference, without a step. */
 static void begin(void) {
     const bool fresh = FIRST_SAMPLE || !DRIVE_ENABLED;
     if (FIRST_SAMPLE) {
@@ -108,12 +116,13 @@ static void begin(void) {
         rd1 = rd2 = 0.0;
         pace = hold ? 0.0 : 1.0;
     }
-    if (fresh || use_table != tabled || (use_table && seen != ref.version)) {
+    if (fresh || use_table != tabled || (use_table ? seen != ref.version : circle_changed())) {
         start[0] = r1;
         start[1] = r2;
         t0 = SAMPLE_TIME;
         seen = ref.version;
         tabled = use_table;
+        led = (struct circle){center1, center2, radius, turn_time};
     }
 }
 

@@ -117,9 +117,7 @@ class ZendspApp(App[None]):
             self.add_mode(name, lambda name=name,
                 maker=maker: self._screens.setdefault(name, maker()))  # type: ignore[misc]
         await self.switch_mode(self._first)
-        if self.is_headless:  # nobody waits for a picture
-            await self._build_others(makers)
-        else:  # in the queue of the keys: those that are pressed meanwhile wait
+        if not self.is_headless:  # in the queue of the keys: those that are pressed meanwhile wait
             self.call_after_refresh(self.call_later, self._build_others, makers)
         if self._target:
             self.session.connect(self._target)
@@ -328,12 +326,14 @@ class ZendspApp(App[None]):
 
     def diagnose(self, run: Run) -> None:
         """Open a run on Diagnose."""
+        self.call_later(self._diagnose, run)
+
+    async def _diagnose(self, run: Run) -> None:
         from zendsp.tui.screens.diagnose import DiagnoseScreen
 
-        screen = self._screens["diagnose"]
-        assert isinstance(screen, DiagnoseScreen)
-        screen.take_run(run)
-        self.call_later(self.action_show, "diagnose")
+        await self.action_show("diagnose")
+        if isinstance(self.screen, DiagnoseScreen):
+            self.screen.take_run(run)
 
     def await_run(self, reference: Path, then: Callable[[Run], None]) -> None:
         """Do something with the next run of a reference, on Diagnose."""

@@ -35,6 +35,7 @@ STATE_MARKS = {
 }
 
 LEAST = 4  # columns that words are wrapped to
+LEAST_NAME = 12  # columns of a target's name, however much there is to be said
 
 
 def microseconds(ns: float) -> str:
@@ -87,9 +88,11 @@ class Tabs(Widget):
         colours = self.app.theme_variables
         text = Text(no_wrap=True, overflow="ellipsis")
         tabs = sum(len(f" F0 {name} ") for name in SCREENS)
-        # on 80 columns the time is worth more than the name
-        room = self.size.width - tabs - self.right.cell_len > len(" zendsp ")
-        text.append(" zendsp " if room else "", Style(bold=True, color=colours["accent"]))
+        # on 80 columns the time is worth more than the name, on 60 than those of other screens
+        room = self.size.width - tabs - self.right.cell_len
+        text.append(
+            " zendsp " if room > len(" zendsp ") else "", Style(bold=True, color=colours["accent"])
+        )
         self._spans = []
         for k, name in enumerate(SCREENS):
             begin = text.cell_len
@@ -97,7 +100,7 @@ class Tabs(Widget):
             key = Style(color=colours["accent"], bold=True)
             body = Style(bold=True, reverse=True) if here else Style()
             text.append(f" F{k + 2}", key)
-            text.append(f" {name.capitalize()} ", body)
+            text.append(f" {name.capitalize()} " if here or room >= 0 else " ", body)
             self._spans.append((begin, text.cell_len, name))
         text.append(" " * max(self.size.width - text.cell_len - self.right.cell_len, 1))
         return text.append_text(self.right)
@@ -207,8 +210,21 @@ class StatusBar(Widget):
             }
             colour = c["error"] if s.link == "lost" else c["warning"]
             return line.append(words.get(s.link, s.link), Style(bold=True, color=colour))
-        line.append(s.target, Style(bold=True, color=c["primary"]))
-        line.append(f" {s.machine}  " if s.machine != s.target else "  ", Style(dim=True))
+        rest = self._state(s)
+        # what it does is worth more than its whole name
+        room = max(self._line1.size.width - rest.cell_len - len("  "), LEAST_NAME)
+        machine = f" on {s.machine}" if s.machine != s.target else ""
+        if len(s.target) + len(machine) > room:
+            machine = ""
+        name = s.target if len(s.target) <= room else f"{s.target[: room - 1]}…"
+        line.append(name, Style(bold=True, color=c["primary"]))
+        line.append(f"{machine}  ", Style(dim=True))
+        return line.append_text(rest)
+
+    def _state(self, s: Snapshot) -> Text:
+        """What the target does, and for whom."""
+        c = self.app.theme_variables
+        line = Text()
         for state in dict.fromkeys((s.drive, s.state)):
             if state:
                 mark, colour = STATE_MARKS.get(state, ("○", "foreground"))

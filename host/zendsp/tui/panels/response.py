@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,10 @@ class ResponseView(Vertical):
     ResponseView PathPlot { width: 1fr; height: 1fr; min-height: 4; }
     """
 
+    def __init__(self, *, id: str | None = None) -> None:
+        super().__init__(id=id)
+        self._words = ""
+
     def compose(self) -> ComposeResult:
         yield Static("", id="response-words", markup=False)
         with Container(id="response-plots"):
@@ -38,8 +43,8 @@ class ResponseView(Vertical):
 
     def show(self, responses: Sequence[tuple[str, int, FrequencyResponse]]) -> None:
         """Draw others: the name, the colour and the response of each."""
-        words = "\n".join(r.summary() for _, _, r in responses[-1:])
-        self.query_one("#response-words", Static).update(Text(words))
+        self._words = "".join(r.summary() for _, _, r in responses[-1:])
+        self._say()
         units = {r.unit for _, _, r in responses}
         above = "dB" if units <= {"", "1"} else f"dB of {', '.join(sorted(units))}"
         several = len(responses) > 1
@@ -55,3 +60,11 @@ class ResponseView(Vertical):
 
     def on_resize(self, event: events.Resize) -> None:
         self.set_class(event.size.height < LEAST_ROWS, "-beside")
+        self._say()
+
+    def _say(self) -> None:
+        """Two lines of words, and a mark where there were more."""
+        words, width = self._words, self.size.width
+        if width:
+            words = "\n".join(wrap(words, width, max_lines=2, placeholder=" …"))
+        self.query_one("#response-words", Static).update(Text(words))

@@ -127,7 +127,7 @@ def plot_lines(
     def pen(trace: int) -> Style:
         return faint if trace < 0 else back + Style(color=pens.traces[trace])
 
-    lines = [Strip(_legend(curves, axes, pen, faint, back)).adjust_cell_length(full, back)]
+    lines = [Strip(_legend(curves, axes, pen, faint, full)).adjust_cell_length(full, back)]
     y_ticks = {
         int((y1 - v) / (y1 - y0) * height): text
         for v, text in _numbers(y0, y1, max(height // 4, 4), axes.log)
@@ -145,12 +145,22 @@ def plot_lines(
 
 
 def _legend(
-    curves: Sequence[Curve], axes: Axes, pen: Callable[[int], Style], faint: Style, back: Style
+    curves: Sequence[Curve], axes: Axes, pen: Callable[[int], Style], faint: Style, full: int
 ) -> list[Segment]:
-    parts = [Segment(f" {axes.names[1]}".ljust(GUTTER), faint)]
-    if axes.title:
-        parts.append(Segment(f" {axes.title} ", back + Style(bold=True)))
-    parts += [Segment(f" ▐ {c.name} ", pen(c.trace)) for c in curves if c.name]
+    """Name of the y axis, title, and the curves' names, each cut where there is no room for all."""
+    above = f" {axes.names[1]}".ljust(GUTTER)
+    title = f" {axes.title} " if axes.title else ""
+    named = [c for c in curves if c.name]
+    room = max(full - len(above) - len(title), 0)
+    most = room // max(len(named), 1) - len(" ▐  ")
+    if sum(len(f" ▐ {c.name} ") for c in named) <= room:
+        most = room
+    parts = [Segment(above, faint)]
+    if title:
+        parts.append(Segment(title, Style(bgcolor=faint.bgcolor, bold=True)))
+    for c in named:
+        name = c.name if len(c.name) <= most else f"{c.name[: max(most - 1, 0)]}…"
+        parts.append(Segment(f" ▐ {name} ", pen(c.trace)))
     return parts
 
 
@@ -159,7 +169,7 @@ def _x_axis(axes: Axes, ends: tuple[float, float], width: int, full: int) -> str
     line = [" "] * max(full - len(axes.names[0]) - 1, 0)
     for v, text in _numbers(x0, x1, max(width // 12, 4), axes.log_x):
         at = GUTTER + int((v - x0) / (x1 - x0) * width) - len(text) // 2
-        if at >= GUTTER - 2 and at + len(text) <= len(line):
+        if at >= GUTTER - 2 and at + len(text) < len(line):
             line[at : at + len(text)] = list(text)
     return "".join(line) + axes.names[0]
 
