@@ -285,8 +285,8 @@ def _unit_asked(position: Group) -> str:
         return ""
     if _like_degrees(position):
         return (
-            f"{name} has no unit and looks like degrees: write '{name} [deg]' in its head, and"
-            " begin anew"
+            f"{name} has no known unit and looks like degrees: write '{name} [deg]' in its head,"
+            " and begin anew"
         )
     if position.unit:
         return (

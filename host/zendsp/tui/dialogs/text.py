@@ -20,7 +20,20 @@ class Message(Dialog[bool]):
     Message VerticalScroll { height: auto; max-height: 36; }
     Message .words { height: auto; }
     """
-    BINDINGS = [Binding("enter", "agree", "OK")]  # noqa: RUF012
+    BINDINGS = [  # noqa: RUF012
+        Binding("enter", "agree", "OK"),
+        *(  # while a button has the focus too
+            Binding(key, f"scroll_text('{way}')", show=False)
+            for key, way in {
+                "up": "up",
+                "down": "down",
+                "pageup": "page_up",
+                "pagedown": "page_down",
+                "home": "home",
+                "end": "end",
+            }.items()
+        ),
+    ]
 
     def __init__(self, title: str, body: RenderableType, agree: str = "") -> None:
         super().__init__()
@@ -42,6 +55,10 @@ class Message(Dialog[bool]):
     def action_agree(self) -> None:
         """Close with True."""
         self.dismiss(True)
+
+    def action_scroll_text(self, way: str) -> None:
+        """Scroll the text."""
+        getattr(self.query_one(VerticalScroll), f"scroll_{way}")(animate=False, immediate=True)
 
     @on(Button.Pressed, "#ok")
     def _agreed(self) -> None:
