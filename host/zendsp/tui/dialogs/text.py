@@ -11,6 +11,15 @@ from textual.widgets import Button, Static
 
 from zendsp.tui.dialogs.base import Dialog
 
+WAYS = {  # key: pages and rows down
+    "up": (0, -1),
+    "down": (0, 1),
+    "pageup": (-1, 0),
+    "pagedown": (1, 0),
+    "home": (-1000, 0),
+    "end": (1000, 0),
+}
+
 
 class Message(Dialog[bool]):
     """Show a text; the result is True if the user agreed, where there is something to agree to."""
@@ -22,17 +31,7 @@ class Message(Dialog[bool]):
     """
     BINDINGS = [  # noqa: RUF012
         Binding("enter", "agree", "OK"),
-        *(  # while a button has the focus too
-            Binding(key, f"scroll_text('{way}')", show=False)
-            for key, way in {
-                "up": "up",
-                "down": "down",
-                "pageup": "page_up",
-                "pagedown": "page_down",
-                "home": "home",
-                "end": "end",
-            }.items()
-        ),
+        *(Binding(key, f"scroll_text('{key}')", show=False) for key in WAYS),
     ]
 
     def __init__(self, title: str, body: RenderableType, agree: str = "") -> None:
@@ -56,9 +55,11 @@ class Message(Dialog[bool]):
         """Close with True."""
         self.dismiss(True)
 
-    def action_scroll_text(self, way: str) -> None:
-        """Scroll the text."""
-        getattr(self.query_one(VerticalScroll), f"scroll_{way}")(animate=False, immediate=True)
+    def action_scroll_text(self, key: str) -> None:
+        """Scroll the text, whatever has the focus."""
+        text = self.query_one(VerticalScroll)
+        pages, rows = WAYS[key]
+        text.scroll_relative(y=pages * text.size.height + rows, animate=False, immediate=True)
 
     @on(Button.Pressed, "#ok")
     def _agreed(self) -> None:
