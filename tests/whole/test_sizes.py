@@ -45,7 +45,6 @@ TOLD = {
     "host/zendsp/tui/app.py:__init__": "the options of `zendsp tui`",
     "host/zendsp/cli/tui.py:_serve": "the options of `zendsp tui --web`, handed on",
     "host/zendsp/tui/play_job.py:__init__": "a job's own fields",
-    "host/zendsp/tui/scope/picture.py:compose": "what stands on a picture",
     "host/zendsp/proof/mujoco/kit.py:truth": "the fields of a truth, keywords",
     "host/zendsp/diagnosis/decide/laws.py:named": "what a joint is decided by",
     "host/zendsp/diagnosis/decide/laws.py:_law": "what a joint is decided by",
