@@ -193,3 +193,16 @@ async def test_keys_that_come_back_from_a_slow_screen_do_not_fall_behind_later_o
             lambda: [line.value for line in lab.screen.query(Input)] == ["abc"],
             "in the order in which they were typed",
         )
+
+
+async def test_what_is_typed_after_enter_is_no_part_of_what_was_entered(
+    lab: ZendspApp, until: Until
+) -> None:
+    entered: list[object] = []
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        lab.push_screen(Form("A name", [Field("name", "Name", "")]), entered.append)
+        for key in ("a", "enter", "b"):  # at once, as a terminal hands on one read
+            lab.post_message(Key(key, {"enter": "\r"}.get(key, key)))
+        await until(pilot, lambda: bool(entered), "the form is answered")
+        assert entered == [{"name": "a"}]
