@@ -64,12 +64,35 @@ def test_binary_rubbish_and_truncated_files_are_refused(tmp_path: Path) -> None:
             path.write_bytes(content)
             with pytest.raises(RecordingError, match=rf"{name}\{suffix}"):
                 read_table(path)
-    (tmp_path / "latin.csv").write_bytes(b"t,q\n0,\xe9\n")
-    with pytest.raises(RecordingError, match="not text in UTF-8"):
-        read_table(tmp_path / "latin.csv")
+    (tmp_path / "binary.csv").write_bytes(whole[:999])
+    with pytest.raises(RecordingError, match="is not text; is it a file of another kind"):
+        read_table(tmp_path / "binary.csv")
     (tmp_path / "cut.csv.gz").write_bytes(gzip.compress(b"t,q\n" + b"0,1\n" * 999)[:40])
     with pytest.raises(RecordingError, match="gzip"):
         read_table(tmp_path / "cut.csv.gz")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_a_spreadsheet_of_any_encoding_is_read_with_its_degrees(
+    tmp_path: Path, encoding: str
+) -> None:
+    file = tmp_path / "run.csv"
+    file.write_bytes("Zeit;Prüfling [°]\r\n0,0;180,0\r\n0,1;90,0\r\n".encode(encoding))
+    table = read_table(file)
+    assert table["Prüfling"] == pytest.approx([np.pi, np.pi / 2])
+
+
+@pytest.mark.parametrize("below", ["", "s;rad;\n"])
+def test_a_separator_at_the_end_of_each_line_is_no_column(tmp_path: Path, below: str) -> None:
+    table = read_table(write(tmp_path / "run.csv", f"t;q;\n{below}0;1;\n0,1;;\n0,2;3\n"))
+    assert list(table.columns) == ["t", "q"]
+    assert table["q"] == pytest.approx([1.0, np.nan, 3.0], nan_ok=True)
+
+
+def test_lines_above_the_names_of_the_columns_are_to_be_deleted(tmp_path: Path) -> None:
+    file = write(tmp_path / "run.csv", "Messung 3\nMaschine: Pendel\nt;q\n0;1\n0,1;2\n")
+    with pytest.raises(RecordingError, match=r"delete the lines above the names of the columns"):
+        read_table(file)
 
 
 def test_missing_file_folder_and_unknown_kind_are_told_apart(tmp_path: Path) -> None:

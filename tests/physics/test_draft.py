@@ -133,7 +133,8 @@ def test_an_unknown_unit_is_asked_about_and_time_backwards_names_the_file(tmp_pa
     file = tmp_path / "run.csv"
     rows = [f"{k * 0.01:.2f},{np.sin(k / 9):.5f}" for k in range(200)]
     file.write_text("\n".join(["t [s],angle [furlong]", *rows]))
-    assert any("'furlong' is not known" in ask for ask in draft_model(read_table(file)).questions)
+    asked = " ".join(draft_model(read_table(file)).questions)
+    assert "'furlong' is not known" in asked and "'angle [deg]'" in asked
     file.write_text("\n".join(["t [s],angle [rad]", *reversed(rows)]))
     with pytest.raises(RecordingError, match=r"run\.csv: column 't'.*sort the rows"):
         draft_model(read_table(file))

@@ -107,6 +107,7 @@ def test_effect_is_explained(name: str) -> None:
     assert effect.name == name and effect.equation and effect.experiment.endswith(".")
     assert "{joint}" in effect.sentence or name == "base_tilt"  # which is of no joint
     assert effect.sentence.endswith(".")
+    assert "{" not in effect.experiment, "it is shown as it stands, after the finding's joint"
     for field in re.findall(r"{(\w+)}", effect.sentence):
         assert (
             field == "joint"

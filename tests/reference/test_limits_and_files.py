@@ -103,12 +103,14 @@ def test_bad_files_get_one_clear_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,x\n0,1\n1,2\n")
     (tmp_path / "b.csv").write_text("t,q1,q2\n0,1,1\n0,2,2\n")
     (tmp_path / "c.mat").write_bytes(b"this is no MAT file at all" * 20)
+    (tmp_path / "e.mat").write_bytes(b"\x00\x01\x02garbage")
     arm = load_machine("imi_planar")
     for name, words in (
         ("a.csv", "no column q"),
         ("b.csv", "time does not increase at row 1"),
         ("c.mat", "cannot be read"),
         ("d.mat", "no such file"),
+        ("e.mat", "cannot be read"),
     ):
         with pytest.raises(ReferenceError_, match=words):
             make_from_file(arm, path=str(tmp_path / name))

@@ -11,6 +11,11 @@ import pytest
 from rich.style import Style
 from steps import Until
 from textual.app import App, ComposeResult
+<<<<<<< HEAD
+=======
+from textual.containers import VerticalScroll
+from textual.pilot import Pilot
+>>>>>>> user
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import LinkError
@@ -87,6 +92,25 @@ async def test_on_a_small_terminal_the_help_keeps_its_columns(app: ZendspApp) ->
         lines = below.help_text().plain.splitlines()
         assert max(map(len, lines)) <= words.size.width, "nothing wraps to the left margin"
         assert any(line.startswith(24 * " ") for line in lines)
+
+
+@pytest.mark.parametrize("agree", ["", "OK"])
+async def test_keys_scroll_a_text_that_is_longer_than_its_box(app: ZendspApp, agree: str) -> None:
+    async with app.run_test(size=(80, 24)) as pilot:
+        await app.push_screen(Message("Keys", "\n".join(map(str, range(99))), agree))
+        await pilot.pause()
+        text = app.screen.query_one(VerticalScroll)
+        at = [text.scroll_target_y]
+        for key in ("pagedown", "down", "end"):
+            await pilot.press(key)
+            at.append(text.scroll_target_y)
+        assert at == sorted(set(at)) and at[-1] == text.max_scroll_y, "further down with each"
+        for key in ("up", "pageup", "home"):
+            await pilot.press(key)
+            at.append(text.scroll_target_y)
+        assert at[4:] == sorted(set(at[4:]), reverse=True) and at[-1] == 0
+        await pilot.press("enter")
+        assert not isinstance(app.screen, Message), "the button has the focus still"
 
 
 async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp, until: Until) -> None:

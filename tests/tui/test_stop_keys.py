@@ -19,7 +19,7 @@ from waiting import PATIENCE_S
 
 from zendsp.tui import stopper
 from zendsp.tui.app import ZendspApp
-from zendsp.tui.dialogs import Choose
+from zendsp.tui.dialogs import Choose, Field, Form
 
 F9 = b"\x1b[20~"
 SERVE = "from zendsp.tui.stopper import serve; serve({}, {}, False)"
@@ -174,3 +174,33 @@ async def test_what_a_fast_hand_types_after_a_key_that_opens_an_input_is_no_comm
             "the input has what was typed",
         )
         assert not asked
+
+
+async def test_keys_that_come_back_from_a_slow_screen_do_not_fall_behind_later_ones(
+    lab: ZendspApp, until: Until
+) -> None:
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        typed = [Key(key, key) for key in "abc"]
+        lab.expect_dialog()
+        for at in (2, 0, 1):  # c reaches the application while a and b are still on their way up
+            await lab.on_event(typed[at])
+        lab.push_screen(Form("A name", [Field("name", "Name", "")]))
+        await until(
+            pilot,
+            lambda: [line.value for line in lab.screen.query(Input)] == ["abc"],
+            "in the order in which they were typed",
+        )
+
+
+async def test_what_is_typed_after_enter_is_no_part_of_what_was_entered(
+    lab: ZendspApp, until: Until
+) -> None:
+    entered: list[object] = []
+    async with lab.run_test(size=(100, 30)) as pilot:
+        await until(pilot, lambda: lab.session.snapshot.link == "up", "the link is up")
+        lab.push_screen(Form("A name", [Field("name", "Name", "")]), entered.append)
+        for key in ("a", "enter", "b"):  # at once, as a terminal hands on one read
+            lab.post_message(Key(key, {"enter": "\r"}.get(key, key)))
+        await until(pilot, lambda: bool(entered), "the form is answered")
+        assert entered == [{"name": "a"}]

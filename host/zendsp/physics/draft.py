@@ -250,7 +250,7 @@ def _mechanism(
 ) -> None:
     joints = position.values.shape[1]
     page.line("[mechanism]")
-    kinds = "rotary | linear | planar2r | urdf | python"
+    kinds = "rotary | linear | planar2r | urdf | mjcf | fmu | python"
     page.line(f'kind = "{"linear" if linear else "rotary"}"', kinds, _unit_asked(position))
     if joints > 1:
         page.line(
@@ -285,11 +285,14 @@ def _unit_asked(position: Group) -> str:
         return ""
     if _like_degrees(position):
         return (
-            f"{name} has no unit and looks like degrees: write '{name} [deg]' in its head, and"
-            " begin anew"
+            f"{name} has no known unit and looks like degrees: write '{name} [deg]' in its head,"
+            " and begin anew"
         )
     if position.unit:
-        return f"{name}: the unit {position.unit!r} is not known: how many rad or m is one?"
+        return (
+            f"{name}: the unit {position.unit!r} is not known: write a known one in its head,"
+            f" such as '{name} [deg]' or '{name} [mm]', and begin anew"
+        )
     return f"{name} has no unit: does it turn (rad) or slide (m)?"
 
 

@@ -191,9 +191,9 @@ def read_columns(path: Path) -> dict[str, Any]:
             raise ReferenceError_(
                 f'{path}: ending "{path.suffix}" is unknown; expected .mat, .npz or .csv'
             )
-    except (OSError, ValueError, NotImplementedError) as error:
-        if isinstance(error, ReferenceError_):
-            raise
+    except ReferenceError_:
+        raise
+    except Exception as error:  # SciPy and NumPy raise whatever their parsers stumble over
         raise ReferenceError_(f"{path}: cannot be read: {error}") from error
     return _gather(path, raw)
 

@@ -284,7 +284,7 @@ class ZendspApp(App[None]):
         if dialog is not None:
             dialog.opened = True
         held, self._held = self._held, []
-        for key in held:
+        for key in sorted(held, key=lambda key: key.time):  # some came by way of a slow screen
             await super().on_event(key)
 
     async def on_event(self, event: events.Event) -> None:
@@ -292,7 +292,9 @@ class ZendspApp(App[None]):
         come back here as commands, since a terminal hands on many keys at once.
         """
         if isinstance(event, events.Key) and self._dialog_comes():
-            self._held.append(events.Key(event.key, event.character))
+            held = events.Key(event.key, event.character)
+            held.time = event.time
+            self._held.append(held)
             return
         await super().on_event(event)
 

@@ -191,7 +191,8 @@ class Drives:
         if commander and commander != by:
             raise Refused(
                 f"{commander} has the exclusive right to command this target; take it over"
-                " deliberately (zendsp drive take --force), or use STOP, which always works"
+                " deliberately (Ctrl+R in the terminal, else 'zendsp drive take --force'), or use"
+                " STOP, which always works"
             )
 
     def take(self, by: str, force: bool) -> str:

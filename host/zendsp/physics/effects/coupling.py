@@ -28,7 +28,7 @@ EFFECT = Effect(
     sentence=(
         "The motion of joint {from_joint} acts on joint {joint}: {law} coupling of {coefficient}."
     ),
-    experiment="Move joint {from_joint} alone and hold joint {joint}.",
+    experiment="Move the other joint alone and hold this one.",
     equation="c q̈_from | c q̇_from² | c q̇_from | c sign(q̇ + q̇_from)",
     linear=("coefficient",),
     grid={

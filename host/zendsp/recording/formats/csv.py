@@ -3,12 +3,15 @@ numbers.
 
 The first line of a recording is a comment for people. What belongs to the numbers, the
 circumstances, is the last line, a comment too; readers that know ``#`` skip both. Separators ``,``
-``;`` and tab are told from the header; ``;`` with decimal commas is understood. Gzip by suffix
-``.gz``.
+``;`` and tab are told from the header, where one may stand at the end of each line too; ``;`` with
+decimal commas is understood. Text is UTF-8, UTF-16 with its mark, or Windows-1252, as spreadsheets
+write them. Gzip by suffix ``.gz``.
 """
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import csv
 import gzip
 import io
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 
 MARK = "# zendsp "
 TITLE = "# A recording of zendsp"
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def write(recording: Recording, circumstances: str, path: Path) -> None:
@@ -74,6 +78,9 @@ def read(path: Path) -> Raw:
             f"{path}: is empty; expected a line of column names, then rows of numbers"
         )
     delimiter = next((d for d in (";", "\t", ",") if d in header_line), ",")
+    if header_line.endswith(delimiter):
+        header_line = header_line[:-1]
+        rows = "\n".join(line.removesuffix(delimiter) for line in rows.split("\n"))
     names, units = _header(path, header_line, delimiter, first_line)
     if said := _unit_row(rows.partition("\n")[0], delimiter, len(names)):
         units = {name: units[name] or unit for name, unit in zip(names, said, strict=True)}
@@ -93,17 +100,25 @@ def _apart(text: str) -> tuple[str, str]:
 def _text(path: Path) -> str:
     try:
         raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
-        raise RecordingError(
-            f"{path}: is not text in UTF-8 ({error.reason} at byte {error.start})"
-        ) from error
+        return _decoded(path, raw).replace("\r\n", "\n").replace("\r", "\n")
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise RecordingError(
             f"{path}: is not a readable gzip file, or it is cut short ({error})"
         ) from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be opened ({error.strerror})") from error
+
+
+def _decoded(path: Path, raw: bytes) -> str:
+    """The text; no file states its encoding, and numbers are the same in all but UTF-16."""
+    for encoding in ("utf-16" if raw[:2] in UTF_16 else "utf-8-sig", "cp1252"):
+        with contextlib.suppress(UnicodeDecodeError):
+            text = raw.decode(encoding)
+            if "\0" not in text:
+                return text
+    raise RecordingError(
+        f"{path}: is not text; is it a file of another kind? Then give it that kind's suffix"
+    )
 
 
 def _header(path: Path, line: str, delimiter: str, number: int) -> tuple[list[str], dict[str, str]]:
@@ -184,15 +199,23 @@ def _first_fault(
 ) -> RecordingError:
     """Find the line that the fast reader refused and say what is wrong with it."""
     for number, cells in enumerate(csv.reader(io.StringIO(rows), delimiter=delimiter), first_line):
+        above = ""
+        if number == first_line:
+            above = (
+                f"; if line {number - 1} is no header, delete the lines above the names of the"
+                " columns"
+            )
         if cells and len(cells) != len(names):
             return RecordingError(
-                f"{path}: line {number} has {len(cells)} values where the header names {len(names)}"
+                f"{path}: line {number} has {len(cells)} values where the header names"
+                f" {len(names)}{above}"
             )
         for name, cell in zip(names, cells, strict=False):
             text = cell.strip().replace(",", ".") if decimal == "," else cell.strip()
             if text and text not in ("NA", "null") and not _is_number(text):
                 return RecordingError(
-                    f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a number"
+                    f"{path}: column {name!r}, line {number}: {cell.strip()!r} is not a"
+                    f" number{above}"
                 )
     return RecordingError(f"{path}: cannot be read as a table of numbers ({error})")
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from textual import on
+from textual import events, on
 from textual.app import ComposeResult
 from textual.containers import Horizontal, VerticalScroll
 from textual.widgets import Button, Input, Select, Static, Switch
@@ -36,6 +36,17 @@ class Field:
     check: Check = str
     choices: Sequence[str] = ()
     hint: str = ""
+
+
+class Line(Input):
+    """An input that takes Enter in its turn. As a binding it would come back by way of the
+    application, behind what was typed after it.
+    """
+
+    async def key_enter(self, event: events.Key) -> None:
+        """Hand in what was typed before."""
+        event.stop()
+        await self.action_submit()
 
 
 class Form(Dialog[Mapping[str, Any]]):
@@ -81,7 +92,7 @@ class Form(Dialog[Mapping[str, Any]]):
             )
         if isinstance(field.value, bool):
             return Switch(field.value, id=f"f-{field.key}")
-        return Input(str(field.value), compact=True, id=f"f-{field.key}", placeholder=field.hint)
+        return Line(str(field.value), compact=True, id=f"f-{field.key}", placeholder=field.hint)
 
     def on_mount(self) -> None:
         first = self.query_one(f"#f-{self._fields[0].key}")
@@ -115,6 +126,10 @@ class Form(Dialog[Mapping[str, Any]]):
         self._check()
 
     @on(Input.Submitted)
+    def _entered(self, event: Input.Submitted) -> None:
+        event.input.value = event.value  # what was typed after Enter is no part of it
+        self._submit()
+
     @on(Button.Pressed, "#ok")
     def _submit(self) -> None:
         values = self._check()

@@ -11,6 +11,15 @@ from textual.widgets import Button, Static
 
 from zendsp.tui.dialogs.base import Dialog
 
+WAYS = {  # key: pages and rows down
+    "up": (0, -1),
+    "down": (0, 1),
+    "pageup": (-1, 0),
+    "pagedown": (1, 0),
+    "home": (-1000, 0),
+    "end": (1000, 0),
+}
+
 
 class Message(Dialog[bool]):
     """Show a text; the result is True if the user agreed, where there is something to agree to."""
@@ -20,7 +29,10 @@ class Message(Dialog[bool]):
     Message VerticalScroll { height: auto; max-height: 36; }
     Message .words { height: auto; }
     """
-    BINDINGS = [Binding("enter", "agree", "OK")]  # noqa: RUF012
+    BINDINGS = [  # noqa: RUF012
+        Binding("enter", "agree", "OK"),
+        *(Binding(key, f"scroll_text('{key}')", show=False) for key in WAYS),
+    ]
 
     def __init__(self, title: str, body: RenderableType, agree: str = "") -> None:
         super().__init__()
@@ -42,6 +54,12 @@ class Message(Dialog[bool]):
     def action_agree(self) -> None:
         """Close with True."""
         self.dismiss(True)
+
+    def action_scroll_text(self, key: str) -> None:
+        """Scroll the text, whatever has the focus."""
+        text = self.query_one(VerticalScroll)
+        pages, rows = WAYS[key]
+        text.scroll_relative(y=pages * text.size.height + rows, animate=False, immediate=True)
 
     @on(Button.Pressed, "#ok")
     def _agreed(self) -> None:
