@@ -21,7 +21,6 @@ LONG = {
     "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
     "host/zendsp/diagnosis/decide/laws.py:named": "the decision, case by case",
-    "host/zendsp/diagnosis/decide/naming.py:_finding": "the fields of a finding",
     "host/zendsp/tui/preflight.py:preflight": "the checks before a start, in their order",
     "host/zendsp/tui/playing.py:make_playlist": "the steps of a playlist, in their order",
     "host/zendsp/cli/acquire.py:command": "the steps of a recording, each way that it may end",

@@ -20,13 +20,15 @@ from zendsp.physics.model import Model, Quantity, Term
 
 @dataclass(frozen=True)
 class Assembled:
-    """Models in kernel form; ``fits[j]`` holds the numbers of joint j with their covariance;
-    ``data`` has the observers of the end.
+    """Models in kernel form; ``fits[j]`` holds the numbers of joint j with their covariance, and
+    ``agreed[j]`` the same with what other recordings say otherwise in it; ``data`` has the
+    observers of the end.
     """
 
     calibrated: Model
     improved: Model
     fits: dict[int, Fit]
+    agreed: dict[int, Fit]
     data: Data
     shared: bool
 
@@ -118,7 +120,7 @@ def with_disagreement(
     angle = np.array([h.key in ("phase", "angle") for h in fitted.handles])
     apart = other.x - fitted.x
     apart = np.where(angle, np.remainder(apart + np.pi, 2 * np.pi) - np.pi, apart)
-    beyond = np.maximum(apart**2 - fitted.std**2 - other.std**2, 0.0)
+    beyond = 0.5 * np.maximum(apart**2 - fitted.std**2 - other.std**2, 0.0)
     return replace(fitted, covariance=fitted.covariance + np.diag(beyond))
 
 
@@ -133,15 +135,17 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
         certain = {
             s.joint: with_step_error(s.final.data, s.final.fit, (s.joint,)) for s in searches
         }
-        for s in searches:
-            if s.claims:
-                certain[s.joint] = with_disagreement(
-                    s.final.data, held, certain[s.joint], (s.joint,), jobs
-                )
+        agreed = {
+            s.joint: with_disagreement(s.final.data, held, certain[s.joint], (s.joint,), jobs)
+            for s in searches
+            if s.claims
+        }
+        agreed = {**certain, **agreed}
         return Assembled(
             _noted(calibrated, {s.joint: s.base.fit for s in searches}),
-            _noted(improved, certain),
+            _noted(improved, agreed),
             certain,
+            agreed,
             data,
             False,
         )
@@ -150,10 +154,11 @@ def assemble(parts: Parts, given: Model, searches: Sequence[Decision], jobs: int
     start = _with_shared(merge(given, [s.final for s in searches]), [s.final for s in searches])
     whole = fit(data, start, free_handles(start), joints=everything, jobs=jobs, iterations=12)
     whole = with_step_error(data, whole, everything)
+    wider = whole
     if any(s.claims for s in searches):
-        whole = with_disagreement(data, held, whole, everything, jobs)
-    fits = dict.fromkeys(everything, whole)
-    return Assembled(calibrated, _noted(whole.model, {1: whole}), fits, data, True)
+        wider = with_disagreement(data, held, whole, everything, jobs)
+    fits, agreed = (dict.fromkeys(everything, f) for f in (whole, wider))
+    return Assembled(calibrated, _noted(whole.model, {1: wider}), fits, agreed, data, True)
 
 
 def _with_shared(model: Model, parts: Sequence[Scored]) -> Model:

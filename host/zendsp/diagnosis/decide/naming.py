@@ -5,7 +5,7 @@ sentence and how sure they are.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from zendsp.diagnosis.decide.absorbed import shifted
@@ -58,7 +58,10 @@ def name_findings(
             ranked.append((math.inf, _disturbance(decision, given)))
         for claim in decision.claims:
             finding = _finding(given, decision, whole, claim, claim.size**2 / everything)
-            if may_be_nothing(finding):
+            # by these recordings alone: on another day a machine's friction may be half of it
+            if claim.effect != "unknown" and may_be_nothing(
+                claim.effect, _numbers(given, decision, whole, claim, alone=True)
+            ):
                 refinements.append(finding)
             else:
                 ranked.append((claim.evidence.gain, finding))
@@ -85,7 +88,6 @@ def _finding(
     given: Model, decision: Decision, whole: Assembled, claim: Claim, share: float
 ) -> Finding:
     joint, term = decision.joint, claim.term
-    kind = given.joint_kind(joint)
     unit = given.torque_unit(joint)
     scale = decision.scale
     share = min(1.0, share)
@@ -111,16 +113,7 @@ def _finding(
             claim.mechanism,
             laws,
         )
-
-    def numbers_of(fit: Fit) -> dict[str, Estimate]:
-        left = decision.after.value / max(claim.size, 1e-300)
-        h = whole.data.records[0][joint - 1].sample_time
-        units = given.actuator.unit, unit
-        return estimates(fit, term, kind, *units, left=left, sample_time=h)
-
-    values = numbers_of(whole.fits[joint])
-    if (alone := _unrefined(decision, claim)) is not None:
-        values = between(values, numbers_of(alone))
+    values = _numbers(given, decision, whole, claim)
     text = sentence(term, values)
     if term.effect == "inertia":
         weight = [
@@ -156,14 +149,46 @@ def _finding(
     )
 
 
-def may_be_nothing(finding: Finding) -> bool:
+def _numbers(
+    given: Model, decision: Decision, whole: Assembled, claim: Claim, alone: bool = False
+) -> dict[str, Estimate]:
+    """The numbers of a law; ``alone``: with what the recordings of the fit say of them, and no
+    more.
+    """
+    joint = decision.joint
+    left = 0.0 if alone else decision.after.value / max(claim.size, 1e-300)
+    sample_time = 0.0 if alone else whole.data.records[0][joint - 1].sample_time
+
+    def of(fit: Fit) -> dict[str, Estimate]:
+        return estimates(
+            fit,
+            claim.term,
+            given.joint_kind(joint),
+            given.actuator.unit,
+            given.torque_unit(joint),
+            left=left,
+            sample_time=sample_time,
+        )
+
+    values = of((whole.fits if alone else whole.agreed)[joint])
+    if (bare := _unrefined(decision, claim)) is not None:
+        values = between(values, of(bare))
+    if alone:
+        return values
+    # that a claimed law is not nothing is what its evidence says, on recordings held out
+    shown = essence_of(claim.effect)
+    return {
+        key: replace(v, std=min(v.std, abs(v.value) / PLAIN)) if key in shown else v
+        for key, v in values.items()
+    }
+
+
+def may_be_nothing(effect: str, values: Mapping[str, Estimate]) -> bool:
     """Whether a number that makes a law what it is lies within two deviations of nothing."""
-    if finding.effect == "unknown":
-        return False
     return any(
-        abs(estimate.value) < PLAIN * estimate.std
-        for key in essence_of(finding.effect)
-        if (estimate := finding.parameters.get(key)) is not None
+        abs(values[key].value) < PLAIN * values[key].std
+        for key in essence_of(effect)
+        if key in values
     )
 
 
