@@ -11,11 +11,7 @@ import pytest
 from rich.style import Style
 from steps import Until
 from textual.app import App, ComposeResult
-<<<<<<< HEAD
-=======
 from textual.containers import VerticalScroll
-from textual.pilot import Pilot
->>>>>>> user
 from textual.widgets import OptionList, Static
 
 from zendsp.errors import LinkError
