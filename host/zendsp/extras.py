@@ -5,6 +5,7 @@ missing.
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from zendsp.errors import ZendspError
@@ -36,3 +37,17 @@ def need(module: str, extra: str, reason: str, error: type[ZendspError] = Zendsp
         if (missing.name or "").partition(".")[0] != package:
             raise  # the package is there; something that it needs is not
         raise error(f"{reason} needs {package}: pip install 'zendsp[{extra}]'") from missing
+
+
+def installed(module: str) -> bool:
+    """Whether a module is there; it is not loaded.
+
+    Examples
+    --------
+    >>> installed("math"), installed("no_such_module")
+    (True, False)
+    """
+    try:
+        return find_spec(module) is not None
+    except (ModuleNotFoundError, ValueError):
+        return False

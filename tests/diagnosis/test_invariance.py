@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -56,17 +57,19 @@ def _model(text: str, change: str) -> str:
     return text
 
 
-def _diagnosed(folder: Path, machine: reality.Machine, change: str) -> Diagnosis:
+@cache
+def _recorded(name: str, seconds: float, seed: int) -> Columns:
+    return reality.simulate(MACHINES[name], reality.multisine(seconds, RATE, seed), RATE, seed)
+
+
+def _diagnosed(folder: Path, name: str, change: str) -> Diagnosis:
     files = []
     for seconds, seed in ((9.0, 1), (7.0, 2)):
-        columns = CHANGES[change](
-            reality.simulate(machine, reality.multisine(seconds, RATE, seed), RATE, seed)
-        )
+        columns = CHANGES[change](_recorded(name, seconds, seed))
         files.append(folder / f"run{seed}.npz")
         np.savez(files[-1], **columns)
-    model = Path(
-        reality.model_file(folder / "model.toml", RATE, *GIVEN, resolution=machine.resolution)
-    )
+    resolution = MACHINES[name].resolution
+    model = Path(reality.model_file(folder / "model.toml", RATE, *GIVEN, resolution=resolution))
     model.write_text(_model(model.read_text(), change))
     train = [files[0]] * (2 if change == "twice" else 1)
     return diagnose(train, model, files[1])
@@ -75,8 +78,7 @@ def _diagnosed(folder: Path, machine: reality.Machine, change: str) -> Diagnosis
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Diagnosis]:
     return {
-        name: _diagnosed(tmp_path_factory.mktemp("plain"), m, "none")
-        for name, m in MACHINES.items()
+        name: _diagnosed(tmp_path_factory.mktemp("plain"), name, "none") for name in MACHINES
     }
 
 
@@ -85,7 +87,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Diagnosis]:
 def test_nothing_that_is_found_changes_with(
     name: str, change: str, plain: dict[str, Diagnosis], tmp_path: Path
 ) -> None:
-    before, after = plain[name], _diagnosed(tmp_path, MACHINES[name], change)
+    before, after = plain[name], _diagnosed(tmp_path, name, change)
     assert after.verdict == before.verdict
     assert [f.effect for f in after.findings] == [f.effect for f in before.findings]
     scale = 1e3 if change == "torque in mN m" else 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 
 from zendsp.errors import RecordingError
 from zendsp.recording import Recording, read_table
+from zendsp.recording.formats import apart
 from zendsp.recording.units import to_si, unit_in_name
 
 RNG = np.random.default_rng(7)
@@ -309,6 +311,25 @@ def test_a_flipped_byte_never_crashes_the_reader(name: str, tmp_path: Path) -> N
             read_table(path)
         except RecordingError as error:
             assert path.name in str(error)
+
+
+def test_one_process_reads_many_files_and_another_follows_where_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mdf(tmp_path / "run.mf4")
+    monkeypatch.chdir(tmp_path)
+    first = read_table("run.mf4")
+    (reader,) = (r for (pid, _), r in apart._readers.items() if pid == os.getpid())
+    monkeypatch.chdir("/")  # a name is meant from where it is given
+    again = read_table(tmp_path / "run.mf4")
+    assert list(apart._readers.values()) == [reader]
+    reader.process.kill()
+    reader.process.wait()
+    monkeypatch.chdir(tmp_path)
+    third = read_table("run.mf4")
+    assert list(apart._readers.values()) != [reader]
+    for other in (again, third):
+        assert all(np.array_equal(first[c], other[c], equal_nan=True) for c in first.columns)
 
 
 def test_what_is_not_read_names_the_command_that_converts_it(tmp_path: Path) -> None:

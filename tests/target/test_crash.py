@@ -288,6 +288,39 @@ def test_a_program_that_hangs_is_ended_before_anything_is_asked_about_its_end(
     assert True not in asked_of_the_living
 
 
+def test_a_loop_that_gets_no_processor_is_no_program_that_hangs(
+    make_runtime: Make, wait_for: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rounds = []
+
+    def waits(pid: int) -> tuple[bool, float]:  # as on a busy computer
+        rounds.append(pid)
+        return True, 1.0
+
+    runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), hang_s=0.2)
+    with monkeypatch.context() as busy:
+        busy.setattr("zendsp_target.runtime.process.supervise.processor", waits)
+        runtime.start()
+        wait_for(lambda: len(rounds) > 20 or runtime.status().crash != "", runtime.status)
+        assert runtime.status().crash == ""
+    wait_for(lambda: "ended by the watchdog" in runtime.status().crash, runtime.status)
+
+
+def test_a_runner_that_no_signal_ends_is_told_all_the_same(
+    make_runtime: Make, wait_for: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runtime = make_runtime(CRASHING.format(how="for (;;) { zero = 0; }"), hang_s=0.2)
+    pid = runtime.runner_pid()
+    with monkeypatch.context() as driver:  # as in a call that the kernel does not interrupt
+        driver.setattr("zendsp_target.runtime.process.runner.KILLED_S", 0.1)
+        driver.setattr(subprocess.Popen, "send_signal", lambda *_: None)
+        driver.setattr(os, "killpg", lambda *_: None)
+        runtime.start()
+        wait_for(lambda: runtime.status().crash != "", runtime.status)
+        assert runtime.status().state == "crashed" and runtime.runner_pid() == 0
+    os.kill(pid, signal.SIGKILL)
+
+
 def test_a_runner_that_was_stopped_by_a_signal_is_told_as_that(
     make_runtime: Make, wait_for: Wait
 ) -> None:

@@ -121,7 +121,7 @@ def test_a_million_samples_under_hostile_writers_mix_no_update(make_runtime: Mak
     assert session is not None
     try:
         while session.tick < 1_000_000 or sent[0] < 1000:
-            assert session.alive(), session.crash
+            session.require_alive()  # or says how it died
             threading.Event().wait(0.02)
     finally:
         stop.set()

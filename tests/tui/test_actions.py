@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ from zendsp.tui.screens.analysis import ProcessView
 from zendsp.tui.screens.base import LabScreen
 from zendsp.tui.screens.console_program import whole
 from zendsp.tui.screens.console_scope import real
-from zendsp.tui.snapshot import Snapshot
+from zendsp.tui.snapshot import Snapshot, TripView
 from zendsp.tui.statusbar import StatusBar, Tabs, mean_and_max
 from zendsp.tui.stopper import EMERGENCY
 from zendsp.tui.trial import Trial
@@ -100,15 +101,22 @@ async def test_the_time_is_in_sight_on_80_columns(app: ZendspApp, until: Until) 
         assert "F5 Diagnose" in line()
 
 
-async def test_a_stop_that_ended_before_the_screens_were_there_is_shown_on_each(
+async def test_a_stop_that_ended_before_the_screens_were_there_is_shown(
     app: ZendspApp, until: Until
 ) -> None:
     app.session._told("not stopped", EMERGENCY, EMERGENCY)
     async with app.run_test(size=(80, 24)) as pilot:
-        for screen in ("console", "execute", "reference", "diagnose"):
-            await app.action_show(screen)
-            line = app.screen.query_one(StatusBar)._line1
-            await until(pilot, lambda line=line: EMERGENCY in line.text, screen)  # type: ignore[misc]
+        line = app.screen.query_one(StatusBar)._line1
+        await until(pilot, lambda: EMERGENCY in line.text, "the banner")
+
+
+async def test_a_trip_does_not_hide_that_the_machine_is_not_safe(app: ZendspApp) -> None:
+    trip, crash = TripView("stop", 1, "STOP; outputs are safe"), "SIGSEGV; the machine is NOT SAFE"
+    seen = Snapshot(link="up", target="imi", trip=trip, crash=crash)
+    async with app.run_test(size=(80, 24)):
+        bar = app.screen.query_one(StatusBar)
+        assert trip.text in bar.where(seen).plain
+        assert crash in bar.where(replace(seen, unsafe="the machine is NOT SAFE")).plain
 
 
 def test_stop_has_priority_and_is_always_in_the_footer() -> None:

@@ -62,6 +62,13 @@ def loaded_by(statement: str) -> set[str]:
     )
 
 
+def test_a_diagnosis_begins_without_what_few_machines_need() -> None:
+    found = python("import zendsp.diagnosis.engine, sys\nprint(*sys.modules)").split()
+    assert "scipy.ndimage" in found
+    slow = {"scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.stats", "matplotlib"}
+    assert not slow & set(found)  # half a second each, in every process
+
+
 @pytest.mark.parametrize(
     "module",
     ["zendsp_target", "zendsp_target.monitor", "zendsp_target.runtime", "zendsp_target.__main__"],

@@ -70,7 +70,7 @@ static void compute(runner *r) {
     safety_command(r);
 }
 
-/* The three calls of the machine that a driver may not return from: if so, it is named. */
+/* What a driver may not return from: then the machine is named. */
 static void put_out(runner *r) {
     safety_output(r);
     store32(&r->control->within, WITHIN_MACHINE);
@@ -127,8 +127,11 @@ static void step_machine(runner *r) {
 static void keep_alive(runner *r) {
     const machine_ops *machine = r->config.machine;
     const uint32_t overruns = r->state.overruns_in_row;
-    if (machine->keep_alive && overruns < (uint32_t)r->set.overrun_limit && overruns < MOST_LATE)
+    if (machine->keep_alive && overruns < (uint32_t)r->set.overrun_limit && overruns < MOST_LATE) {
+        store32(&r->control->within, WITHIN_MACHINE);
         machine->keep_alive(r->config.handle);
+        store32(&r->control->within, WITHIN_RUNTIME);
+    }
 }
 
 static void finish_sample(runner *r) {

@@ -68,6 +68,8 @@ def _text(
     ]
     if status.crash:
         lines.append(f"crash      {status.crash}")
+    elif status.unsafe:
+        lines.append(f"unsafe     {status.unsafe}")
     if status.trip is not None:
         lines.append(f"trip       {status.trip.text}")
     rows = [

@@ -233,9 +233,8 @@ class StatusBar(Widget):
         line.append("cmd ", Style(dim=True))
         line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))
         if s.trip is not None or s.crash:
-            line.append(
-                s.trip.text if s.trip is not None else s.crash, Style(color=c["error"], bold=True)
-            )
+            safe = s.trip is not None and not s.unsafe
+            line.append(s.trip.text if safe else s.crash, Style(color=c["error"], bold=True))  # type: ignore[union-attr]
         return line
 
     def loop(self, s: Snapshot) -> Text:

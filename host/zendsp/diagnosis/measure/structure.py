@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline
 from scipy.linalg.blas import dtbsv
 
 from zendsp.diagnosis.measure.discrepancy import (
@@ -40,11 +39,20 @@ SLOWER = 0.1  # of the sampling: a swing that the recording shows
 
 
 def _splines(u: Array, count: int) -> Array:
-    """Quadratic B-splines over [0, 1], (count, n)."""
-    degree = 2
-    knots = np.r_[np.zeros(degree), np.linspace(0, 1, count - degree + 1), np.ones(degree)]
-    matrix: Array = BSpline.design_matrix(np.clip(u, 0.0, 1.0 - 1e-9), knots, degree).toarray().T
-    return matrix
+    """Quadratic B-splines over [0, 1], (count, n), by the recurrence of de Boor (1972); importing
+    scipy.interpolate would take longer than all of them.
+    """
+    x = np.clip(u, 0.0, 1.0 - 1e-9)
+    knots = np.r_[0.0, 0.0, np.linspace(0, 1, count - 1), 1.0, 1.0]
+    piece = np.searchsorted(knots, x, side="right") - 3  # three of them are not 0 there
+    before, left, right, after = (knots[piece + k] for k in (1, 2, 3, 4))
+    falls, rises = (right - x) / (right - left), (x - left) / (right - left)
+    lower, upper = falls / (right - before), rises / (after - left)
+    out, at = np.zeros((count, len(x))), np.arange(len(x))
+    out[piece, at] = (right - x) * lower
+    out[piece + 1, at] = (x - before) * lower + (after - x) * upper
+    out[piece + 2, at] = (x - left) * upper
+    return out
 
 
 def _products(a: Array, b: Array) -> Array:

@@ -16,8 +16,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.measure.discrepancy import deviation
@@ -115,6 +113,8 @@ def of_bodies(record: JointRecord, model: Model) -> Array:
 
 def moved(twist: Twist, lag: float) -> Twist:
     """The same with the second sensor's column earlier by ``lag`` s."""
+    from scipy.interpolate import CubicSpline  # takes half a second
+
     t = np.arange(len(twist.q)) * twist.sample_time
     motor = twist.q  # smoothed: only the shift of the load's column is wanted
     load = CubicSpline(t, twist.torsion + motor)
@@ -305,6 +305,8 @@ def with_motor_torque(
     -------
     fit, others, motor inertia, its standard deviation
     """
+
+    from scipy.optimize import minimize_scalar  # takes half a second
 
     def columns(share: float, dry: float) -> list[Array]:
         out = []

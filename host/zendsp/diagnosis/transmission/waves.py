@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from zendsp.diagnosis.decide.thresholds import PLAIN, SURE
 from zendsp.diagnosis.transmission.claims import ENOUGH, Claim, apart, needed, unexplained
@@ -70,6 +69,8 @@ def _straight(twist: Twist, claim: Claim, x: Array) -> Twist:
 
 
 def _wave(raw: Sets, model: Model, order: float) -> Claim | None:
+    from scipy.optimize import minimize_scalar  # takes half a second
+
     span = max(float(np.ptp(t.q[t.kept])) for t in raw.fit)
     width = math.pi / span
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from zendsp.errors import RecordingError
-from zendsp.extras import need
+from zendsp.extras import installed, need
 from zendsp.recording.formats.apart import read_apart
 from zendsp.recording.formats.clocks import Series, on_one_clock
 from zendsp.recording.formats.raw import Raw
@@ -24,7 +24,7 @@ MARK = "zendsp"  # comment of the group of a recording
 
 def write(recording: Recording, circumstances: str, path: Path) -> None:
     """Write ``recording`` as MDF 4.10: one group of doubles, the circumstances attached."""
-    asammdf = _library()
+    asammdf = library()
     signals = [
         asammdf.Signal(np.ascontiguousarray(values), recording.t, unit=unit, name=name)
         for name, unit, values in zip(
@@ -41,13 +41,14 @@ def write(recording: Recording, circumstances: str, path: Path) -> None:
 
 def read(path: Path) -> Raw:
     """Read a file of version 2 to 4; conversions to physical values are applied."""
-    _library()
+    if not installed("asammdf"):  # loading it takes a second: that is for who reads
+        library()
     return read_apart(__name__, path)  # its native code reads where a damaged file says, and dies
 
 
 def parse(path: Path) -> Raw:
     """What :func:`read` returns, in this process."""
-    asammdf = _library()
+    asammdf = library()
     with asammdf.MDF(path) as file:
         attached = _attached(file)
         found: list[Series] = []
@@ -107,5 +108,6 @@ def _group(file: Any, index: int, group: Any, refused: dict[str, str]) -> list[S
     return [] if t is None else [Series(name, np.asarray(t, dtype=np.float64), columns, units)]
 
 
-def _library() -> Any:
+def library() -> Any:
+    """The library; where it is missing, what to install."""
     return need("asammdf", "files", "an MDF file", RecordingError)

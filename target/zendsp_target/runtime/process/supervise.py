@@ -7,11 +7,25 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from zendsp_target.runtime.memory.layout import layout
 from zendsp_target.runtime.process.runner import RunnerProcess, ffi_address
 
 _ROUND_S = 0.05
+
+
+def processor(pid: int) -> tuple[bool, float]:
+    """Whether a process's first thread runs or would if it were given a processor, and the time
+    that it has had of one, s.
+    """
+    task = Path(f"/proc/{pid}/task/{pid}")
+    try:
+        state = (task / "stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+        had = (task / "schedstat").read_text().split()[0]
+    except (OSError, IndexError):  # it has ended, or the kernel does not count
+        return False, 0.0
+    return state == "R", 1e-9 * int(had)
 
 
 class Supervisor:
@@ -34,6 +48,7 @@ class Supervisor:
     ) -> None:
         self._process = process
         self._expected = threading.Event()
+        self._had = 0.0  # of a processor, by the loop
         # The thread alone keeps them, and only until its end: they lead back to who keeps this, and
         # a program that was replaced would stay mapped until the garbage collector comes.
         self._thread = threading.Thread(
@@ -66,7 +81,7 @@ class Supervisor:
             allowed = self._process.settings.hang_s + (
                 0.0 if beat % 2 else 2.0 / self._process.settings.rate_hz
             )
-            stalled = stalled + passed if beat == seen else 0.0
+            stalled = stalled + self._lost(passed) if beat == seen else 0.0
             seen = beat
             if stalled > allowed:
                 sentence = self._end_hung()
@@ -79,6 +94,18 @@ class Supervisor:
         if not self._expected.is_set():
             unsafe = self._process.make_safe()
             on_death("; ".join(filter(None, (self._process.death(), unsafe))))
+
+    def _lost(self, passed: float) -> float:
+        """How much of a round counts against a loop that has not moved, s.
+
+        On a simulated machine, what it had of a processor or was not waiting for one: a busy
+        computer is no program that hangs. Hardware is not left alone, whatever the reason.
+        """
+        if not self._process.simulated:
+            return passed
+        waits, had = processor(self._process.pid)
+        before, self._had = self._had, had
+        return min(passed, had - before) if waits else passed
 
     def _end_hung(self) -> str:
         sentence = self._process.death(hung=True)
