@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws, pieces
 from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import stated
+from zendsp.diagnosis.decide.naming import left_over
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
@@ -243,3 +245,35 @@ def test_what_a_mechanism_is_worth_is_asked_of_the_recordings_to_test_on(
 def test_a_law_leaves_too_much_only_where_that_is_sure(size: float, z: float, much: bool) -> None:
     """Of 5 % that are allowed; the evidence is that for what is beyond them."""
     assert laws._surely_more(Structure(size, 0.5, z), 0.05) is much
+
+
+@pytest.mark.parametrize(("after", "stands"), [(0.2, True), (0.6, False), (2.5e8, False)])
+def test_what_leaves_more_unexplained_than_there_was_or_is_at_all_is_no_finding(
+    monkeypatch: pytest.MonkeyPatch, after: float, stands: bool
+) -> None:
+    """A spring that holds a joint where it was seen follows every recording."""
+    before = Size(0.5, 0.4, 0.6) if after < 1.0 else Size(3.6e9, 2e9, 5e9)
+    left = Size(after, after, after)
+    term, evidence = Term("stiffness", 1, {}), Evidence(50.0, 9.0, np.zeros(1))
+    claim = Claim("stiffness", "position_torque", term, 9.0, evidence, 25.0, {}, (), (), ())
+    nothing = Structure(0.0, 0.0, 0.0)
+    model: Any = SimpleNamespace(at=lambda _: (), torque_unit=lambda _: "N m")
+    one: Any = SimpleNamespace(model=model)
+    found = Decision(1, "missing", (claim,), (), one, one, before, left, nothing, left, 7.0)
+    monkeypatch.setattr(decision, "worth_choosing", lambda *_: one)
+    monkeypatch.setattr(decision, "discrepancy", lambda *_: before)
+    monkeypatch.setattr(decision, "new_terms", lambda *_: [term])
+    monkeypatch.setattr(decision, "grouped", lambda *_: {("position_torque", 0): (term,)})
+    monkeypatch.setattr(decision, "piece_of", lambda *_: piece(0.1, 9.0, 50.0, "stiffness"))
+    monkeypatch.setattr(decision, "held_apart", lambda *_: ([0], []))
+    monkeypatch.setattr(decision, "named", lambda *_: found)
+    monkeypatch.setattr(decision, "believed", lambda d, _: d)
+    monkeypatch.setattr(decision, "window_error", lambda *_: np.zeros(3))
+    monkeypatch.setattr(decision, "_nothing_named", lambda *_: "nothing")
+    parts = SimpleNamespace(fit=None, choose=None, test=None)
+    search = SimpleNamespace(joint=1, base=one)
+    outcome = decision.decide(parts, None, search, 1, lambda _: None)  # type: ignore[arg-type]
+    assert outcome is (found if stands else "nothing")
+    if after > 1.0:
+        words = left_over([found], model)
+        assert "does not follow" in words and "%" not in words

@@ -165,9 +165,7 @@ def _diagnose(
         heldout=_table(parts.held, given, whole.calibrated, improved),
         test=_table(parts.test, given, whole.calibrated, improved),
         noise_floor=noise_floor(parts.test),
-        discrepancy=tuple(
-            Left(d.joint, d.after.value, (d.after.low, d.after.high)) for d in decisions
-        ),
+        discrepancy=tuple(_left(d) for d in decisions),
         detectable=seen,
         rejected=rejected,
         next_recording=proposal,
@@ -181,6 +179,12 @@ def _diagnose(
         remaining={j: mismatch(parts.fit, improved, j) for j in joints},
         workings=Workings(found.searches, decisions, whole, parts.fit, parts.test),
     )
+
+
+def _left(decision: Decision) -> Left:
+    after = decision.after
+    share, low, high = (min(1.0, x) for x in (after.value, after.low, after.high))
+    return Left(decision.joint, share, (low, high))
 
 
 def _ready(

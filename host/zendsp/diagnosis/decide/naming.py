@@ -265,7 +265,13 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
     words = []
     for d in decisions:
         unit = given.torque_unit(d.joint)
-        if d.kind == "unexplained" and d.state.size > OF_STATE:
+        if d.after.value > 1.0:
+            words.append(
+                f"Joint {d.joint}: the model does not follow the recording: more than all of the"
+                " joint's torque stays unexplained. Check that the model is of this machine, and its"
+                " units, [actuator] gain and limit those of the command column"
+            )
+        elif d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
                 f"Joint {d.joint}: a torque of {d.state.size * d.scale:.2g} {unit} RMS"
                 f" ({percent(d.state.size)} % of the torque) depends on the state of the joint and"

@@ -103,7 +103,7 @@ class FitTable:
 @dataclass(frozen=True)
 class Left:
     """Torque that nothing named explains at a joint, as a part of the RMS torque, with its 95 %
-    interval.
+    interval; 1 where the model does not follow the recording.
     """
 
     joint: int
