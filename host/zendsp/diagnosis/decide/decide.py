@@ -81,9 +81,8 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
             errors = [
                 rms(window_error(parts.test, m, joint)) for m in (base.model, decision.final.model)
             ]
-            # what makes an untouched recording worse is no finding, ever; nor what needs more torque
-            # that nobody explains than there was, or than there is at all (a spring that holds a
-            # joint where it was seen)
+            # what makes an untouched recording worse is no finding, ever; nor what leaves more
+            # torque unexplained than there was, or than there is (a spring that holds a joint)
             least = min(before.value, 1.0)
             better = errors[1] <= errors[0] and decision.after.value <= least
             if decision.claims and better:

@@ -268,8 +268,8 @@ def left_over(decisions: Sequence[Decision], given: Model) -> str:
         if d.after.value > 1.0:
             words.append(
                 f"Joint {d.joint}: the model does not follow the recording: more than all of the"
-                " joint's torque stays unexplained. Check that the model is of this machine, and its"
-                " units, [actuator] gain and limit those of the command column"
+                " joint's torque stays unexplained. Check that the model is of this machine, and"
+                " its units, [actuator] gain and limit those of the command column"
             )
         elif d.kind == "unexplained" and d.state.size > OF_STATE:
             words.append(
