@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reality
+from click.testing import CliRunner
 
 from zendsp.cli import main
+from zendsp.cli.model import check
 from zendsp.diagnosis.data.checks import check_excitation, check_motion, check_signals
 from zendsp.diagnosis.data.prepare import prepare
 from zendsp.diagnosis.data.reading import read_signals
@@ -157,6 +159,14 @@ def test_short_recordings_are_refused(
 ) -> None:
     columns = {k: v[500 : 500 + rows] for k, v in good.items()}
     assert words in refuse(reality.save(tmp_path / "run.csv", columns), "--model", model)
+
+
+def test_what_a_diagnosis_refuses_the_check_of_a_model_refuses_too(
+    good: Columns, model: Path, tmp_path: Path
+) -> None:
+    file = reality.save(tmp_path / "run.csv", {k: v[500:1200] for k, v in good.items()})
+    done = CliRunner().invoke(check, [str(model), "--recording", str(file)])
+    assert done.exit_code != 0 and "at least 2 s" in str(done.exception), done.output
 
 
 def test_as_many_rows_as_fill_two_seconds_last_two_seconds(

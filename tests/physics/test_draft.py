@@ -148,6 +148,12 @@ def test_values_that_are_no_numbers_are_said_and_do_not_hide_the_encoder() -> No
     assert "4096 counts a turn" in draft.text
 
 
+def test_rows_that_are_missing_are_no_jitter() -> None:
+    columns = {key: np.delete(x, [700, 3000, 3001]) for key, x in recording().items()}
+    text = draft_model(Table(columns, {"t": "s"}, {}, Path("run.csv"))).text
+    assert "3 rows missing" in text and "jitter" not in text
+
+
 def test_a_table_without_positions_is_refused_with_what_it_has() -> None:
     with pytest.raises(RecordingError, match=r"no column looks like a position; it has t, a, b"):
         draft_model(Table({"t": T, "a": T, "b": T}, {}, {}, Path("run.csv")))

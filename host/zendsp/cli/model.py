@@ -90,21 +90,23 @@ def check(file: Path, recording: Path | None, as_json: bool) -> None:
     body = _about(model)
     lines = [f"{file}: {body['text']}"]
     if recording is not None:
+        from zendsp.diagnosis.data.checks import check_signals
         from zendsp.diagnosis.data.reading import read_signals
 
         signals = read_signals(recording, model)
+        notes = check_signals([signals], model)  # what a diagnosis would refuse is refused here
         seconds = len(signals.time) * signals.sample_time
         steps = ", ".join(f"{r:.4g}" if r else "none seen" for r in signals.resolution)
         body["recording"] = {
             "rows": len(signals.time),
             "sample_time": signals.sample_time,
-            "notes": signals.notes,
+            "notes": notes,
         }
         lines.append(
             f"{recording}: {len(signals.time)} rows, {signals.sample_time * 1e3:g} ms,"
             f" {seconds:.4g} s; resolution {steps}"
         )
-        lines += [f"  {note}" for note in signals.notes]
+        lines += [f"  {note}" for note in notes]
     emit(body, as_json, "\n".join(lines))
 
 

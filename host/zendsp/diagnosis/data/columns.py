@@ -37,14 +37,22 @@ def optional(name: str, role: str, get: Getter, spec: Any, n: int, joints: int) 
             f"{name}: {role} {spec!r} has shape {values.shape}; expected {n} rows and 1 or {joints}"
             " columns"
         )
-    bad = no_number(values)
-    if bad.any():
-        row, column = (int(i[0]) for i in np.nonzero(bad))
-        raise RecordingError(
-            f"{name}: {role} {spec!r} has {int(bad.sum())} values that are not finite numbers"
-            f" below {LARGEST:g} (first in row {row + 1}: {values[row, column]:g}); expected none"
-        )
+    refuse_no_number(f"{name}: {role} {spec!r}", values)
     return np.array(np.broadcast_to(values, (n, joints)))
+
+
+def refuse_no_number(what: str, values: Array) -> None:
+    """Refuse what holds values that are no numbers, and say where and what to do."""
+    bad = no_number(values)
+    if not bad.any():
+        return
+    row, column = (int(i[0]) for i in np.nonzero(bad))
+    count = int(bad.sum())
+    words = "values that are not finite numbers" if count > 1 else "value that is no finite number"
+    raise RecordingError(
+        f"{what} has {count} {words} below {LARGEST:g} (first in row {row + 1}:"
+        f" {values[row, column]:g}). Delete the rows, time and all: a short gap is bridged"
+    )
 
 
 def getter(

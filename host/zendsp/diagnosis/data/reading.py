@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from zendsp.diagnosis.data.columns import (
-    LARGEST,
     Columns,
     Getter,
     column_name,
@@ -19,6 +18,7 @@ from zendsp.diagnosis.data.columns import (
     names_of,
     no_number,
     optional,
+    refuse_no_number,
     without_repeats,
 )
 from zendsp.diagnosis.data.sampling import (
@@ -107,12 +107,8 @@ def _main_columns(
             raise RecordingError(f"{name}: {label} has {len(values)} rows, position {n}")
         bad = no_number(values)
         if bad.any():
-            row, column = (int(i[0]) for i in np.nonzero(bad))
-            raise RecordingError(
-                f"{name}: {label} {column_name(columns[label], column)!r} has {int(bad.sum())}"
-                f" values that are not finite numbers below {LARGEST:g} (first in row {row + 1}:"
-                f" {values[row, column]:g}); expected none"
-            )
+            column = int(np.nonzero(bad)[1][0])
+            refuse_no_number(f"{name}: {label} {column_name(columns[label], column)!r}", values)
     if n < MIN_SAMPLES:
         raise RecordingError(
             f"{name}: has {n} rows; a diagnosis needs at least {MIN_SAMPLES} samples"
