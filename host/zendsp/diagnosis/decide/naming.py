@@ -17,7 +17,7 @@ from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import OF_STATE, PLAIN
+from zendsp.diagnosis.decide.thresholds import CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.physics.effects import get_effect
@@ -178,7 +178,7 @@ def _numbers(
     # that a claimed law is not nothing is what its evidence says, on recordings held out
     shown = essence_of(claim.effect)
     return {
-        key: replace(v, std=min(v.std, abs(v.value) / PLAIN)) if key in shown else v
+        key: replace(v, std=min(v.std, abs(v.value) / CLAIMED)) if key in shown else v
         for key, v in values.items()
     }
 
