@@ -233,8 +233,8 @@ class StatusBar(Widget):
         line.append("cmd ", Style(dim=True))
         line.append(f"{who}  ", Style(color=c["success"] if s.mine else c["warning"]))
         if s.trip is not None or s.crash:
-            safe = s.trip is not None and not s.unsafe
-            line.append(s.trip.text if safe else s.crash, Style(color=c["error"], bold=True))  # type: ignore[union-attr]
+            words = s.crash if s.trip is None or s.unsafe else s.trip.text
+            line.append(words, Style(color=c["error"], bold=True))
         return line
 
     def loop(self, s: Snapshot) -> Text:

@@ -107,9 +107,9 @@ def calibrated_machine(train: Data, given: Model, bases: Sequence[Scored], jobs:
 def with_disagreement(
     data: Data, held: Data, fitted: Fit, joints: Sequence[int], jobs: int
 ) -> Fit:
-    """The fit with what the recordings held out say otherwise in its covariance: by how much their
-    own numbers differ beyond what both are uncertain by (two groups of a random-effects model,
-    DerSimonian and Laird 1986). A machine is no two days the same, nor two motions of one model.
+    """The fit with what the recordings held out say otherwise in its covariance: half of the square
+    by which their own numbers differ beyond what both are uncertain by, the variance between two
+    groups of a random-effects model (DerSimonian and Laird 1986).
     """
     if not fitted.handles:
         return fitted

@@ -71,14 +71,14 @@ def estimates(
         if p.name in ("phase", "angle"):
             value = math.remainder(value, 2 * math.pi)
         statistical = math.sqrt(max(variance, 0.0))
-        open_ = math.hypot(relative * _whole(p.name, value), clock) if statistical > 0 else 0.0
+        stays = math.hypot(relative * _whole(p.name, value), clock) if statistical > 0 else 0.0
         size = (
             COUPLED[int(term.value("law"))]
             if term.effect == "coupling" and p.name == "coefficient"
             else p.size
         )
         out[p.name] = Estimate(
-            value, math.hypot(statistical, open_), unit_of(size, kind, command_unit, torque_unit)
+            value, math.hypot(statistical, stays), unit_of(size, kind, command_unit, torque_unit)
         )
     return out
 
