@@ -31,6 +31,7 @@ from zendsp.diagnosis.decide.fast_ripple import FineRipple, fine_ripples, fixed
 from zendsp.diagnosis.decide.findings import file_model, kernel_model
 from zendsp.diagnosis.decide.naming import left_over, name_findings
 from zendsp.diagnosis.decide.propose import propose
+from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.decide.result import Diagnosis, Finding, FitTable, Left, Rejected, Workings
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import Scored, calibrate_joint
@@ -40,6 +41,7 @@ from zendsp.diagnosis.report.files import left_out
 from zendsp.diagnosis.search.bodies import BodySearch, find_bodies
 from zendsp.diagnosis.search.forward import WAIT, Searcher
 from zendsp.diagnosis.search.hypothesis import JointSearch, Rival
+from zendsp.diagnosis.search.simplify import upon
 from zendsp.diagnosis.transmission.links import divided, with_links
 from zendsp.diagnosis.transmission.measured import Measured, measured_transmissions
 from zendsp.diagnosis.transmission.one_sensor import by_one_sensor, said
@@ -143,7 +145,7 @@ def _diagnose(
     findings, refinements, rejected = _name(found, given)
     kinds = {d.kind for d in decisions}
     verdict = "missing" if findings else "complete" if kinds == {"complete"} else "unexplained"
-    improved = whole.improved if findings else whole.calibrated
+    improved = remembered(whole.improved if findings else whole.calibrated, given, decisions)
     joints = range(1, given.joints + 1)
     lacking = {j: mismatch(parts.fit, whole.calibrated, j) for j in joints}
     places, times = _where(lacking)
@@ -258,10 +260,15 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
             parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
         )
     ]
-    # a ripple that nobody models lends itself to effects that are not there: search again upon it
+    # a ripple that nobody models lends itself to effects that are not there: decide again upon it
     if fine:
         beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
-        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
+        rippled = {ripple.term.joint for ripple in fine}
+        done = {
+            s.joint: (s, d) if s.joint not in rippled else _again(parts, beneath, s, jobs, tell)
+            for s, d in zip(searches, decisions, strict=True)
+        }
+        searches, decisions, whole = _explain(parts, given, beneath, jobs, tell, done)
     if claims:
         claims, improved = settled(parts, claims, whole.improved, jobs)
         bases = [
@@ -406,7 +413,7 @@ def _search(
 ) -> tuple[list[JointSearch], list[Decision]]:
     joints = [joint for joint in range(1, given.joints + 1) if joint not in known]
     done = dict(known)
-    if jobs == 1 or len(joints) == 1:
+    if jobs == 1 or len(joints) < 2:
         done |= {joint: _search_joint(parts, beneath, joint, jobs, tell) for joint in joints}
         return _in_order(done)
     # joints are independent: a process each, which inherits the recordings and the effects that a
@@ -433,6 +440,16 @@ def _search_joint(
     base = calibrate_joint(parts.fit, given, joint, jobs)
     search = Searcher(parts.fit, joint, Acceptance(parts.choose), jobs, tell, given).search(base)
     return search, decide(parts, given, search, jobs, tell)
+
+
+def _again(
+    parts: Parts, beneath: Model, first: JointSearch, jobs: int, tell: Progress
+) -> tuple[JointSearch, Decision]:
+    """What a search found, fitted upon a model that knows more by now, and decided again."""
+    tell(f"joint {first.joint}: what was found, upon what passes fast")
+    base = calibrate_joint(parts.fit, beneath, first.joint, jobs)
+    search = upon(first, base, jobs)
+    return search, decide(parts, beneath, search, jobs, tell)
 
 
 _inherited: list[tuple[Parts, Model]] = []  # filled in the processes of _search only

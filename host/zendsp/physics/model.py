@@ -129,7 +129,8 @@ class Robot:
 @dataclass(frozen=True)
 class Model:
     """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each
-    parameter.
+    parameter; ``discrepancy`` the torque that a diagnosis of this machine left unexplained, N m or
+    N RMS, a number a joint.
     """
 
     name: str
@@ -145,6 +146,7 @@ class Model:
     entry: str = ""  # python
     joint_kinds: tuple[str, ...] = ()
     limits: Mapping[str, Any] = field(default_factory=dict)
+    discrepancy: tuple[float, ...] = ()
     folder: Path = Path(".")
     robot: Robot = Robot()
     # fmu: names of its variables by role (inputs, outputs, start_position, start_velocity), and

@@ -41,6 +41,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
         "controller",
         "columns",
         "limits",
+        "discrepancy",
     ),
     "mechanism": ("kind", "parameters", "file", "entry", "folder", *OF_MJCF, *OF_FMU),
     "actuator": ("gain", "limit", "hold", "delay", "matrix", "unit"),
@@ -58,6 +59,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
         "torque_measured",
     ),
     "limits": ("position",),
+    "discrepancy": ("torque",),
 }
 NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
 TAKE = ("all", "bodies", "servos")  # of an MJCF
@@ -200,6 +202,7 @@ def parse_model(data: Mapping[str, Any], path: str = "model") -> Model:
         file=str(mechanism.get("file", "")),
         entry=str(mechanism.get("entry", "")),
         limits=dict(read.table(data, "limits")),
+        discrepancy=_discrepancy(read, read.table(data, "discrepancy")),
         folder=folder,
         fmu=_fmu(read, mechanism) if kind == "fmu" else {},
     )
@@ -324,6 +327,12 @@ def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
         offset=read.numbers("[sensor] offset", data["offset"]) if "offset" in data else (),
         side=side,
     )
+
+
+def _discrepancy(read: _Reader, data: Mapping[str, Any]) -> tuple[float, ...]:
+    if "torque" not in data:
+        return ()
+    return read.numbers("[discrepancy] torque", data["torque"], least=0.0)
 
 
 def _term(read: _Reader, data: Any, joints: int) -> Term:

@@ -53,10 +53,15 @@ def model_text(model: Model, *, beside: bool = False) -> str:
         ("controller", model.controller),
         ("columns", model.columns),
         ("limits", model.limits),
+        ("discrepancy", _discrepancy_table(model)),
     ):
         if table:
             data[key] = dict(table)
     return tomli_w.dumps(data)
+
+
+def _discrepancy_table(model: Model) -> dict[str, Any]:
+    return {"torque": [float(f"{x:.3g}") for x in model.discrepancy]} if model.discrepancy else {}
 
 
 def _mechanism_table(model: Model, beside: bool) -> dict[str, Any]:

@@ -33,11 +33,12 @@ def grid_of(effect: Effect, record: JointRecord, model: Model) -> list[dict[str,
 
 
 def usable(effect: Effect, records: Sequence[JointRecord]) -> bool:
-    """Whether every recording has the optional columns that an effect reads, and none that shows
-    the effect directly.
+    """Whether every recording has the optional columns that an effect reads, none that shows the
+    effect directly, and a joint of which it can be an effect.
     """
     return all(
         all(column in record.columns for column in effect.reads)
         and not any(column in record.columns for column in effect.shown_by)
+        and not (effect.turns and record.slides)
         for record in records
     )

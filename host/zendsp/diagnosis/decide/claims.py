@@ -72,5 +72,7 @@ class Decision:
     bare: Size
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
+    # what the given model says that this machine leaves unexplained, as a part of the RMS torque
+    known: float = 0.0
     # hypotheses that were tried where nothing is claimed
     lost: tuple[tuple[str, str, float], ...] = ()

@@ -15,6 +15,7 @@ import numpy as np
 
 from zendsp.diagnosis.decide.claims import Claim, Decision
 from zendsp.diagnosis.decide.thresholds import ALONE, NUMERIC, STATED
+from zendsp.diagnosis.measure.discrepancy import beyond
 from zendsp.diagnosis.measure.structure import STRUCTURED
 from zendsp.physics.effects import get_effect
 
@@ -30,9 +31,16 @@ def stated(claim: Claim, decision: Decision) -> bool:
     torque, stand beside 0.8 % that nobody explains.
     """
     effect = get_effect(claim.effect)
-    left = math.hypot(decision.bare.low, decision.state.size)
+    left = _left(decision)
     bends = claim.mechanism in STRUCTURED and effect.over != "time" and left > NUMERIC
     return effect.common or confidence(claim, decision) > (STATED if bends else ALONE)
+
+
+def _left(decision: Decision) -> float:
+    """What the claims leave, and what of it depends on the state, beyond what the machine is known
+    to leave.
+    """
+    return beyond(math.hypot(decision.bare.low, decision.state.size), decision.known)
 
 
 def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
@@ -46,7 +54,7 @@ def features(claim: Claim, decision: Decision) -> tuple[float, ...]:
     """
     if claim.effect == "unknown":
         return (1.0, 1.0, 0.0, 0.0, 0.0)
-    left = max(math.hypot(decision.bare.low, decision.state.size), FINE)
+    left = max(_left(decision), FINE)
     size = max(claim.size, FINE)
     larger = sum(c.size**2 for c in decision.claims if c.size > claim.size)
     lacking = math.sqrt(max(decision.before.value**2 - larger, FINE**2))

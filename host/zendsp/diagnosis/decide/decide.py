@@ -23,6 +23,7 @@ from zendsp.diagnosis.decide.pieces import (
     grouped,
     held_apart,
     kind_of,
+    known_discrepancy,
     piece_of,
     rms_torque,
     rubs,
@@ -30,7 +31,7 @@ from zendsp.diagnosis.decide.pieces import (
 )
 from zendsp.diagnosis.decide.thresholds import LAWFUL, MACHINE, MOST, OF_STATE, RIVAL, SURE
 from zendsp.diagnosis.measure.bursts import FEW, bursts, everywhere, periodic
-from zendsp.diagnosis.measure.discrepancy import Size, discrepancy
+from zendsp.diagnosis.measure.discrepancy import Size, beyond, discrepancy
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.likelihood import Scored
 from zendsp.diagnosis.measure.structure import MEMORY, STRUCTURED, Structure, structure
@@ -89,17 +90,17 @@ def decide(parts: Parts, given: Model, search: JointSearch, jobs: int, tell: Pro
                 if any(c.effect != "unknown" for c in decision.claims):
                     return decision
                 # which mechanism, if any, is for the lacking torque itself to say
-                plain = _nothing_named(parts, search, before)
+                plain = _nothing_named(parts, given, search, before)
                 most = decision.after.value**2 < (1.0 - MOST) * before.value**2
                 stands = plain.kind == "complete" or (most and not plain.claims)
                 return decision if stands else plain
-    return _nothing_named(parts, search, before)
+    return _nothing_named(parts, given, search, before)
 
 
 # --- nothing is named
 
 
-def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
+def _nothing_named(parts: Parts, given: Model, search: JointSearch, before: Size) -> Decision:
     """Complete, a disturbance, a mechanism without a law, or unexplained: decided by the calibrated
     model's discrepancy alone.
     """
@@ -108,6 +109,8 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
     turning = not rubs(base.model, joint)
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     lost = tuple(_why(r, base) for r in search.tried[:6])
+    known = known_discrepancy(given, parts.test, joint)
+    lacks, of_state = beyond(before.value, known), beyond(state.size, known)
     out = Decision(
         joint,
         "complete",
@@ -120,10 +123,11 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         state,
         before,
         rms_torque(parts.test, joint),
+        known=known,
         lost=lost,
     )
-    of_state = state.size > OF_STATE and state.z > SURE
-    if before.value > LAWFUL and state.share < MOST:
+    depends = of_state > OF_STATE and state.z > SURE
+    if lacks > LAWFUL and state.share < MOST:
         # a push may lie where the held-out recording was cut, or in the recordings of the fit alone
         here = bursts(parts.held, base.model, joint, turning=turning) or bursts(
             parts.fit, base.model, joint, many=FEW, turning=turning
@@ -131,12 +135,12 @@ def _nothing_named(parts: Parts, search: JointSearch, before: Size) -> Decision:
         if here is not None:
             both = everywhere(here, (parts.fit, parts.held), base.model, joint)
             return replace(out, kind="disturbance", bursts=both)
-    if of_state:
+    if depends:
         claim = _without_law(parts, search, state, before, turning)
         if claim is not None:
             return replace(out, kind="missing", claims=(claim,))
-    lawful = before.value > LAWFUL and _lawful(parts, base, joint, turning)
-    if of_state or lawful or before.value > MACHINE:
+    lawful = lacks > LAWFUL and _lawful(parts, base, joint, turning)
+    if depends or lawful or lacks > MACHINE:
         return replace(out, kind="unexplained")
     return out
 

@@ -27,7 +27,7 @@ from zendsp.diagnosis.search.screen import Screen
 from zendsp.physics.effects import get_effect, mechanism_of, unit_of
 from zendsp.physics.fit import Data, fit
 from zendsp.physics.model import Model
-from zendsp.physics.terms import grid_of, make_term
+from zendsp.physics.terms import grid_of, make_term, usable
 
 POWER = 1.28  # standard deviations: nine in ten
 STATED = (
@@ -85,7 +85,7 @@ def _joint(test: Data, given: Model, decision: Decision, jobs: int) -> list[Dete
     out = []
     for name in STATED:
         effect = get_effect(name)
-        if name in have and not effect.repeatable:
+        if (name in have and not effect.repeatable) or not usable(effect, screen.records):
             continue
         if name == "inertia" and given.kind in ("rotary", "linear"):
             continue

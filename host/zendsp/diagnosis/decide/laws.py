@@ -13,7 +13,15 @@ from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
 from zendsp.diagnosis.decide.confidence import stated
 from zendsp.diagnosis.decide.findings import new_terms
-from zendsp.diagnosis.decide.pieces import DRY, kind_of, may_leave, piece_of, rms_torque, rubs
+from zendsp.diagnosis.decide.pieces import (
+    DRY,
+    kind_of,
+    known_discrepancy,
+    may_leave,
+    piece_of,
+    rms_torque,
+    rubs,
+)
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
     CURVE,
@@ -63,6 +71,7 @@ def named(
     searcher = Searcher(parts.fit, joint, lambda *_: True, jobs, tell)
     after = discrepancy(parts.test, final.model, joint)
     state = structure(parts.each, final.model, joint, STRUCTURED)
+    known = known_discrepancy(given, parts.test, joint)
     claims: list[Claim] = []
     refinements: list[Claim] = []
     for piece in claimed:
@@ -85,7 +94,8 @@ def named(
             else:
                 refinements += _plain(other)
         kind = [p for p in claimed if p.mechanism in kind_of(piece.mechanism)]
-        allowed = max(may_leave(p) for p in kind)  # a larger law's error is no lack of this one
+        # a larger law's error is no lack of this one, nor what this machine is known to leave
+        allowed = math.hypot(max(may_leave(p) for p in kind), known)
         # what the law by itself leaves to itself
         again = [p.size for p in ranked[1:] if _repeats(p, first)]
         poor = math.hypot(*again) > allowed or (
@@ -124,6 +134,7 @@ def named(
         state,
         _bare(parts.test, final, joint, claims, refinements, after, jobs),
         rms_torque(parts.test, joint),
+        known=known,
     )
 
 

@@ -23,6 +23,7 @@ from zendsp.diagnosis.decide.thresholds import (
 )
 from zendsp.diagnosis.measure.discrepancy import (
     at_reversals,
+    beyond,
     difference,
     discrepancy,
     mean_square,
@@ -33,7 +34,7 @@ from zendsp.diagnosis.measure.structure import STRUCTURED, structure
 from zendsp.diagnosis.search.hypothesis import JointSearch
 from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.fit import Data, joint_handles
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Model, Term, per_joint
 from zendsp.physics.predict import run
 
 Array = npt.NDArray[np.float64]
@@ -165,6 +166,7 @@ def held_apart(
     """
     needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     after = discrepancy(parts.test, final.model, joint).value
+    unknown = beyond(after, known_discrepancy(given, parts.test, joint))
     claimed: list[Piece] = []
     rest: list[Piece] = []
     for piece in pieces:
@@ -180,9 +182,9 @@ def held_apart(
                 tuple(t for t in final.model.terms if t not in kept_laws)
             )
             larger = max(larger, difference(parts.test, apart, final.model, joint))
-        # an error of a larger law is not taken up whole by the law of something else, and not with
-        # time
-        own = after <= may_leave(piece) or all(get_effect(e).over == "time" for e in piece.effects)
+        # an error of a larger law is not taken up whole by the law of something else, nor with time
+        timed = all(get_effect(e).over == "time" for e in piece.effects)
+        own = timed or unknown <= may_leave(piece)
         error = 0.0 if own else LAW_ERROR * larger
         sure = piece.log_e > needed and piece.evidence.z > CLAIMED
         (
@@ -235,6 +237,11 @@ def may_leave(piece: Piece) -> float:
     )
     freedom = min(sum(q.free for q in t.parameters.values()) for t in laws)
     return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
+
+
+def known_discrepancy(given: Model, test: Data, joint: int) -> float:
+    """What a diagnosis of this machine left unexplained before, as a part of the RMS torque."""
+    return per_joint(given.discrepancy, joint, 0.0) / rms_torque(test, joint)
 
 
 def rms_torque(data: Data, joint: int) -> float:

@@ -162,6 +162,11 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     return Size(best.value, best.low, max(best.high, best.value))
 
 
+def beyond(size: float, known: float) -> float:
+    """What of an RMS torque is more than what is known to stay unexplained."""
+    return float(np.sqrt(max(size**2 - known**2, 0.0)))
+
+
 def difference(data: Data, one: Model, other: Model, joint: int, band: float = BANDS[0]) -> float:
     """RMS torque between two models along the recordings, as a part of the RMS torque; the sensor's
     noise cancels.

@@ -209,6 +209,19 @@ def simplify(found: JointSearch, n: int, jobs: int) -> tuple[Scored, tuple[str, 
             return best, tuple(dropped)
 
 
+def upon(first: JointSearch, base: Scored, jobs: int) -> JointSearch:
+    """What a search found, upon a base that has terms of another source by now: fitted again, and
+    without what is not needed any more.
+    """
+    joint, found = first.joint, first.final
+    more = base.model.terms[len(first.base.model.terms) :]
+    model = found.model.with_terms((*found.model.terms, *more))
+    best = _refitted(found.data, model, joint, jobs, 4)
+    again = replace(first, base=base, best=best)
+    again.best, dropped = simplify(again, informative(best.data, joint), jobs)
+    return replace(again, dropped=(*first.dropped, *dropped))
+
+
 def _hopeless(best: Scored, model: Model, joint: int, jobs: int) -> bool:
     """Whether a model is so much less likely after a short fit that a long one would not make up
     for it.

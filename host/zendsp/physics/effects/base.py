@@ -302,6 +302,8 @@ class Effect:
     shown_by : tuple of str
         Optional columns that show it directly: where a joint has one, it is measured or excluded
         there and the search does not guess it.
+    turns : bool
+        Of a joint's angle, once a turn: no effect of a joint that slides.
     replaces : tuple of str
         Terms of a given model that this effect contains as a special case.
     needs : tuple of str
@@ -358,6 +360,7 @@ class Effect:
     sole: bool = False
     reads: tuple[str, ...] = ()
     shown_by: tuple[str, ...] = ()
+    turns: bool = False
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     aliases: tuple[str, ...] = ()

@@ -18,6 +18,7 @@ EFFECT = Effect(
     experiment=("Constant speed over several turns, or a second sensor."),
     equation="q + e sin(q + φ)",
     over="position",
+    turns=True,
     linear=("amplitude",),
     grid={"phase": (0.0, 1.5707963267948966)},
     rivals=("ripple", "gravity"),

@@ -17,6 +17,7 @@ EFFECT = Effect(
     experiment=("Slow motion over a wide range, beyond ±90°."),
     equation="G sin(q - φ)",
     over="position",
+    turns=True,
     linear=("torque",),
     grid={"angle": (0.0, -1.5707963267948966)},
     rivals=("stiffness", "torque_offset"),
