@@ -4,6 +4,8 @@ has touched.
 
 from __future__ import annotations
 
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,14 +17,18 @@ import reality
 from zendsp.diagnosis import Diagnosis, diagnose
 from zendsp.diagnosis.decide import decide as decision
 from zendsp.diagnosis.decide import laws, pieces
-from zendsp.diagnosis.decide.claims import Claim, Decision, Piece
+from zendsp.diagnosis.decide.claims import Claim, Decision, Known, Piece
 from zendsp.diagnosis.decide.confidence import stated
 from zendsp.diagnosis.decide.naming import left_over
+from zendsp.diagnosis.decide.remember import remembered
 from zendsp.diagnosis.measure.discrepancy import Size
 from zendsp.diagnosis.measure.evidence import Evidence
 from zendsp.diagnosis.measure.structure import Structure
-from zendsp.physics.effects import mechanism_of
+from zendsp.physics.effects import get_effect, mechanism_of
 from zendsp.physics.model import Term
+from zendsp.physics.model_file import parse_model
+from zendsp.physics.model_write import model_text
+from zendsp.physics.terms import make_term
 
 RATE = 500.0
 KNOWN = [reality.effect("viscous", coefficient=0.004), reality.effect("coulomb", level=0.03)]
@@ -107,6 +113,58 @@ def test_friction_that_differs_with_the_direction_is_friction_and_a_constant_by_
     assert all("coulomb_asymmetry" in same for same in found.values())
 
 
+def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(tmp_path: Path) -> None:
+    """The model file of one diagnosis says it to the next."""
+    before = decided(tmp_path, reality.Machine(unrest=0.006))
+    assert before.verdict == "complete" and before.improved.discrepancy.torque[0] > 0.003
+    sprung = reality.Machine(unrest=0.006, spring=0.06)
+    plain = decided(tmp_path, sprung)
+    assert [f.effect for f in plain.findings] == ["unknown"]
+    again = diagnose(
+        tmp_path / "run1.csv",
+        parse_model(tomllib.loads(model_text(before.improved))),
+        tmp_path / "run2.csv",
+    )
+    assert [f.effect for f in again.findings] == ["stiffness"]
+    assert again.findings[0].parameters["coefficient"].value == pytest.approx(0.06, rel=0.05)
+
+
+@pytest.mark.parametrize(("size", "claims"), [(0.021, True), (0.019, False)])
+def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
+    monkeypatch: pytest.MonkeyPatch, size: float, claims: bool
+) -> None:
+    monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0, 0.0, 0.0))
+    monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
+    monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
+    monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known(0.01, 0.01))
+    parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
+    one = piece(size, 5.0, 20.0)
+    claimed, _ = pieces.held_apart(parts, None, SimpleNamespace(model=None), 1, [one])  # type: ignore[arg-type]
+    assert claimed == ([one] if claims else [])
+
+
+def test_what_only_refined_the_fit_is_held_in_the_model_file() -> None:
+    """Of two terms of one effect the second; not what stands for a term of the given model."""
+    terms = [
+        make_term(get_effect(name), 1, {key: 1.0})
+        for name, key in (("coulomb", "level"), ("ripple", "amplitude"), ("ripple", "amplitude"))
+    ]
+    given = parse_model({"mechanism": {"kind": "rotary", "parameters": {"inertia": 1.0}}})
+    final: Any = SimpleNamespace(model=given.with_terms(tuple(terms)))
+    no, evidence = Structure(0.0, 0.0, 0.0), Evidence(1.0, 1.0, np.zeros(1))
+    claims = [
+        Claim(t.effect, "", t, 0.1, evidence, 1.0, {}, (), (), ()) for t in (terms[1], terms[2])
+    ]
+    left = Size(0.02, 0.01, 0.02)
+    outcome = Decision(
+        1, "missing", (claims[0],), (claims[1],), final, final, left, left, no, left, 5.0
+    )
+    model = remembered(given.with_terms(tuple(replace(t) for t in terms)), given, [outcome])
+    assert [any(q.free for q in t.parameters.values()) for t in model.terms] == [True, True, False]
+    assert model.discrepancy.torque == (0.1,)
+
+
 def piece(size: float, z: float, log_e: float, effect: str = "ripple") -> Piece:
     term = Term(effect, 1, {})
     evidence = Evidence(gain=2 * log_e, z=z, blocks=np.zeros(1))
@@ -122,6 +180,7 @@ def test_what_acts_where_a_joint_turns_round_is_more_than_its_dry_friction_may_b
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.0025, 0.0, 0.01))
     monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.0, 0.0, 0.0))
     monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known())
     monkeypatch.setattr(pieces, "at_reversals", lambda *_: turning)
     monkeypatch.setattr(pieces, "difference", lambda *_: 0.2)
     friction = Term("coulomb", 1, {})
@@ -195,6 +254,7 @@ def test_only_what_untouched_recordings_bear_out_by_chance_too_rarely_is_claimed
     monkeypatch.setattr(pieces, "discrepancy", lambda *_: Size(0.01, 0.0, 0.02))
     monkeypatch.setattr(pieces, "structure", lambda *_: Structure(0.01, 0.5, 1.0))
     monkeypatch.setattr(pieces, "_kept_laws", lambda *_: [])
+    monkeypatch.setattr(pieces, "known_discrepancy", lambda *_: Known())
     monkeypatch.setattr(pieces, "_rubbing", lambda *_: [])
     parts = SimpleNamespace(test=SimpleNamespace(joints=1), each=())
     final = SimpleNamespace(model=None)

@@ -36,6 +36,7 @@ GOOD: dict[str, Any] = {
         "offset": [0.1, 0.2],
     },
     "columns": {"time": "t", "position": ["q1", "q2"], "command": ["u1", "u2"]},
+    "discrepancy": {"torque": [0.02, 0.01], "state": [0.01, 0.0]},
 }
 
 
@@ -58,6 +59,7 @@ def test_every_part_of_a_model_survives_writing_and_reading() -> None:
         "terms",
         "actuator",
         "sensor",
+        "discrepancy",
         "columns",
     ):
         assert getattr(again, part) == getattr(model, part), part
@@ -87,6 +89,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"mechanism": {"kind": "planar2r", "parameters": {"p1": 0.3, "p2": 0.1}}}, "p3"),
     ({"mechanism": {"kind": "planar2r", "parameters": {"p1": -0.3, "p2": 0.1, "p3": 0.1}}}, "p1"),
     ({"mechanism": {"kind": "round"}}, "kind"),
+    ({"discrepancy": {"torque": [-0.1]}}, "discrepancy"),
     ({"mechanism": 3}, "mechanism"),
     ({"effect": {"kind": "viscous"}}, "array of tables"),
     ({"effect": [{"joint": 1}]}, "kind"),

@@ -103,6 +103,16 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class Discrepancy:
+    """What a diagnosis of the machine left unexplained, N m or N RMS, a number a joint: all of the
+    ``torque``, and what of it any function of the joint's ``state`` predicts.
+    """
+
+    torque: tuple[float, ...] = ()
+    state: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
 class Robot:
     """How an MJCF is taken over.
 
@@ -129,8 +139,7 @@ class Robot:
 @dataclass(frozen=True)
 class Model:
     """A model file. ``mechanism`` holds one tuple of Quantity (a number a joint, or one) for each
-    parameter; ``discrepancy`` the torque that a diagnosis of this machine left unexplained, N m or
-    N RMS, a number a joint.
+    parameter.
     """
 
     name: str
@@ -146,7 +155,7 @@ class Model:
     entry: str = ""  # python
     joint_kinds: tuple[str, ...] = ()
     limits: Mapping[str, Any] = field(default_factory=dict)
-    discrepancy: tuple[float, ...] = ()
+    discrepancy: Discrepancy = Discrepancy()
     folder: Path = Path(".")
     robot: Robot = Robot()
     # fmu: names of its variables by role (inputs, outputs, start_position, start_velocity), and

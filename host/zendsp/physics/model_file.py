@@ -17,6 +17,7 @@ from zendsp.physics.model import (
     PARAMETERS,
     REQUIRED,
     Actuator,
+    Discrepancy,
     Model,
     Quantity,
     Robot,
@@ -59,7 +60,7 @@ KEYS = {  # of each table, whether this version uses the value or only knows it
         "torque_measured",
     ),
     "limits": ("position",),
-    "discrepancy": ("torque",),
+    "discrepancy": ("torque", "state"),
 }
 NEEDED = {"urdf": "file", "mjcf": "file", "fmu": "file", "python": "entry"}
 TAKE = ("all", "bodies", "servos")  # of an MJCF
@@ -329,10 +330,13 @@ def _sensor(read: _Reader, data: Mapping[str, Any]) -> Sensor:
     )
 
 
-def _discrepancy(read: _Reader, data: Mapping[str, Any]) -> tuple[float, ...]:
-    if "torque" not in data:
-        return ()
-    return read.numbers("[discrepancy] torque", data["torque"], least=0.0)
+def _discrepancy(read: _Reader, data: Mapping[str, Any]) -> Discrepancy:
+    return Discrepancy(
+        *(
+            read.numbers(f"[discrepancy] {key}", data[key], least=0.0) if key in data else ()
+            for key in KEYS["discrepancy"]
+        )
+    )
 
 
 def _term(read: _Reader, data: Any, joints: int) -> Term:

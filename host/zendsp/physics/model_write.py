@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import tomli_w
@@ -61,7 +62,8 @@ def model_text(model: Model, *, beside: bool = False) -> str:
 
 
 def _discrepancy_table(model: Model) -> dict[str, Any]:
-    return {"torque": [float(f"{x:.3g}") for x in model.discrepancy]} if model.discrepancy else {}
+    each = asdict(model.discrepancy)
+    return {key: [float(f"{x:.3g}") for x in values] for key, values in each.items() if values}
 
 
 def _mechanism_table(model: Model, beside: bool) -> dict[str, Any]:

@@ -56,6 +56,16 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class Known:
+    """What a diagnosis of this machine left unexplained before, as a part of the RMS torque: all of
+    it, and what of it depends on the state.
+    """
+
+    all: float = 0.0
+    of_state: float = 0.0
+
+
+@dataclass(frozen=True)
 class Decision:
     """What one joint came to: "complete", "missing", "unexplained" or "disturbance"."""
 
@@ -72,7 +82,6 @@ class Decision:
     bare: Size
     scale: float  # RMS torque of the recordings to test on, N m or N
     bursts: Bursts | None = None
-    # what the given model says that this machine leaves unexplained, as a part of the RMS torque
-    known: float = 0.0
+    known: Known = Known()  # what the given model says that this machine leaves unexplained
     # hypotheses that were tried where nothing is claimed
     lost: tuple[tuple[str, str, float], ...] = ()

@@ -40,7 +40,8 @@ def _left(decision: Decision) -> float:
     """What the claims leave, and what of it depends on the state, beyond what the machine is known
     to leave.
     """
-    return beyond(math.hypot(decision.bare.low, decision.state.size), decision.known)
+    known = math.hypot(decision.known.all, decision.known.of_state)
+    return beyond(math.hypot(decision.bare.low, decision.state.size), known)
 
 
 def features(claim: Claim, decision: Decision) -> tuple[float, ...]:

@@ -110,7 +110,7 @@ def _nothing_named(parts: Parts, given: Model, search: JointSearch, before: Size
     state = structure(parts.each, base.model, joint, STRUCTURED, turning)
     lost = tuple(_why(r, base) for r in search.tried[:6])
     known = known_discrepancy(given, parts.test, joint)
-    lacks, of_state = beyond(before.value, known), beyond(state.size, known)
+    lacks, of_state = beyond(before.value, known.all), beyond(state.size, known.of_state)
     out = Decision(
         joint,
         "complete",

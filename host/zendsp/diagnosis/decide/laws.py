@@ -95,7 +95,7 @@ def named(
                 refinements += _plain(other)
         kind = [p for p in claimed if p.mechanism in kind_of(piece.mechanism)]
         # a larger law's error is no lack of this one, nor what this machine is known to leave
-        allowed = math.hypot(max(may_leave(p) for p in kind), known)
+        allowed = math.hypot(max(may_leave(p) for p in kind), known.of_state)
         # what the law by itself leaves to itself
         again = [p.size for p in ranked[1:] if _repeats(p, first)]
         poor = math.hypot(*again) > allowed or (

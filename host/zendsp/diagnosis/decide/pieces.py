@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.series import repeats
 from zendsp.diagnosis.data.signals import Parts
-from zendsp.diagnosis.decide.claims import LAWS_OF, Piece
+from zendsp.diagnosis.decide.claims import LAWS_OF, Known, Piece
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.thresholds import (
+    A_PART,
     CLAIMED,
     FALSE_DISCOVERIES,
     FINEST,
@@ -166,13 +167,16 @@ def held_apart(
     """
     needed = math.log(parts.test.joints * len(LAWS_OF) / FALSE_DISCOVERIES)
     after = discrepancy(parts.test, final.model, joint).value
-    unknown = beyond(after, known_discrepancy(given, parts.test, joint))
+    known = known_discrepancy(given, parts.test, joint)
+    unknown = beyond(after, known.all)
     claimed: list[Piece] = []
     rest: list[Piece] = []
     for piece in pieces:
         left = after
+        part = 0.0  # of what the machine is known to leave, as below of an unknown
         if piece.mechanism in STRUCTURED:
             left = min(after, structure(parts.each, final.model, joint, [piece.mechanism]).size)
+            part = known.of_state / A_PART
         larger = max((p.size for p in claimed), default=0.0)
         kept_laws = _kept_laws(given, final.model, joint, piece.mechanism)
         if piece.mechanism not in kind_of(DRY):
@@ -188,7 +192,7 @@ def held_apart(
         error = 0.0 if own else LAW_ERROR * larger
         sure = piece.log_e > needed and piece.evidence.z > CLAIMED
         (
-            claimed if sure and piece.size > max(FINEST, math.hypot(left, error)) else rest
+            claimed if sure and piece.size > max(FINEST, part, math.hypot(left, error)) else rest
         ).append(piece)
     return claimed, rest
 
@@ -239,9 +243,10 @@ def may_leave(piece: Piece) -> float:
     return LEFT_BY_A_LAW * piece.size / max(freedom, 1) ** 2
 
 
-def known_discrepancy(given: Model, test: Data, joint: int) -> float:
-    """What a diagnosis of this machine left unexplained before, as a part of the RMS torque."""
-    return per_joint(given.discrepancy, joint, 0.0) / rms_torque(test, joint)
+def known_discrepancy(given: Model, test: Data, joint: int) -> Known:
+    """What a diagnosis of this machine left unexplained before."""
+    left = (given.discrepancy.torque, given.discrepancy.state)
+    return Known(*(per_joint(values, joint, 0.0) / rms_torque(test, joint) for values in left))
 
 
 def rms_torque(data: Data, joint: int) -> float:

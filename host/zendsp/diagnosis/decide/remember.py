@@ -8,7 +8,7 @@ from dataclasses import replace
 from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.fast_ripple import fixed
 from zendsp.diagnosis.decide.laws import replaced
-from zendsp.physics.model import Model, Term
+from zendsp.physics.model import Discrepancy, Model, Term
 
 
 def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Model:
@@ -36,7 +36,10 @@ def remembered(model: Model, given: Model, decisions: Sequence[Decision]) -> Mod
             if row in there and not replaced(given, d.final.model, term):
                 hold.add(there[row])
     terms = (fixed(t) if i in hold else t for i, t in enumerate(model.terms))
-    left = tuple(d.after.value * d.scale for d in decisions)
+    left = Discrepancy(
+        tuple(d.after.value * d.scale for d in decisions),
+        tuple(d.state.size * d.scale for d in decisions),
+    )
     return replace(model, terms=tuple(terms), discrepancy=left)
 
 
