@@ -129,6 +129,22 @@ def test_a_law_is_told_beside_what_the_machine_is_known_to_leave(tmp_path: Path)
     assert again.findings[0].parameters["coefficient"].value == pytest.approx(0.06, rel=0.05)
 
 
+@pytest.mark.parametrize(("known", "verdict"), [("", "missing"), (", std = 0.002", "complete")])
+def test_calibration_may_move_a_number_as_far_as_the_model_file_says_that_it_is_known(
+    known: str, verdict: str, tmp_path: Path
+) -> None:
+    """Given a quarter too large."""
+    decided(tmp_path, reality.Machine())
+    model = reality.model_file(tmp_path / "rough.toml", RATE, *KNOWN, inertia=0.0125)
+    text = model.read_text().replace("value = 0.0125", f"value = 0.0125{known}")
+    model.write_text(text)
+    d = diagnose(tmp_path / "run1.csv", model, tmp_path / "run2.csv")
+    assert (d.verdict, [f.effect for f in d.findings]) == (
+        verdict,
+        ["inertia"] if verdict == "missing" else [],
+    )
+
+
 @pytest.mark.parametrize(("size", "claims"), [(0.021, True), (0.019, False)])
 def test_what_is_not_twice_what_a_machine_is_known_to_leave_may_be_a_part_of_it(
     monkeypatch: pytest.MonkeyPatch, size: float, claims: bool

@@ -90,6 +90,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"mechanism": {"kind": "planar2r", "parameters": {"p1": -0.3, "p2": 0.1, "p3": 0.1}}}, "p1"),
     ({"mechanism": {"kind": "round"}}, "kind"),
     ({"discrepancy": {"torque": [-0.1]}}, "discrepancy"),
+    ({"mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1, "std": -1}}}}, "std"),
+    ({"mechanism": {"kind": "rotary", "parameters": {"inertia": {"value": 1, "std": "x"}}}}, "std"),
     ({"mechanism": 3}, "mechanism"),
     ({"effect": {"kind": "viscous"}}, "array of tables"),
     ({"effect": [{"joint": 1}]}, "kind"),

@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 WINDOW_S = 0.05  # over which position is smoothed for a first idea of speed and acceleration
 EXPLAINS = 0.3  # share of the command's variance: below that no first idea is given
 MATTERS = 0.02  # share that gravity must add
+ROUGH = 0.15  # relative standard deviation of a first idea: what is missing bends it
 SATURATED = 20  # samples at the largest command: it was cut off there
 WHOLE = 0.02  # of a count: so near to a whole number of counts a turn is one
 LOAD = ("load", "link", "output", "arm")  # words of a position behind a spring
@@ -309,6 +310,7 @@ def _numbers(
         for j in range(position.values.shape[1])
     ]
     values = [float(f"{idea.inertia:.3g}") if idea else 0.01 for idea in ideas]
+    rough = ROUGH if all(ideas) else 1.0  # of the first number: a model file keeps one a list
     torque = command is not None and command.unit in ("N m", "Nm", "N")
     said, ask = unit, f"the recording does not show the {key}: what does the drawing say?"
     if all(ideas):
@@ -316,11 +318,11 @@ def _numbers(
         said = f"{unit}: a first idea; with friction it explains {shares} of the command"
         gain = f"the number below is for a gain of 1: times the actuator's gain it is in {unit}"
         ask = "" if torque else gain
-    page.line(f"{key} = {{ value = {_list(values)} }}", said, ask=ask)
+    page.line(f"{key} = {{ {_rough(values, rough)} }}", said, ask=ask)
     gravity = [float(f"{idea.gravity:.3g}") if idea else 0.0 for idea in ideas]
     if not linear and any(gravity):
         page.line(
-            f"gravity = {{ value = {_list(gravity)} }}",
+            f"gravity = {{ {_rough(gravity, ROUGH)} }}",
             "N m, times sin(q)",
             ask="is q = 0 where it hangs down?",
         )
@@ -328,6 +330,11 @@ def _numbers(
         page.line(
             comment="gravity = { value = 0.1 }: N m, times sin(q), q = 0 hanging down; none is seen"
         )
+
+
+def _rough(values: list[float], share: float) -> str:
+    """Numbers, and how well they are known: a calibration that moves them by less is no finding."""
+    return f"value = {_list(values)}, std = {share * max(values):.2g}"
 
 
 @dataclass(frozen=True)

@@ -122,13 +122,15 @@ class _Reader:
         free = table.get("free", True)
         if not isinstance(free, bool):
             raise self.fail(f"{key}.free", "true or false", free)
-        std = table.get("std", 0.0)
+        std = self.number(f"{key}.std", table.get("std", 0.0))
+        if std < 0:
+            raise self.fail(f"{key}.std", "a number of at least 0", std)
         return tuple(
             Quantity(
                 v,
                 free,
                 str(table.get("unit", "")),
-                float(std) if isinstance(std, int | float) else 0.0,
+                std,
             )
             for v in self.numbers(f"{key}.value", table["value"])
         )

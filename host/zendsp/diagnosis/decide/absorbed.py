@@ -20,7 +20,8 @@ from zendsp.physics.effects import get_effect, library
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
-TOLERANCE = 0.045  # relative standard deviation of a given inertia, mass or gravity figure
+# relative standard deviation of a given inertia, mass or gravity figure; more where its std says so
+TOLERANCE = 0.045
 FAR = 3.0  # standard deviations
 INSISTS = 100.0  # deviance on the recordings of the fit that the given value costs at least
 PAYS, SURELY = 50.0, 3.0  # the same on untouched ones, and in standard deviations over blocks
@@ -61,7 +62,8 @@ def shifted(
         if not before.free or before.value == 0:
             continue
         ratio = after.value / before.value - 1.0
-        spread = math.hypot(TOLERANCE, after.std / abs(before.value))
+        known = max(TOLERANCE, before.std / abs(before.value))
+        spread = math.hypot(known, after.std / abs(before.value))
         moves[key] = (ratio, ratio / spread, after.value - before.value, after.std)
     main = "inertia" if given.kind == "rotary" else "mass"
     if main not in moves or abs(moves[main][1]) < FAR:
