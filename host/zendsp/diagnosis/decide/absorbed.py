@@ -16,7 +16,7 @@ from zendsp.diagnosis.decide.claims import Decision
 from zendsp.diagnosis.decide.result import Estimate, Finding
 from zendsp.diagnosis.measure.evidence import compare
 from zendsp.diagnosis.measure.likelihood import fit_scored
-from zendsp.physics.effects import get_effect, library
+from zendsp.physics.effects import get_effect, library, mechanism_of
 from zendsp.physics.fit import Data, joint_handles
 from zendsp.physics.model import Model
 
@@ -86,7 +86,7 @@ def shifted(
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."
     sure = min(0.9, 0.5 + 0.05 * abs(z))
-    return [(z, Finding("inertia", joint, values, sure, 0.0, tuple(same), (), text))]
+    return [(z, _finding("inertia", joint, values, sure, tuple(same), text))]
 
 
 def _needed(given: Model, search: Decision, key: str, test: Data) -> bool:
@@ -122,4 +122,16 @@ def _gravity_only(
         f" ({amount:+.3g} {given.torque_unit(joint)}), far beyond the tolerance of a given figure:"
         " an unbalance, or a wrong figure."
     )
-    return [(z, Finding("gravity", joint, values, 0.7, 0.0, ("stiffness",), (), text))]
+    return [(z, _finding("gravity", joint, values, 0.7, ("stiffness",), text))]
+
+
+def _finding(
+    effect: str,
+    joint: int,
+    values: dict[str, Estimate],
+    sure: float,
+    same: tuple[str, ...],
+    text: str,
+) -> Finding:
+    mechanism, laws = mechanism_of(effect), {effect: 1.0}
+    return Finding(effect, joint, values, sure, 0.0, same, (), text, {}, mechanism, laws)

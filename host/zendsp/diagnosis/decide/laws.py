@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from zendsp.diagnosis.data.signals import Parts
 from zendsp.diagnosis.decide.claims import LAWS_OF, Claim, Decision, Piece
-from zendsp.diagnosis.decide.confidence import stated
+from zendsp.diagnosis.decide.confidence import confidence, stated
 from zendsp.diagnosis.decide.findings import new_terms
 from zendsp.diagnosis.decide.pieces import (
     DRY,
@@ -108,9 +108,7 @@ def named(
         drawn = piece.mechanism == "position_torque" and _is_curve(ranked)
         if poor or drawn or len(own) + level >= CURVE:
             refinements += [c for p in own[1:] for c in _plain(p)]
-            claims.append(
-                replace(law, effect="unknown", left=left, laws={**law.laws, "unknown": 1.0})
-            )
+            claims.append(replace(law, effect="unknown", left=left))
             continue
         claims.append(replace(law, left=left, size=first.size if len(own) > 1 else piece.size))
         claims += [_law(parts, given, search, searcher, final, p, p, jobs, tell) for p in own[1:]]
@@ -168,7 +166,9 @@ def believed(decision: Decision, parts: Parts) -> Decision:
     """
     keep, more = [], list(decision.refinements)
     for claim in decision.claims:
-        if claim.effect == "unknown" or stated(claim, decision):
+        if claim.effect == "unknown":
+            keep.append(_doubted(claim, decision))
+        elif stated(claim, decision):
             keep.append(claim)
         elif (
             claim is decision.claims[0]
@@ -176,10 +176,17 @@ def believed(decision: Decision, parts: Parts) -> Decision:
             and claim.size > decision.after.value
             and not _turns_otherwise(claim, decision, parts)
         ):
-            keep.append(replace(claim, effect="unknown", laws={**claim.laws, "unknown": 1.0}))
+            keep.append(_doubted(claim, decision))
         else:
             more.append(claim)
     return replace(decision, claims=tuple(keep), refinements=tuple(more))
+
+
+def _doubted(claim: Claim, decision: Decision) -> Claim:
+    """A claim of the mechanism alone: its laws are as likely as the one that is doubted."""
+    sure = min(confidence(replace(claim, effect=claim.term.effect), decision), 0.5)
+    laws = {name: sure * weight for name, weight in claim.laws.items()}
+    return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
 
 
 def _turns_otherwise(claim: Claim, decision: Decision, parts: Parts) -> bool:
