@@ -6,6 +6,9 @@ Diagnoses cases whose truth is known, judges every finding, and fits the logisti
     zendsp prove --make cases --seed 21 --sample 120
     python benchmarks/confidence.py cases
 
+Laws that were refused for their confidence count too. The weights in the code are the prior, each
+with a standard deviation of a half: what they were learned on need not be kept.
+
 Several folders are taken together, each finding once. About ten seconds of one core a case; what
 was diagnosed is kept beside the cases, so an interrupted run goes on.
 """
@@ -16,6 +19,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,10 +32,11 @@ from zendsp.diagnosis import diagnose
 from zendsp.diagnosis.decide.confidence import NAMES, WEIGHTS, features
 from zendsp.diagnosis.report.files import report_text
 from zendsp.proof.answer import read_report
-from zendsp.proof.judge import held_back, rightness
+from zendsp.proof.judge import held_back, matches, rightness
 from zendsp.proof.seal import open_truth
 
 Array = npt.NDArray[np.float64]
+PRIOR = 0.5  # standard deviation
 BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 1.001)
 
 
@@ -92,22 +97,27 @@ def of_case(case: Path, truth: dict[str, Any]) -> Iterator[dict[str, Any]]:
         for decision in getattr(d.workings, "decisions", ()):
             for claim in decision.claims:
                 if (decision.joint, claim.effect) == (finding.joint, finding.effect):
+                    law = claim
+                    if claim.effect == "unknown" and claim.term.effect != "unknown":
+                        law = replace(claim, effect=claim.term.effect)
+                        doubted = replace(finding, effect=law.effect)
+                        sound = named and any(matches(doubted, e) for e in effects)
                     yield {
-                        "features": features(claim, decision),
+                        "features": features(law, decision),
                         "right": sound,
                         "reality": truth.get("reality", "own"),
                     }
 
 
 def fitted(x: Array, y: Array) -> Array:
-    """Weights of a logistic regression, each drawn to zero by one standard normal prior."""
-    prior = np.r_[0.0, np.ones(x.shape[1] - 1)]
+    """Weights of a logistic regression, drawn to those in the code."""
+    known = np.array(WEIGHTS)
 
     def cost(w: Array) -> float:
         z = x @ w
-        return float(np.sum(np.logaddexp(0, z) - y * z) + 0.5 * np.sum(prior * w * w))
+        return float(np.sum(np.logaddexp(0, z) - y * z) + 0.5 * np.sum(((w - known) / PRIOR) ** 2))
 
-    return np.asarray(minimize(cost, np.zeros(x.shape[1])).x)
+    return np.asarray(minimize(cost, known).x)
 
 
 def probability(x: Array, w: Array) -> Array:
