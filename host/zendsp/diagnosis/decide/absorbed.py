@@ -72,6 +72,7 @@ def shifted(
     if not _needed(given, search, main, test):
         return []
     unit = "kg m²" if given.kind == "rotary" else "kg"
+    what = "a payload, or a wrong figure" if amount > 0 else "a wrong figure"
     same = []
     others = [m for key, m in moves.items() if key != main]
     if all(abs(m[0] - ratio) < 0.5 * abs(ratio) for m in others):
@@ -81,7 +82,7 @@ def shifted(
     values = {"amount": Estimate(amount, std, unit)}
     text = (
         f"Calibration moves the {main} of joint {joint} by {100 * ratio:+.0f} % ({amount:+.3g}"
-        f" {unit}), far beyond the tolerance of a given figure: a payload, or a wrong figure."
+        f" {unit}), far beyond the tolerance of a given figure: {what}."
     )
     if same:
         text += f" This recording cannot tell it from {', '.join(same)}."

@@ -43,6 +43,7 @@ STATED = (
     "delay",
     "encoder_eccentricity",
 )
+HELD = 1.0  # of the RMS torque: an effect that is larger is not in these recordings
 GRID = 12  # points of an effect's grid at most; of them the one that is seen worst is stated
 
 
@@ -120,12 +121,15 @@ def _smallest(
         unit = values.get(key, 1.0) or 1.0
         term = make_term(effect, screen.joint, {**values, key: unit})
         column = screen.series([(term,)])[0] / unit
+        whole = _torque(screen, column) / scale
         column = column - screen.q @ (screen.q.T @ column)
         energy = float(column @ column)
         if energy <= 0:
             return None
         torque = _torque(screen, column) / scale
         size = max(root * math.sqrt(variance / energy), beyond / max(torque, 1e-300))
+        if size * whole > HELD:  # more than the recording holds: it shows nothing of it
+            return None
         if worst is None or size > worst[0]:
             worst = size, size * torque
     return worst

@@ -24,6 +24,7 @@ from zendsp.diagnosis.decide.pieces import (
 )
 from zendsp.diagnosis.decide.thresholds import (
     A_PART,
+    ALONE,
     CURVE,
     DRAWS,
     EXPLAINS,
@@ -183,8 +184,11 @@ def believed(decision: Decision, parts: Parts) -> Decision:
 
 
 def _doubted(claim: Claim, decision: Decision) -> Claim:
-    """A claim of the mechanism alone: its laws are as likely as the one that is doubted."""
-    sure = min(confidence(replace(claim, effect=claim.term.effect), decision), 0.5)
+    """A claim of the mechanism alone, with its laws as likely as the one that is doubted; one that
+    leaves too much in its own variables is hardly.
+    """
+    most = ALONE if claim.effect == "unknown" else 0.5
+    sure = min(confidence(replace(claim, effect=claim.term.effect), decision), most)
     laws = {name: sure * weight for name, weight in claim.laws.items()}
     return replace(claim, effect="unknown", laws={**laws, "unknown": 1.0 - sure})
 

@@ -17,7 +17,7 @@ from zendsp.diagnosis.decide.findings import LAWS, estimates, new_terms, percent
 from zendsp.diagnosis.decide.laws import draws_a_curve
 from zendsp.diagnosis.decide.pieces import weight_of_payload
 from zendsp.diagnosis.decide.result import Estimate, Finding, Rejected
-from zendsp.diagnosis.decide.thresholds import CLAIMED, OF_STATE, PLAIN
+from zendsp.diagnosis.decide.thresholds import ALONE, CLAIMED, OF_STATE, PLAIN
 from zendsp.diagnosis.measure.likelihood import fit_scored
 from zendsp.diagnosis.measure.significance import counterpart, essence_of
 from zendsp.physics.effects import get_effect
@@ -97,7 +97,7 @@ def _finding(
         what = VARIABLE.get(claim.mechanism, "state")
         text = (
             f"A torque that depends on the {what} of joint {joint} is missing,"
-            f" {percent(claim.size)} % of its torque; none of the known laws describes it."
+            f" {percent(claim.size)} % of its torque; {_nearest(claim)}."
         )
         laws = claim.laws
         return Finding(
@@ -147,6 +147,14 @@ def _finding(
         claim.mechanism,
         claim.laws,
     )
+
+
+def _nearest(claim: Claim) -> str:
+    """What can be said of the laws of a mechanism that is claimed without one."""
+    law = claim.term.effect
+    if law == "unknown" or claim.laws.get(law, 0.0) <= ALONE:
+        return "none of the known laws describes it"
+    return f"it is most like {law}, not surely enough to be called that"
 
 
 def _numbers(

@@ -144,10 +144,11 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
     Returns
     -------
     Size
-        Of several observers the one that shows most beyond its own uncertainty decides.
+        Of several observers the one that shows most beyond its own uncertainty decides; the fastest
+        sees most of a torque, and says how large it may be at most.
     """
     scale = mean_square(data, joint)
-    best = Size(0.0, 0.0, float("inf"))
+    best = Size(0.0, 0.0, 0.0)
     for band in BANDS:
         found = lacking(data, model, joint, band)
         of_sensor = [noise(rec[joint - 1], model, band) for rec in data.records]
@@ -158,7 +159,8 @@ def discrepancy(data: Data, model: Model, joint: int) -> Size:
         # what the noise model itself may be wrong by
         spread = float(np.hypot(spread, 0.1 * float(np.mean(of_sensor)) / scale))
         value, low, high = (float(np.sqrt(max(0.0, mean + k * spread))) for k in (-1.0, -2.0, 2.0))
-        best = Size(max(best.value, value), max(best.low, low), min(best.high, max(high, best.low)))
+        most = high if band == BANDS[0] else best.high
+        best = Size(max(best.value, value), max(best.low, low), most)
     return Size(best.value, best.low, max(best.high, best.value))
 
 
