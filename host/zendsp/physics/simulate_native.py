@@ -140,7 +140,7 @@ def source_text(effects: dict[str, Effect]) -> str:
             f"static inline double fx_{effect.name}{head} {{ {unused}{effect.c} }}"
         )
         if effect.site in _CASES:
-            coupled = effect.name == "coupling"
+            coupled = effect.coupled
             parts["FORCE"].append(
                 _CASES[effect.site].format(i=i, name=effect.name, look=_LOOK if coupled else "")
             )

@@ -271,10 +271,11 @@ def _law(
     tell(f"joint {joint}: what could stand in for {term.effect}")
     known = library()
     mates = {e for e in LAWS_OF.get(piece.mechanism, ()) if e in known}
-    names = frozenset(mates | set(get_effect(term.effect).rivals)) - {"coupling"} | {term.effect}
+    names = mates | set(get_effect(term.effect).rivals)
+    names = names - {name for name, e in known.items() if e.coupled} | {term.effect}
     rivals = [
         r
-        for r in searcher.stand_ins(first.without, names)
+        for r in searcher.stand_ins(first.without, frozenset(names))
         if r.effect != term.effect and not contains(r, term)
     ]
     learn = together(parts.fit, parts.choose)
