@@ -312,8 +312,8 @@ def _swing(r: Result) -> str:
     swings = v["feedback_level_torque_activity"].value > 2 * v["closed_loop_torque_activity"].value
     reached = [n.replace("_", " ") for n, e in error.items() if e < REACHED]
     return text + (
-        f"\nThe goal is reached within {REACHED:g} rad by: {', '.join(reached) or 'none'} (the paper:"
-        " with friction in the model even in open loop). Compensation at the feedback level"
+        f"\nThe goal is reached within {REACHED:g} rad by: {', '.join(reached) or 'none'} (the"
+        " paper: with friction in the model even in open loop). Compensation at the feedback level"
         f" {'makes' if swings else 'does not make'} the torque swing more than twice as much as a"
         " closed loop does (the paper: it oscillates).\n"
     )
