@@ -12,12 +12,22 @@ import pytest
 
 from zendsp.reference import load_machine
 
-sys.path.insert(0, str(Path(__file__).parent))  # waiting.py
+# helpers beside the tests, and waiting.py
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), *(str(room) for room in HERE.iterdir() if room.is_dir())]
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background of a shell: what the tests start would inherit it, and not end at
     # Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def own_registry(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests neither see nor disturb targets that really run here."""
+    monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
+    for name in ("ZENDSP_CONNECT", "ZENDSP_TARGET"):
+        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture

@@ -118,8 +118,8 @@ def _break_away(
     slow = _push(bench, word, joint, direction, position, STEP[joint], HOLD)
     torque = breakaway_torque(slow, joint)
     fast = _push(bench, f"{word}_fast", joint, direction, position, FAST[joint], FAST_HOLD)
-    pushed = _pushed(fast, joint, 31)
-    wide, narrow = (_stiffness(pushed, joint, torque, part) for part in (0.7, 0.3))
+    pushed = pushed_way(fast, joint, 31)
+    wide, narrow = (bristle_stiffness(pushed, joint, torque, part) for part in (0.7, 0.3))
     return torque, wide, 0.5 * (wide - narrow)
 
 
@@ -152,7 +152,7 @@ def _push(
     )
 
 
-def _pushed(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Array]:
+def pushed_way(rec: Recording, joint: int, window: int) -> tuple[Array, Array, Array]:
     """Way, speed and friction torque of a pushed joint, smoothed by a local parabola, its sign
     taken off: friction is the torque less what accelerates the joint.
     """
@@ -183,7 +183,7 @@ def breakaway_torque(rec: Recording, joint: int, window: int = 101) -> float:
     """
     if len(np.flatnonzero(rec["phase"] == 2)) < 2 * window:
         raise RecordingError(f"joint {joint} was pushed for less than {2 * window} samples")
-    _, speed, friction = _pushed(rec, joint, window)
+    _, speed, friction = pushed_way(rec, joint, window)
     edge = window // 2
     held = (friction - VISCOUS[joint] * speed)[edge:-edge]
     most = int(np.argmax(held))
@@ -195,8 +195,8 @@ def breakaway_torque(rec: Recording, joint: int, window: int = 101) -> float:
     return float(held[most])
 
 
-def _stiffness(
-    pushed: tuple[Array, Array, Array], joint: int, level: float, part: float
+def bristle_stiffness(
+    pushed: tuple[Array, Array, Array], joint: int, level: float, part: float = 0.7
 ) -> float:
     """Stiffness of the spring that friction is before it slides, N m/rad, from a fast push.
 
