@@ -270,12 +270,11 @@ def _law(
     joint, term = search.joint, first.terms[0]
     tell(f"joint {joint}: what could stand in for {term.effect}")
     known = library()
-    mates = {e for e in LAWS_OF.get(piece.mechanism, ()) if e in known}
-    names = mates | set(get_effect(term.effect).rivals)
-    names = names - {name for name, e in known.items() if e.coupled} | {term.effect}
+    beside = (*LAWS_OF.get(piece.mechanism, ()), *get_effect(term.effect).rivals)
+    names = frozenset(e for e in beside if e in known and not known[e].coupled) | {term.effect}
     rivals = [
         r
-        for r in searcher.stand_ins(first.without, frozenset(names))
+        for r in searcher.stand_ins(first.without, names)
         if r.effect != term.effect and not contains(r, term)
     ]
     learn = together(parts.fit, parts.choose)
