@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from zendsp.cli import main
 from zendsp.reference import load_machine
 
 # helpers beside the tests, and waiting.py
@@ -28,6 +30,21 @@ def own_registry(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     monkeypatch.setenv("ZENDSP_RUNTIME_DIR", str(tmp_path_factory.mktemp("registry")))
     for name in ("ZENDSP_CONNECT", "ZENDSP_TARGET"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def typed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[object, str, str]]:
+    """Type a command of `zendsp`: exit status, standard output, standard error."""
+
+    def give(*words: object) -> tuple[object, str, str]:
+        monkeypatch.setattr(sys, "argv", ["zendsp", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, *capsys.readouterr()
+
+    return give
 
 
 @pytest.fixture
