@@ -16,7 +16,6 @@ LONG = {
     "host/zendsp/tui/actions.py:_table": "the table of actions",
     "target/zendsp_target/__main__.py:parser": "the table of options",
     "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
-    "host/zendsp/proof/page.py:proof_page": "the parts of a page, in their order",
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
     "host/zendsp/experiment/imi_fit.py:_draw": "the panels of a figure, in their order",
     "host/zendsp/reference/kinds/swing.py:_collocate": "one optimal control problem, stated whole",
