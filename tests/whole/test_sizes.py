@@ -13,7 +13,6 @@ MOST = 7  # parameters
 
 # file:function: why it is longer
 LONG = {
-    "host/zendsp/tui/actions.py:_table": "the table of actions",
     "target/zendsp_target/__main__.py:parser": "the table of options",
     "host/zendsp/proof/scoreboard.py:headline": "the sentences of a page, in their order",
     "host/zendsp/proof/rivals.py:rivals": "a table of rivals and what each is given",
