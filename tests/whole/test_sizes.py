@@ -29,7 +29,7 @@ PLANNED = "the fields of its form, one keyword each"
 TOLD = {
     "host/zendsp/reference/kinds/": PLANNED,
     "host/zendsp/physics/simulate_run.py:simulate": PUBLIC,
-    "host/zendsp/physics/simulate_run.py:simulate_loop": PUBLIC,
+    "host/zendsp/physics/simulate_control.py:simulate_loop": PUBLIC,
     "host/zendsp/physics/loop.py:simulate_joint_loop": PUBLIC,
     "host/zendsp/physics/fit.py:fit": PUBLIC,
     "host/zendsp/link/acquire.py:acquire": PUBLIC,
