@@ -93,7 +93,7 @@ def test_a_slow_compile_holds_up_neither_stop_nor_reads(
             thread.join(PATIENCE_S)
 
 
-def test_acquire_returns_every_sample_with_its_circumstances(running: Target) -> None:
+def test_acquire_returns_every_sample_with_its_metadata(running: Target) -> None:
     running.update(Kp1=5.0)
     done: list[float] = []
     rec = running.acquire(
