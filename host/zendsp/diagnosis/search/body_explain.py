@@ -14,7 +14,6 @@ from zendsp.diagnosis.search.body_hypotheses import LIMITS, BodyLimits, Hypothes
 from zendsp.diagnosis.search.body_solver import Solver
 
 Array = npt.NDArray[np.float64]
-FEWEST = 4  # blocks: of fewer no scatter is known
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def tied(other: Explained, top: Explained, limits: BodyLimits = LIMITS) -> bool:
 def z_of(blocks: Array) -> float:
     """Mean of the blocks over its standard error, neighbours taken together."""
     n = len(blocks)
-    if n < FEWEST:
+    if n < 4:
         return 0.0
     off = blocks - blocks.mean()
     variance = float(off @ off) + float(off[:-1] @ off[1:])

@@ -1,4 +1,4 @@
-"""NPZ: one array per channel, ``t``, and the metadata as text."""
+"""NPZ: one array per channel, ``t``, and the circumstances as text."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 KEY = "zendsp"
 
 
-def write(recording: Recording, metadata: str, path: Path) -> None:
+def write(recording: Recording, circumstances: str, path: Path) -> None:
     """Write ``recording``."""
     arrays = {"t": recording.t, **recording.signals}
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays, **{KEY: np.array(metadata)})
+        np.savez_compressed(file, allow_pickle=False, **arrays, **{KEY: np.array(circumstances)})
 
 
 def read(path: Path) -> Raw:
@@ -30,7 +30,7 @@ def read(path: Path) -> Raw:
     code.
     """
     columns, constants, refused = {}, {}, {}
-    metadata = ""
+    circumstances = ""
     try:
         with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:
@@ -40,7 +40,7 @@ def read(path: Path) -> Raw:
                     refused[name] = f"is not a plain numeric array ({error})"
                     continue
                 if name == KEY and values.dtype.kind == "U":
-                    metadata = str(values[()])
+                    circumstances = str(values[()])
                 elif values.dtype.kind not in "fiub":
                     refused[name] = f"holds {values.dtype}, not real numbers"
                 elif values.size == 1:
@@ -60,4 +60,4 @@ def read(path: Path) -> Raw:
         raise RecordingError(
             f"{path}: is not a readable NPZ file, or it is cut short ({error})"
         ) from error
-    return Raw(columns, {}, constants, metadata, refused)
+    return Raw(columns, {}, constants, circumstances, refused)
