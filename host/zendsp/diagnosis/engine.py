@@ -258,7 +258,7 @@ def _find(parts: Parts, given: Model, jobs: int, tell: Progress) -> _Found:
             parts.fit, parts.choose, search, given.joint_kind(search.joint), jobs
         )
     ]
-    # a ripple that is not modelled is fitted by effects that are not there: search again with it
+    # a ripple that nobody models lends itself to effects that are not there: search again upon it
     if fine:
         beneath = beneath.with_terms((*beneath.terms, *(fixed(ripple.term) for ripple in fine)))
         searches, decisions, whole = _explain(parts, given, beneath, jobs, tell)
